@@ -19,9 +19,9 @@ def denoising_loss(
     return (weight * (denoised - clean).square()).mean(dim=(0, 2))
 
 
-def prediction_loss(predicted: Float32[Tensor, "V C"], target: Float32[Tensor, "V C"]) -> Float32[Tensor, ""]:
-    """L_DM, paper eq. 2: of the noise there; of the velocity where the network predicts that."""
-    return (predicted - target).square().mean()
+def prediction_loss(predicted: Float32[Tensor, "V C"], noise: Float32[Tensor, "V C"]) -> Float32[Tensor, ""]:
+    """L_DM, paper eq. 2."""
+    return (predicted - noise).square().mean()
 
 
 @dataclass(frozen=True, kw_only=True)

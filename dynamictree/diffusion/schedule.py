@@ -1,12 +1,10 @@
-"""Noise schedule of DDPM: share of the signal at each step."""
+"""Noise schedule of DDPM: share of the signal at each step, and the clean signal that predicted noise implies."""
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from torch import Tensor
-
-from dynamictree.diffusion.prediction import Prediction
 
 NUM_STEPS = 1000
 BETAS = (1e-4, 0.02)  # Ho et al. 2020, and XCube
@@ -29,15 +27,8 @@ def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
     return NoiseSchedule(alpha_bar=(1 - betas).cumprod(dim=0).float())
 
 
-def zero_terminal(schedule: NoiseSchedule) -> NoiseSchedule:
-    """The same with nothing of the signal at the last step, which is what sampling starts from.
-
-    √ᾱ is shifted and scaled, and the first step stays as it is. Lin et al. 2023, arXiv 2305.08891, algorithm 1.
-    """
-    root = schedule.alpha_bar.sqrt()
-    return NoiseSchedule(alpha_bar=((root - root[-1]) * root[0] / (root[0] - root[-1])).square())
-
-
-def schedule_of(prediction: Prediction) -> NoiseSchedule:
-    """The linear schedule; for velocity with a last step of noise alone, of which ε could say nothing."""
-    return linear_schedule() if prediction == "noise" else zero_terminal(linear_schedule())
+def predicted_clean(
+    noisy: Float[Tensor, "*batch C"], noise: Float[Tensor, "*batch C"], alpha_bar: Float[Tensor, "..."]
+) -> Float[Tensor, "*batch C"]:
+    """The clean signal x₀ that predicted noise ε implies: (x − √(1 − ᾱ) ε) / √ᾱ."""
+    return (noisy - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()

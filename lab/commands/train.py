@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from lab.small.train import SmallTraining
     from lab.training.progress import OnStep
 
-PRESETS = ("small", "paper", "paper-small")
+PRESETS = ("small", "paper")
 DEVICES = ("auto", "cpu", "cuda")
-PREDICTIONS = ("noise", "velocity")
 MAX = 10_000_000
 
 
@@ -74,14 +73,6 @@ def train(
     frequencies: Annotated[
         int | None, typer.Option(min=1, max=16, help="Paper: frequencies of each of these trees per pass.")
     ] = None,
-    add: Annotated[
-        list[str] | None,
-        typer.Option(help="Paper: what to add to the paper's recipe: wind, amplitude, stems, noise; may be repeated."),
-    ] = None,
-    predict: Annotated[
-        str | None,
-        typer.Option(help=f"Paper: {' or '.join(PREDICTIONS)}, what the network predicts; the preset's if not given."),
-    ] = None,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Paper: processes that load trees.")] = 0,
     bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; the preset's if not given.")] = None,
     device: Annotated[str, typer.Option(help=f"{', '.join(DEVICES)}; small trains on the CPU.")] = "auto",
@@ -96,8 +87,6 @@ def train(
         raise InputError(f"there is no training for preset {preset!r}; choose {' or '.join(PRESETS)}")
     if device not in DEVICES:
         raise InputError(f"there is no device {device!r}; choose {', '.join(DEVICES)}")
-    if predict not in (None, *PREDICTIONS):
-        raise InputError(f"no network predicts {predict!r}; choose {' or '.join(PREDICTIONS)}")
     if (foliage_steps == 0 and foliage_from is None) or (denoiser_steps == 0 and denoiser_from is None):
         raise InputError("0 steps keep a network; give it with --foliage-from or --denoiser-from, or ask for steps")
     if foliage_trees == 0 and foliage_steps > 0:
@@ -111,11 +100,8 @@ def train(
         )
     else:
         plan = _paper_training(
-            preset,
             width,
             resolution,
-            add or [],
-            predict,
             num_steps=steps,
             smoothness_from=smoothness_from,
             smoothness_weight=smoothness_weight,
@@ -168,29 +154,12 @@ def _small_training(
     )
 
 
-def _paper_training(
-    preset: str,
-    width: int | None,
-    resolution: int | None,
-    additions: list[str],
-    predict: str | None,
-    **changes: int | float | None,
-) -> "PaperTraining":
-    from dynamictree.errors import InputError
-    from dynamictree.models.paper.network import paper_preset, with_additions
-    from lab.paper.train import PaperTraining, paper_small_training
+def _paper_training(width: int | None, resolution: int | None, **changes: int | float | None) -> "PaperTraining":
+    from dynamictree.models.paper.network import paper_preset
+    from lab.paper.train import PaperTraining
 
-    if preset == "paper-small":
-        if width is not None or resolution is not None:
-            raise InputError("paper-small has its own --width and --resolution; leave them out, or train preset paper")
-        plain = paper_small_training()
-    else:
-        plain = PaperTraining(preset=paper_preset(width or 128, resolution or 128))
     chosen = {name: value for name, value in changes.items() if value is not None}
-    network = with_additions(plain.preset, additions)
-    if predict is not None:
-        network = replace(network, prediction=predict)  # type: ignore[arg-type]
-    return replace(plain, preset=network, time_shifts="amplitude" in additions, **chosen)  # type: ignore[arg-type]
+    return replace(PaperTraining(preset=paper_preset(width or 128, resolution or 128)), **chosen)  # type: ignore[arg-type]
 
 
 def _run(

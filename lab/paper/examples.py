@@ -15,22 +15,16 @@ import torch
 from jaxtyping import Complex64, Float32, Int64
 from safetensors.torch import load_file, save_file
 from scipy.spatial import cKDTree
-from torch import Tensor, nn
-from torch.nn import functional
+from torch import Tensor
 
 from dynamictree.diffusion.loss import LocalSmoothness, nearest_voxels
 from dynamictree.errors import InputError
 from dynamictree.models.paper.network import PaperInputs, PaperPreset, unit_positions
-from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
-from dynamictree.models.small.features import node_features, wind_vector
-from dynamictree.models.small.network import Regression
 from dynamictree.models.wind import wind_axes, wind_sizes
-from dynamictree.sparse.level import Pyramid, batch_pyramids, pyramid
+from dynamictree.sparse.level import batch_pyramids, pyramid
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.shards import StoredTree, iter_shard
-from lab.small.examples import example_of
-from lab.small.whitening import WhiteExample, white_example
 
 STORED = 128  # resolution of the voxels and spectra in the shards
 HALF_SCALE = 1000.0
@@ -45,12 +39,7 @@ class PaperExample:
     normals: Float32[Tensor, "X 3"]
     resolution: int  # of that grid
     voxel_size_m: float  # of the spectrum's grid
-    spectrum: Complex64[Tensor, "V K 3"]  # rows ascend with the coordinates; whitened where there is a regression
-    axes: Float32[Tensor, "3 3"]  # rows are downwind, crosswind, up
-    # with a regression:
-    links: Int64[Tensor, "L 2"] | None = None  # see `TreeFeatures`, of the spectrum's voxels
-    stems: Float32[Tensor, "V F"] | None = None
-    log_amplitude: Float32[Tensor, "V J 3"] | None = None
+    spectrum: Complex64[Tensor, "V K 3"]  # rows ascend with the coordinates
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +50,6 @@ class PaperBatch:
     spectrum: Complex64[Tensor, "V K 3"]
     neighbours: Int64[Tensor, "V M"]  # rows of the nearest voxels
     distances_m: Float32[Tensor, "V M"]
-    noise: tuple[NoiseBasis, ...] = ()  # of each tree, where noise is correlated along it; stays on the CPU
 
     def to(self, device: torch.device) -> "PaperBatch":
         """The same batch on a device."""
@@ -80,38 +68,20 @@ def batch_of(examples: Sequence[PaperExample], preset: PaperPreset) -> PaperBatc
         distances.append(far)
         grids.append(own)
         start += len(centres)
-    optional = {name: [getattr(one, name) for one in examples] for name in ("stems", "log_amplitude")}
     return PaperBatch(
         inputs=PaperInputs(
-            positions=torch.cat([_seen(unit_positions(one.coords, one.resolution), one, preset) for one in examples]),
-            normals=torch.cat([_seen(one.normals, one, preset) for one in examples]),
+            positions=torch.cat([unit_positions(one.coords, one.resolution) for one in examples]),
+            normals=torch.cat([one.normals for one in examples]),
             grids=batch_pyramids(grids),
-            **{name: None if values[0] is None else torch.cat(values) for name, values in optional.items()},
         ),
         spectrum=torch.cat([one.spectrum for one in examples]),
         neighbours=torch.cat(rows),
         distances_m=torch.cat(distances),
-        noise=tuple(
-            noise_basis(node_grids(own, preset), one.links)
-            for own, one in zip(grids, examples, strict=True)
-            if preset.noise_along_tree and one.links is not None
-        ),
     )
 
 
-def _seen(vectors: Float32[Tensor, "X 3"], example: PaperExample, preset: PaperPreset) -> Float32[Tensor, "X 3"]:
-    return vectors @ example.axes.T if preset.wind_frame else vectors
-
-
-def node_grids(grids: Pyramid, preset: PaperPreset) -> Pyramid:
-    """The pyramid from the spectrum's grid on."""
-    return Pyramid(levels=grids.levels[preset.num_halvings :], parents=grids.parents[preset.num_halvings :])
-
-
-def paper_example(stored: StoredTree, preset: PaperPreset, regression: Regression | None = None) -> PaperExample:
+def paper_example(stored: StoredTree, preset: PaperPreset) -> PaperExample:
     """Bring a tree of a shard onto the preset's grids; its mesh is voxelized where the shard lacks the fine grid.
-
-    With a regression the spectrum is what its amplitudes leave.
 
     Raises:
         InputError: the preset's resolution does not divide the stored one.
@@ -123,32 +93,16 @@ def paper_example(stored: StoredTree, preset: PaperPreset, regression: Regressio
         fine = stored.voxels(preset.condition_resolution)
     else:
         fine = voxelize(stored.mesh(), preset.condition_resolution)
-    axes = wind_axes(stored.wind)
-    example = PaperExample(
+    coords = np.unique(fine.grid.coords >> preset.num_halvings, axis=0).astype(np.int32)
+    height_m = float(np.ptp(stored.tensors["vertices"][:, 2]))
+    relative = _pooled(stored, coords, preset) @ wind_axes(stored.wind).T / height_m
+    relative /= wind_sizes(stored.wind, preset.num_frequencies)[:, None]
+    return PaperExample(
         coords=torch.from_numpy(fine.grid.coords.astype(np.int64)),
         normals=torch.from_numpy(fine.normals),
         resolution=preset.condition_resolution,
         voxel_size_m=fine.grid.voxel_size_m * (1 << preset.num_halvings),
-        spectrum=torch.empty(0, preset.num_frequencies, 3, dtype=torch.complex64),
-        axes=torch.from_numpy(axes),
-    )
-    if regression is not None:
-        return _whitened(example, white_example(regression, example_of(stored)))
-    coords = np.unique(fine.grid.coords >> preset.num_halvings, axis=0).astype(np.int32)
-    height_m = float(np.ptp(stored.tensors["vertices"][:, 2]))
-    relative = _pooled(stored, coords, preset) @ axes.T / height_m
-    relative /= wind_sizes(stored.wind, preset.num_frequencies)[:, None]
-    return replace(example, spectrum=torch.from_numpy(relative.astype(np.complex64)))
-
-
-def _whitened(example: PaperExample, white: WhiteExample) -> PaperExample:
-    """The mean pose is the regression's: its column is zero."""
-    return replace(
-        example,
-        spectrum=functional.pad(white.whitened, (0, 0, 1, 0)),
-        links=white.nodes.links,
-        stems=node_features(white.nodes, wind_vector([white.wind])),
-        log_amplitude=white.log_amplitude,
+        spectrum=torch.from_numpy(relative.astype(np.complex64)),
     )
 
 
@@ -174,17 +128,14 @@ def _pooled(stored: StoredTree, coords: np.ndarray, preset: PaperPreset) -> Comp
 class ExampleCache(torch.utils.data.Dataset[PaperExample]):
     """The training trees of shards, prepared once and read from disk afterwards."""
 
-    def __init__(
-        self, shards: Sequence[str], preset: PaperPreset, folder: Path, regression: Regression | None = None
-    ) -> None:
+    def __init__(self, shards: Sequence[str], preset: PaperPreset, folder: Path) -> None:
         """Prepare what is missing in `folder`, which is made if needed.
 
         Raises:
             InputError: the shards hold no trees for training.
         """
         grids = preset.resolution, preset.num_halvings, preset.num_frequencies
-        whitened = None if regression is None else _weights_sha256(regression)
-        identity = json.dumps([grids, whitened, *map(_fingerprint, shards)])
+        identity = json.dumps([grids, *map(_fingerprint, shards)])
         self.folder = folder / hashlib.sha256(identity.encode()).hexdigest()[:16]
         self.folder.mkdir(parents=True, exist_ok=True)
         complete = self.folder / "complete"
@@ -192,7 +143,7 @@ class ExampleCache(torch.utils.data.Dataset[PaperExample]):
             for number, stored in enumerate(_training_trees(shards)):
                 path = self._path(number)
                 if not path.exists():
-                    _write_example(paper_example(stored, preset, regression), path)
+                    _write_example(paper_example(stored, preset), path)
             complete.touch()
         self.count = len(list(self.folder.glob("*.safetensors")))
         if not self.count:
@@ -217,26 +168,14 @@ def _fingerprint(shard: str) -> list[object]:
     return [Path(shard).name, facts.st_size, facts.st_mtime_ns]
 
 
-def _weights_sha256(network: nn.Module) -> str:
-    digest = hashlib.sha256()
-    for value in network.state_dict().values():
-        digest.update(value.contiguous().cpu().numpy().tobytes())
-    return digest.hexdigest()
-
-
-OPTIONAL = ("links", "stems", "log_amplitude")
-
-
 def _write_example(example: PaperExample, path: Path) -> None:
     partial = path.with_suffix(".partial")
     tensors = {
         "coords": example.coords.short(),
         "normals": example.normals.half(),
-        "spectrum": torch.view_as_real(example.spectrum * _half_scale(example.log_amplitude)).half(),
+        "spectrum": torch.view_as_real(example.spectrum * HALF_SCALE).half(),
         "grid": torch.tensor([example.resolution, example.voxel_size_m], dtype=torch.float64),
-        "axes": example.axes,
     }
-    tensors |= {name: value for name in OPTIONAL if (value := getattr(example, name)) is not None}
     save_file({name: value.contiguous() for name, value in tensors.items()}, partial)
     partial.rename(path)
 
@@ -249,12 +188,5 @@ def _read_example(path: Path) -> PaperExample:
         normals=tensors["normals"].float(),
         resolution=int(resolution),
         voxel_size_m=voxel_size_m,
-        spectrum=torch.view_as_complex(tensors["spectrum"].float() / _half_scale(tensors.get("log_amplitude"))),
-        axes=tensors["axes"],
-        **{name: tensors.get(name) for name in OPTIONAL},
+        spectrum=torch.view_as_complex(tensors["spectrum"].float() / HALF_SCALE),
     )
-
-
-def _half_scale(log_amplitude: Tensor | None) -> float:
-    """Whitened spectra suit float16 as they are."""
-    return HALF_SCALE if log_amplitude is None else 1.0

@@ -4,10 +4,8 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, prediction_loss
-from dynamictree.diffusion.prediction import predicted_clean, prediction_target
-from dynamictree.diffusion.schedule import NoiseSchedule
+from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
 from dynamictree.models.paper.network import PaperNetwork
 from lab.paper.examples import PaperBatch
 
@@ -39,31 +37,14 @@ def paper_loss(
     """
     sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
     step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)
-    noise = batch_noise(network, batch, frequency, generator).to(clean.device)
+    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
     alpha_bar = schedule.alpha_bar[step][sample][..., None]  # [V, J, 1]
     noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
     predicted = network(noisy, step, frequency, network.condition(batch.inputs), batch.inputs).float()
-    kind = network.preset.prediction
-    target = prediction_target(clean, noise, alpha_bar, kind)
-    loss = prediction_loss(predicted.flatten(0, 1), target.flatten(0, 1))
+    loss = prediction_loss(predicted.flatten(0, 1), noise.flatten(0, 1))
     if smoothness is not None:
-        implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar, kind)
+        implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar)
         neighbours = batch.neighbours, batch.distances_m
         each = [local_smoothness(one, *neighbours, weights=smoothness) for one in implied.unbind(dim=1)]
         loss = loss + smoothness_weight * torch.stack(each).mean()
     return loss
-
-
-def batch_noise(
-    network: PaperNetwork, batch: PaperBatch, frequency: Int64[Tensor, "B J"], generator: torch.Generator
-) -> Float32[Tensor, "V J 6"]:
-    """Noise of unit variance: white, or correlated along each tree as the regression's shares say."""
-    if not network.preset.noise_along_tree:
-        return torch.randn(len(batch.spectrum), frequency.shape[1], CHANNELS, generator=generator)
-    assert network.regression is not None
-    shares = network.regression.noise_shares.cpu()
-    drawn = [
-        basis.draw(shares[bins - 1], generator, channels=CHANNELS)
-        for basis, bins in zip(batch.noise, frequency.cpu(), strict=True)
-    ]
-    return torch.cat(drawn)

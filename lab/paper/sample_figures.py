@@ -7,11 +7,10 @@ from torch import Tensor, nn
 
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import schedule_of
+from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperNetwork
 from lab.paper.examples import PaperExample, batch_of
-from lab.paper.loss import batch_noise
 
 
 @torch.no_grad()
@@ -22,12 +21,12 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
     batch = batch_of([example], preset).to(device)
     bins = torch.arange(1, preset.num_frequencies, device=device)
     truth = pack_channels(batch.spectrum[:, 1:])  # [V, J, 6]
-    condition, schedule = network.condition(batch.inputs), schedule_of(preset.prediction).to(device)
+    condition, schedule = network.condition(batch.inputs), linear_schedule().to(device)
 
     def predict_clean(noisy: Tensor, step: int) -> Tensor:
         return denoise(network, noisy, step, bins, condition, batch.inputs, schedule)
 
-    start = batch_noise(network, batch, bins[None], torch.Generator().manual_seed(seed)).to(device)
+    start = torch.randn(truth.shape, generator=torch.Generator().manual_seed(seed)).to(device)
     drawn = sample_ddim(predict_clean, start, schedule, num_steps=num_steps) * network.frequency_sizes[1:, None]
     rough = [roughness(one, batch.neighbours) for one in (drawn, truth)]
     power = [one.square().sum(dim=(1, 2)) for one in (drawn, truth)]

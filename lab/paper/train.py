@@ -13,23 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Int64
+from jaxtyping import Float32, Int64
 from torch import Tensor
 from torch.utils.data import DataLoader
 
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import LocalSmoothness
-from dynamictree.diffusion.schedule import schedule_of
-from dynamictree.errors import CheckpointError
-from dynamictree.models.paper.network import PaperNetwork, PaperPreset, additions_of, paper_small_preset
-from dynamictree.models.small.network import Regression, SmallNetwork
-from dynamictree.models.weights_file import Provenance, read_weights, write_weights
-from dynamictree.weights import weights_path
+from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset
+from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
 from lab.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
 from lab.paper.loss import paper_loss
 from lab.paper.sample_figures import sample_figures
-from lab.training.checkpoints import load_part
 from lab.training.distributed import num_processes, process_rank, wait_for_all
 from lab.training.progress import OnStep
 from lab.training.schedules import LearningRateSchedule
@@ -59,9 +55,7 @@ class PaperTraining:
     num_workers: int = 0  # processes that load trees
     save_every: int = 500
     save_every_s: float = 60.0
-    time_shifts: bool = False  # turn the phases of each frequency at random
     figures_every_s: float | None = 180.0  # generate a tree and log its figures; None: never
-    regression_from: str = "small"  # model whose amplitudes are used, where the preset has a regression
     seed: int = 0
 
     def options(self) -> TrainerOptions:
@@ -83,21 +77,6 @@ class PaperTraining:
             save_every_s=self.save_every_s,
             seed=self.seed,
         )
-
-
-def paper_small_training() -> PaperTraining:
-    """Settings for `paper_small_preset` on a CPU: 8 frequencies of one tree per step, a shorter schedule."""
-    return PaperTraining(
-        preset=paper_small_preset(),
-        num_steps=2400,
-        smoothness_from=1400,
-        batch_size=8,
-        frequencies_per_tree=8,
-        learning_rate=2e-3,
-        halve_every=400,
-        ema_decay=0.99,
-        bf16=False,
-    )
 
 
 def train_paper(
@@ -128,30 +107,26 @@ def train_paper(
     device = device or torch.device("cpu")
     torch.manual_seed(plan.seed)
     network = PaperNetwork(plan.preset)
-    if network.regression is not None:
-        load_regression(network.regression, plan.regression_from)
     if process_rank() == 0:
-        ExampleCache(shards, plan.preset, folder / "cache", network.regression)
+        ExampleCache(shards, plan.preset, folder / "cache")
     wait_for_all()
-    cache = ExampleCache(shards, plan.preset, folder / "cache", network.regression)
-    if network.regression is None:  # else spectra have unit size
-        network.frequency_sizes.copy_(frequency_sizes(cache, plan))
+    cache = ExampleCache(shards, plan.preset, folder / "cache")
+    network.frequency_sizes.copy_(frequency_sizes(cache, plan))
     trainer = Trainer(network.to(device), plan.options())
     trainer.resume(folder / "checkpoint.safetensors")
     batches = _batches(cache, plan, first_pass=trainer.step * trainer.options.accumulate)
-    schedule = schedule_of(plan.preset.prediction).to(device)
+    schedule = linear_schedule().to(device)
 
     def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
         batch = next(batches)
         shape = (plan.micro_trees, plan.frequencies_per_tree)
-        moving = np.arange(0 if network.regression is None else 1, plan.preset.num_frequencies)
-        bins = [rng.permutation(moving)[: shape[1]] for _ in range(shape[0])]
+        bins = [rng.permutation(plan.preset.num_frequencies)[: shape[1]] for _ in range(shape[0])]
         frequency = torch.from_numpy(np.stack(bins)).to(device)
         batch = batch.to(device)
         return paper_loss(
             network,
             batch,
-            clean_channels(batch, frequency, network, _time_shifts(frequency, rng) if plan.time_shifts else None),
+            clean_channels(batch, frequency, network),
             frequency,
             schedule=schedule,
             generator=torch.Generator().manual_seed(int(rng.integers(2**62))),
@@ -187,11 +162,8 @@ def train_paper(
 
 def training_card(name: str, plan: PaperTraining, *, trees: int, step: int, loss: float) -> str:
     """What the run itself knows of its weights, in Markdown; how good they are is for `dynamictree evaluate`."""
-    additions = ", ".join(additions_of(plan.preset)) or "none"
     facts = {
         "network": f"the paper's on {plan.preset.resolution}³, {plan.preset.unet.base} channels at its first level",
-        "additions": additions,
-        "predicts": plan.preset.prediction,
         "data": f"{trees} trees",
         "steps": f"{step} of batch {plan.batch_size}; with L_LSS from step {plan.smoothness_from}",
         "loss of the last step": f"{loss:.3f}",
@@ -211,37 +183,13 @@ def frequency_sizes(cache: ExampleCache, plan: PaperTraining) -> Float32[Tensor,
 
 
 def clean_channels(
-    batch: PaperBatch,
-    frequency: Int64[Tensor, "B J"],
-    network: PaperNetwork,
-    factors: Complex64[Tensor, "B J"] | None = None,
+    batch: PaperBatch, frequency: Int64[Tensor, "B J"], network: PaperNetwork
 ) -> Float32[Tensor, "V J 6"]:
-    """Each tree's spectrum at its frequencies, of unit size; `factors` of size 1 turn their phases."""
+    """Each tree's spectrum at its frequencies, of unit size."""
     sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
     bins = frequency[sample]  # [V, J]
     chosen = batch.spectrum.gather(1, bins[..., None].expand(-1, -1, 3))
-    if factors is not None:
-        chosen = chosen * factors[sample][..., None]
     return pack_channels(chosen) / network.frequency_sizes[bins][..., None]
-
-
-def _time_shifts(frequency: Int64[Tensor, "B J"], rng: np.random.Generator) -> Complex64[Tensor, "B J"]:
-    """A random phase per tree and frequency; the mean pose has none."""
-    angles = torch.from_numpy(rng.uniform(0, 2 * np.pi, frequency.shape).astype(np.float32)).to(frequency.device)
-    return torch.polar(torch.ones_like(angles), angles * (frequency > 0))
-
-
-def load_regression(regression: Regression, model: str) -> None:
-    """Fill a regression from the weights of a model of kind `small`.
-
-    Raises:
-        CheckpointError: the model is of another kind, or of another shape.
-    """
-    stored = read_weights(weights_path(model))
-    own = regression.state_dict()
-    if stored.kind != SmallNetwork.KIND or own.keys() - stored.tensors.keys():
-        raise CheckpointError(f"{model} is {stored.kind}; amplitudes are taken from {SmallNetwork.KIND}")
-    load_part(regression, {f"regression.{name}": stored.tensors[name] for name in own}, "regression")
 
 
 class _TreeDraws(torch.utils.data.Sampler[list[int]]):

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from dynamictree.diffusion.loss import denoising_loss
-from dynamictree.diffusion.sampler import karras_schedule, sample_dpm_multistep
+from dynamictree.diffusion.sampler import karras_schedule, sample_ddim, sample_dpm_multistep
+from dynamictree.diffusion.schedule import linear_schedule, predicted_clean
 
 VARIANCE = torch.tensor([4.0, 1.0, 0.01])
 
@@ -67,3 +68,19 @@ def test_the_loss_of_the_identity_skip_is_one_whatever_the_noise() -> None:
         sigma = torch.full((40_000, 1, 1), size)
         loss = denoising_loss((clean + size * noise) / (1 + size**2), clean, sigma)
         assert float(loss[0]) == pytest.approx(1, abs=0.01)
+
+
+def test_ddim_takes_noise_to_the_distribution_that_the_predictor_knows() -> None:
+    schedule, variance = linear_schedule(), torch.tensor([4.0, 0.25])
+
+    def predict_clean(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        alpha_bar = schedule.alpha_bar[step]
+        expected_noise = (1 - alpha_bar).sqrt() * noisy / (alpha_bar * variance + 1 - alpha_bar)
+        return predicted_clean(noisy, expected_noise, alpha_bar)
+
+    steps: list[tuple[int, int]] = []
+    start = torch.randn(20_000, 2, generator=torch.Generator().manual_seed(0))
+    samples = sample_ddim(predict_clean, start, schedule, on_step=lambda *step: steps.append(step))
+    torch.testing.assert_close(samples.var(dim=0), variance, rtol=0.08, atol=0)
+    assert steps[-1] == (100, 100)
+    assert (samples == sample_ddim(predict_clean, start, schedule)).all()

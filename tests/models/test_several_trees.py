@@ -13,7 +13,9 @@ from dynamictree import method
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.models import periods
+from dynamictree.models.paper.network import PaperNetwork, paper_preset
 from dynamictree.models.several_trees import tree_voxels
+from dynamictree.models.weights_file import write_weights
 from dynamictree.requests import ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from tests.plant.stand import tree
@@ -58,10 +60,11 @@ def test_a_dense_tree_beside_a_light_one_leaves_out_its_own_flutter(monkeypatch:
     assert_each_moves_as_alone(mesh, method.generate(voxels, num_steps=1))
 
 
-def test_a_paper_s_model_moves_two_trees_on_a_grid_finer_than_its_own() -> None:
+def test_a_paper_s_model_moves_two_trees_on_a_grid_finer_than_its_own(tmp_path: Path) -> None:
     mesh = pair_of(8.0, 4.0)
     voxels = method.voxelize(mesh, resolution=256)
-    spectrum = method.generate(voxels, num_steps=1, model="paper-small")
+    write_weights(PaperNetwork(paper_preset(8, 32)), tmp_path / "paper.safetensors")
+    spectrum = method.generate(voxels, num_steps=1, model=str(tmp_path / "paper.safetensors"))
     assert len(spectrum.tree) == len(spectrum.grid)
     assert [np.abs(spectrum.coefficients[spectrum.tree == number, 1:]).max() > 0 for number in (0, 1)] == [True] * 2
 

@@ -4,8 +4,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from dynamictree.diffusion.prediction import predicted_clean
-from dynamictree.diffusion.schedule import NoiseSchedule
+from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork
 
 CLIP = 8.0
@@ -21,13 +20,9 @@ def denoise(
     inputs: PaperInputs,
     schedule: NoiseSchedule,
 ) -> Float32[Tensor, "V J 6"]:
-    """The clean spectra of one tree that the network expects at a step of the schedule.
-
-    Those of a network that predicts noise are limited to the data's size.
-    """
+    """The clean spectra of one tree that the network expects at a step of the schedule, limited to the data's size."""
     predicted = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, inputs)
-    clean = predicted_clean(noisy, predicted, schedule.alpha_bar[step], network.preset.prediction)
-    return at_most_unit_size(clean) if network.preset.prediction == "noise" else clean
+    return at_most_unit_size(predicted_clean(noisy, predicted, schedule.alpha_bar[step]))
 
 
 def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6"]:

@@ -1,6 +1,5 @@
 """Generate a spectrum with the paper's network: DDIM, frequency by frequency."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,13 +9,11 @@ from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS, unpack_channels
 from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import schedule_of
+from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, unit_positions
-from dynamictree.models.small.features import node_features
-from dynamictree.models.small.prepared import prepare_tree
 from dynamictree.models.threads import run_on_cores
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
 from dynamictree.models.wind import wind_axes, wind_sizes
@@ -57,20 +54,15 @@ class PaperModel(MotionModel):
     def _coefficients(
         self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
-        """The paper's network knows no wind: its direction turns the motion, its speed and gust scale it.
-
-        With additions to the paper it is an input, as the preset says.
-        """
-        draw = self._plain if self.network.regression is None else self._of_regression
-        return draw(voxels, wind, sampling)
-
-    def _plain(
-        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
-    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
-        """The whole spectrum comes from the diffusion."""
+        """The paper's network knows no wind: its direction turns the motion, its speed and gust scale it."""
         preset = self.network.preset
         fine, _ = coarsened(voxels, halvings_between(voxels.grid, self.resolution, self.name))
-        inputs = self._inputs(fine, wind)
+        coords = torch.from_numpy(fine.grid.coords.astype(np.int64))
+        inputs = PaperInputs(
+            positions=unit_positions(coords, fine.grid.resolution),
+            normals=torch.from_numpy(fine.normals),
+            grids=pyramid(coords, preset.num_levels),
+        )
         count = len(inputs.grids.levels[preset.num_halvings])
         if count > MAX_VOXELS:
             allowed = f"at most {MAX_VOXELS:,} are allowed; take a lower resolution"
@@ -85,39 +77,6 @@ class PaperModel(MotionModel):
         coefficients[:, 0].imag = 0
         return _on_output_grid(fine.grid, inputs.grids, preset.num_halvings, coefficients)
 
-    def _of_regression(
-        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
-    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
-        """Lean and amplitudes come from the regression, the whitened spectrum on the nodes from the diffusion."""
-        network, preset = self.network, self.network.preset
-        assert network.regression is not None
-        halvings_between(voxels.grid, self.resolution, self.name)
-        prepared = prepare_tree(network.regression, voxels, wind)
-        inputs = self._inputs(prepared.voxels, wind)
-        inputs = replace(
-            inputs,
-            stems=node_features(prepared.nodes, prepared.wind) if preset.stems else None,
-            log_amplitude=prepared.node_log_amplitude,
-        )
-        bins = torch.arange(1, preset.num_frequencies)
-        if preset.noise_along_tree:
-            start = prepared.noise.draw(network.regression.noise_shares.cpu(), sampling.generator, channels=CHANNELS)
-        else:
-            start = torch.randn(
-                len(bins), len(prepared.nodes.scalars), CHANNELS, generator=sampling.generator
-            ).transpose(0, 1)
-        whitened = self._sample(inputs, bins, start, sampling).cpu()
-        return voxels.grid, prepared.to_metres(prepared.assemble(whitened, sampling.generator))
-
-    def _inputs(self, fine: SurfaceVoxels, wind: Wind) -> PaperInputs:
-        preset = self.network.preset
-        coords = torch.from_numpy(fine.grid.coords.astype(np.int64))
-        positions, normals = unit_positions(coords, fine.grid.resolution), torch.from_numpy(fine.normals)
-        if preset.wind_frame:
-            axes = torch.from_numpy(wind_axes(wind))
-            positions, normals = positions @ axes.T, normals @ axes.T
-        return PaperInputs(positions=positions, normals=normals, grids=pyramid(coords, preset.num_levels))
-
     def _sample(
         self,
         inputs: PaperInputs,
@@ -127,7 +86,7 @@ class PaperModel(MotionModel):
     ) -> Float32[Tensor, "V J 6"]:
         """Spectra of unit size at some frequencies. These do not see one another: bands of them run on all cores."""
         device = self.network.frequency_sizes.device
-        inputs, schedule = inputs.to(device), schedule_of(self.network.preset.prediction).to(device)
+        inputs, schedule = inputs.to(device), linear_schedule().to(device)
         condition = self.network.condition(inputs)
         band = max(1, MAX_ACTIVATIONS // (len(condition) * self.network.preset.unet.base))
         bands = torch.split(torch.arange(len(bins)), min(band, BAND) if device.type == "cpu" else band)

@@ -1,26 +1,19 @@
 """The paper's model as callers see it: deterministic, cancellable, and scaled by the wind."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
 
-from dynamictree.diffusion.prediction import predicted_clean
 from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.schedule import linear_schedule, predicted_clean
 from dynamictree.errors import Cancelled, InputError
-from dynamictree.models import load_model
 from dynamictree.models.paper import generate
 from dynamictree.models.paper.denoise import at_most_unit_size
 from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.paper.unet import UNetShape
-from dynamictree.models.weights_file import write_weights
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -101,35 +94,7 @@ def test_what_is_drawn_from_noise_is_of_the_datas_size_however_wrong_the_network
     schedule = linear_schedule()
 
     def predict_clean(noisy: torch.Tensor, step: int) -> torch.Tensor:
-        return at_most_unit_size(predicted_clean(noisy, noisy + 0.3 * error, schedule.alpha_bar[step], "noise"))
+        return at_most_unit_size(predicted_clean(noisy, noisy + 0.3 * error, schedule.alpha_bar[step]))
 
     drawn = sample_ddim(predict_clean, start, schedule, num_steps=20)
     assert drawn.square().mean(dim=(0, 2)).max() <= 1 + 1e-5
-
-
-def test_a_file_of_velocity_is_sampled_as_such_and_one_of_before_the_field_as_noise(
-    model: PaperModel, voxels: SurfaceVoxels, tmp_path: Path
-) -> None:
-    network = PaperNetwork(replace(PRESET, prediction="velocity"))
-    network.load_state_dict(model.network.state_dict())
-    write_weights(network, tmp_path / "velocity.safetensors")
-    write_weights(model.network, tmp_path / "noise.safetensors")
-    before = safetensors_without(tmp_path / "noise.safetensors", "prediction")
-    velocity, noise, older = (
-        load_model(str(path)).generate(voxels, wind=WIND, seed=0).coefficients
-        for path in (tmp_path / "velocity.safetensors", tmp_path / "noise.safetensors", before)
-    )
-    assert (older == noise).all()
-    assert np.abs(velocity - noise).max() > 0.1 * np.abs(noise).max()
-
-
-def safetensors_without(path: Path, name: str) -> Path:
-    """A copy of a weights file whose preset lacks a field."""
-    with safe_open(path, "pt") as stored:
-        tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
-        metadata = stored.metadata()
-    preset = json.loads(metadata["preset"])
-    del preset[name]
-    copy = path.with_name("before.safetensors")
-    save_file(tensors, copy, {**metadata, "preset": json.dumps(preset)})
-    return copy
