@@ -1,14 +1,17 @@
-"""Flutter of leaves: fast turns that set in with the wind's speed.
+"""Flutter of leaves: fast turns that set in with the wind's speed, of the simulator's leaves and of a rig's bones.
 
 A leaf of critical speed U_c stands still in slower air; above it, it twists about its axis and flaps across it with a
 standard deviation that grows as a² / (1 + a²), a = U / U_c - 1. Critical speeds are lognormal: few leaves move in
 2 m/s, most in 5 m/s (the Beaufort scale: leaves rustle from 1.6 m/s on, leaves and small twigs move constantly from
 3.4 m/s on). A leaf's own frequency is drawn between 2 and 8 Hz, evenly in the logarithm; its line is a resonance of
-LINE_WIDTH.
+LINE_WIDTH. All leaves of a twig share TWIG_SHARE of their flutter.
 """
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Complex64, Float, Float32, Float64, Int
+from scipy.special import ndtri
+
+from dynamictree.requests import Wind
 
 SLOWEST_HZ, FASTEST_HZ = 2.0, 8.0
 """Seen in films of plants in wind, whose amplitude falls as f^-1.07 from 1 to 12 Hz (docs/laws.md)."""
@@ -20,6 +23,9 @@ STILL_M_S = 1.5
 """Below it nothing flutters: Beaufort 1, "leaves do not move"."""
 TWIST_RAD, FLAP_RAD = 0.35, 0.22
 """Standard deviations of a leaf's turn in a strong wind, about its axis and across it."""
+TWIG_SHARE = 0.5
+"""Of a leaf's flutter: what all leaves of its twig do together."""
+GUSTS = 16  # speeds that stand for those of a gusty wind
 
 
 def critical_speeds(count: int, rng: np.random.Generator) -> Float64[np.ndarray, " M"]:
@@ -48,3 +54,49 @@ def line(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " 
     amplitude = np.sqrt(1 / (1 + offset**2)) * (frequency_hz >= SLOWEST_HZ)
     normalised: Float64[np.ndarray, "M J"] = amplitude / np.sqrt((amplitude**2).sum(axis=1, keepdims=True))
     return normalised
+
+
+def unit_turns(
+    twig: Int[np.ndarray, " M"], frequency_hz: Float64[np.ndarray, " J"], rng: np.random.Generator
+) -> Complex64[np.ndarray, "M 2 J"]:
+    """Spectra of each leaf's turns across its axis and about it, of unit variance; `twig` numbers what bears it."""
+    twigs, own = np.unique(twig, return_inverse=True)
+    own_hz = leaf_frequencies(len(twigs), rng)[own]
+    of_twig, of_leaf = (
+        rng.standard_normal((rows, 2, len(frequency_hz), 2), np.float32) @ np.array([1, 1j], np.complex64)
+        for rows in (len(twigs), len(twig))
+    )
+    together = np.sqrt(TWIG_SHARE) * of_twig[own] + np.sqrt(1 - TWIG_SHARE) * of_leaf
+    return np.asarray(0.5 * together * line(frequency_hz, own_hz)[:, None], np.complex64)
+
+
+def turn_modes(
+    along: Float32[np.ndarray, "M 3"],
+    across: Float32[np.ndarray, "M 3"],
+    twig: Int[np.ndarray, " M"],
+    wind: Wind,
+    frequency_hz: Float64[np.ndarray, " J"],
+    rng: np.random.Generator,
+) -> Complex64[np.ndarray, "M J 3"]:
+    """Turns of leaves in a wind at the frequencies of a loop [rad], as `SparseVoxelSpectrum` has displacements.
+
+    Args:
+        along: unit vectors from a leaf's base to its tip.
+        across: unit vectors about which it flaps.
+        twig: what bears each leaf, see `unit_turns`.
+        wind: of the loop.
+        frequency_hz: those of the loop that reach FASTEST_HZ; what is slower than SLOWEST_HZ stays 0.
+        rng: of frequencies, phases and critical speeds.
+    """
+    unit = unit_turns(twig, frequency_hz, rng)
+    size = mean_onset(wind, critical_speeds(len(twig), rng))[:, None]
+    flap, twist = size * FLAP_RAD * unit[:, 0], size * TWIST_RAD * unit[:, 1]  # [M, J]
+    return np.asarray(flap[:, :, None] * across[:, None] + twist[:, :, None] * along[:, None], np.complex64)
+
+
+def mean_onset(wind: Wind, critical_m_s: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, " M"]:
+    """Root mean square of `onset` over the gusts of a wind."""
+    quantile = (np.arange(GUSTS) + 0.5) / GUSTS
+    speeds = np.maximum(wind.speed_m_s * (1 + wind.gust * ndtri(quantile)), 0)
+    sizes = onset(np.broadcast_to(speeds, (len(critical_m_s), GUSTS)), critical_m_s)
+    return np.asarray(np.sqrt((sizes.astype(np.float64) ** 2).mean(axis=1)))

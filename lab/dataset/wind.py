@@ -14,7 +14,7 @@ from scipy.fft import irfft, rfft
 from dynamictree.parallel import single_thread
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
 from dynamictree.wind.air import Air, single_gust, turbulent_air
-from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD, critical_speeds, leaf_frequencies, line, onset
+from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD, critical_speeds, onset, unit_turns
 from lab.dataset.branching import Stems
 from lab.dataset.leaves import Leaves
 from lab.dataset.load import base_radius, loads_of
@@ -42,8 +42,6 @@ TRUNK_BEND = 0.6
 """Lean of a trunk, over that of a branch as slender: with the usual flare as much as by the radius at the ground."""
 FREE_TIMES = 4
 """Motion that does not loop is a part of a loop so many times as long."""
-TWIG_SHARE = 0.5
-"""Of a leaf's flutter: what all leaves of its twig do together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,17 +262,9 @@ def _leaf_motion(leaves: Leaves, bearer: _Moving, air: Air, rng: np.random.Gener
 def _flutter(
     leaves: Leaves, speed_m_s: Float[np.ndarray, "Q T"], rng: np.random.Generator
 ) -> tuple[Float32[np.ndarray, "Q T"], Float32[np.ndarray, "Q T"]]:
-    """Turns of leaves across and about their axes [rad]: half of it the twig's, half each leaf's own."""
+    """Turns of leaves across and about their axes [rad]."""
     count, num_frames = speed_m_s.shape
-    twig, of_leaf = np.unique(leaves.row, return_inverse=True)
-    own_hz = leaf_frequencies(len(twig), rng)[of_leaf]
-    bins_hz = np.fft.rfftfreq(num_frames, d=1 / FPS)
-    twigs, leaf = (
-        rng.standard_normal((rows, 2, len(bins_hz), 2), np.float32) @ np.array([1, 1j], np.complex64)
-        for rows in (len(twig), count)
-    )
-    amplitude = line(bins_hz, own_hz)[:, None]
-    hat = (np.sqrt(TWIG_SHARE) * twigs[of_leaf] + np.sqrt(1 - TWIG_SHARE) * leaf) * amplitude
-    unit = 0.5 * irfft(hat, n=num_frames, axis=2, norm="forward")  # [Q, 2, T], of unit variance
+    hat = unit_turns(leaves.row, np.fft.rfftfreq(num_frames, d=1 / FPS), rng)
+    unit = irfft(hat, n=num_frames, axis=2, norm="forward")  # [Q, 2, T]
     unit = unit * onset(speed_m_s, critical_speeds(count, rng))[:, None]
     return (FLAP_RAD * unit[:, 0]).astype(np.float32), (TWIST_RAD * unit[:, 1]).astype(np.float32)
