@@ -84,6 +84,8 @@ def generate(
     num_steps: int | None = None,
     period_s: float | None = None,
     wind_bands: bool = False,
+    foliage: float | None = None,
+    of_cloud: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of a motion of these voxels. Paper section 3.4.
@@ -91,6 +93,8 @@ def generate(
     By default the pace follows the tree's height: periods of 4.17 s up to 7 m and 16.7 s from 22 m, and trees below 8 m
     are faster than the simulator's (a paper's model: 4.17 s, and no faster).
     With `wind_bands` the model is asked for five winds as well: how strong each mode is there.
+    `foliage` is 0 for a bare tree and 1 for one in leaf; by default the shape tells it, but not that of a surface that
+    was made of a cloud (`of_cloud`).
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
     from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
@@ -107,7 +111,9 @@ def generate(
         return generate_trees(paced, voxels, seed=seed, on_step=report)
 
     own = wind or Wind()
-    return replace(with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step), source=voxels.source)
+    spectrum = with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step)
+    by_shape = None if of_cloud else spectrum.foliage
+    return replace(spectrum, source=voxels.source, foliage=by_shape if foliage is None else foliage)
 
 
 def devoxelize(

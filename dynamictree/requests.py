@@ -134,6 +134,9 @@ class CloudParams(Request):
     )
 
 
+Foliage = Annotated[Finite, Field(ge=0, le=1)]
+
+
 class GridParams(Request):
     """How fine the voxel grid is. Paper section 3.3."""
 
@@ -180,6 +183,11 @@ class SpectrumParams(Request):
         description="Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s "
         "where num_frames is set or the preset is the paper's",
     )
+    foliage: Foliage | None = Field(
+        default=None,
+        description="Foliage of the tree, which damps it: 0 bare, 1 in leaf; of a mesh as its shape tells if unset, of "
+        "a splat, scan or photos in between",
+    )
     wind_bands: bool = Field(
         default=False,
         description="Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind",
@@ -191,6 +199,9 @@ class SwingParams(Request):
 
     damping_ratio: Finite | None = Field(
         default=None, ge=0, le=2, description="Of every mode; 1 is critical; 0.04 (bare) to 0.13 (in leaf) if unset"
+    )
+    foliage: Foliage | None = Field(
+        default=None, description="Chooses damping and frequency: 0 bare, 1 in leaf; the spectrum's if unset"
     )
     frequency_hz: Finite | None = Field(
         default=None,

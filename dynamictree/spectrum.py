@@ -40,6 +40,7 @@ class SparseVoxelSpectrum:
     model: str = ""
     seed: int = 0
     wind: Wind | None = None
+    foliage: float | None = None  # of the tree: 0 is bare, 1 in leaf; None where the shape does not tell
     bands: WindBands | None = None  # sizes of its modes in other winds, where the model was asked for them
     source: Source = field(default_factory=Source)
 
@@ -55,6 +56,8 @@ class SparseVoxelSpectrum:
             raise InputError(f"the spectrum has {self.num_frequencies} frequencies; {allowed}")
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise InputError(f"fps is {self.fps}; it must be positive and finite")
+        if self.foliage is not None and not 0 <= self.foliage <= 1:
+            raise InputError(f"foliage is {self.foliage}; 0 (bare) to 1 (in leaf) are allowed")
         if not np.isfinite(self.coefficients).all():
             raise InputError("the spectrum holds values that are not finite")
         if self.bands is not None and self.bands.num_frequencies != self.num_frequencies:

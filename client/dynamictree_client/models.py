@@ -267,6 +267,9 @@ class Interact(Model):
     # natural frequencies by bin; bin 0 is no mode and 0
     frequencies_hz: list[float]
     damping_ratio: float
+    # that chose damping and frequency, 0 bare to 1 in leaf; null where neither the request nor the shape told it,
+    # and the middle was taken
+    foliage: float | None
     mass_kg: float
     # m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
     modal_mass_kg_m2: float
@@ -282,6 +285,8 @@ class InteractRequest(Model):
 
     # Of every mode; 1 is critical; 0.04 (bare) to 0.13 (in leaf) if unset
     damping_ratio: float | None = None
+    # Chooses damping and frequency: 0 bare, 1 in leaf; the spectrum's if unset
+    foliage: float | None = None
     # Lowest natural frequency [Hz]; measured for the tree's height if unset
     frequency_hz: float | None = None
     # Mass that moves [kg]; by the tree's height if unset
@@ -740,6 +745,8 @@ class Spectrum(Model):
     model: str
     seed: int
     wind: "Wind | None"
+    # 0 bare, 1 in leaf; null where the shape did not tell
+    foliage: float | None
     # null unless the job asked for them
     wind_bands: "WindBands | None"
     units: str = "m"
@@ -900,6 +907,9 @@ class DiffuseParams(ReconstructParams):
     # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
     # num_frames is set or the preset is the paper's
     period_s: float | None = None
+    # Foliage of the tree, which damps it: 0 bare, 1 in leaf; of a mesh as its shape tells if unset, of a splat,
+    # scan or photos in between
+    foliage: float | None = None
     # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
     wind_bands: bool = False
 

@@ -7,7 +7,7 @@ import typer
 
 from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import file_sha256, read_source
+from dynamictree.commands.source import file_sha256, read_source, say_foliage
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import published
 from dynamictree.requests import CloudParams, ExportParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
@@ -58,8 +58,11 @@ def animate(
             num_steps=generation.num_steps,
             period_s=period_s,
             wind_bands=generation.wind_bands,
+            foliage=generation.foliage,
+            of_cloud=capture is not None,
             on_step=lambda done, total: report("diffuse", done / total),
         )
+        say_foliage(spectrum)
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:
             write_spectrum(spectrum, stream)
         write_products(

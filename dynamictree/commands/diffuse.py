@@ -7,7 +7,7 @@ import typer
 
 from dynamictree.commands.options import OutputFile, shape_file
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import file_sha256, is_tensor_file, read_source
+from dynamictree.commands.source import file_sha256, is_tensor_file, read_source, say_foliage
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import opened, published
 from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
@@ -35,10 +35,11 @@ def diffuse(
     from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
 
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
+        capture = None
         with opened(source) as stream:
             voxels = read_voxels(stream)
     else:
-        mesh, _ = read_source(source, reading, choice=cloud)
+        mesh, capture = read_source(source, reading, choice=cloud)
         voxels = method.voxelize(mesh, resolution=grid.resolution, source_sha256=file_sha256(source))
     with progress(quiet=as_json) as report:
         spectrum = method.generate(
@@ -49,8 +50,11 @@ def diffuse(
             num_steps=params.num_steps,
             period_s=params.period_s,
             wind_bands=params.wind_bands,
+            foliage=params.foliage,
+            of_cloud=capture is not None,
             on_step=lambda done, total: report("diffuse", done / total),
         )
+    say_foliage(spectrum)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_spectrum(spectrum, stream)
     tell({"file": str(output), "num_voxels": len(spectrum.grid), "period_s": spectrum.period_s}, as_json=as_json)

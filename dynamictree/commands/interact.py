@@ -76,6 +76,7 @@ def interact(
             mass_kg=params.mass_kg,
             damping_ratio=params.damping_ratio,
             frequency_hz=params.frequency_hz,
+            foliage=params.foliage,
         )
     at = _contact(system, point, voxel, radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))

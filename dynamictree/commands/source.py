@@ -16,6 +16,7 @@ from dynamictree.requests import CloudParams, Reading
 if TYPE_CHECKING:
     from dynamictree.mesh import SourceWarning, TriangleMesh
     from dynamictree.plant.capture import Capture
+    from dynamictree.spectrum import SparseVoxelSpectrum
 
 
 def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
@@ -81,6 +82,16 @@ def say_how_read(mesh: "TriangleMesh", warnings: "Sequence[SourceWarning]") -> N
     typer.echo(f"read as {height} m tall, {mesh.source_up_axis} up, {unit}", err=True)
     for warning in warnings:
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
+
+
+def say_foliage(spectrum: "SparseVoxelSpectrum") -> None:
+    """Warn on standard error where the shape did not tell whether the tree is in leaf."""
+    if spectrum.foliage is None:
+        typer.echo(
+            "warning: the shape does not tell whether the tree is bare or in leaf: it is damped in between; "
+            "say it with --foliage, 0 to 1 (foliage-unknown)",
+            err=True,
+        )
 
 
 def file_sha256(path: Path) -> str:

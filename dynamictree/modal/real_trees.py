@@ -7,10 +7,9 @@ extrapolation. Damping: damped cosines fitted to 19 pull-and-release records of 
 """
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
-from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum
-from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.spectrum import FPS, NUM_FRAMES
 
 BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
 MEASURED_FROM_M = 12.0
@@ -20,19 +19,12 @@ LEARNED_AT_1M_HZ = 24 / (8 * np.pi)
 """0.955 Hz, times 1 / √L: stems of versions 1 to 4 of the data set, which the shipped weights learned from."""
 MAX_QUICKENING = 2.5
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
-FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly; times the quickening of a small tree
-FLUTTER_SHARE = (0.0043, 0.0055)
-"""Share of a voxel's energy above it, median over the half that moves most: bare trees of the dataset have at most the
-first, trees in leaf at least the second."""
-THIN_OF_27 = 5
-"""Occupied voxels of the 27 around one: so few are a line, a twig. Leaves are patches."""
-THIN_SHARE = (0.051, 0.077)
-"""Of the voxels: trees in leaf have at most the first, bare ones at least the second."""
+UNKNOWN_FOLIAGE = 0.6
+"""Where neither a request nor the shape tells it: a damping ratio of 0.08, between bare trees and trees in leaf."""
 LEAST_BINS = 2
 """Of a loop's spectrum, the lean not counted, up to the lowest natural frequency."""
 MAX_LOOP_TIMES = 4
 """Longest loop that a height chooses, over the paper's: 16.7 s. Trees above 29 m would want more."""
-_KEY_STRIDE = 1024
 
 
 def height_law_hz(height_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
@@ -41,10 +33,10 @@ def height_law_hz(height_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.nda
     return np.asarray(law * np.maximum(MEASURED_FROM_M / height_m, 1))
 
 
-def natural_frequency_hz(height_m: float, foliage: float) -> float:
-    """Lowest natural frequency of a tree [Hz]; foliage is 0 for a bare tree and 1 for a tree in leaf."""
+def natural_frequency_hz(height_m: float, foliage: float | None) -> float:
+    """Lowest natural frequency of a tree [Hz]; foliage is 0 for a bare tree, 1 for a tree in leaf, None if unknown."""
     bounded = float(np.clip(height_m, *FITTED_HEIGHTS_M))
-    return float(height_law_hz(bounded) * LEAF_SLOWING ** (foliage - 0.5))
+    return float(height_law_hz(bounded) * LEAF_SLOWING ** (_or_middle(foliage) - 0.5))
 
 
 def learned_law_hz(length_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
@@ -58,9 +50,14 @@ def quickening(height_m: float) -> float:
     return float(np.clip(height_law_hz(height) / learned_law_hz(height), 1, MAX_QUICKENING))
 
 
-def natural_damping(foliage: float) -> float:
+def natural_damping(foliage: float | None) -> float:
     """Damping ratio of a released pull, between the medians of bare trees and trees in leaf."""
-    return float(BARE_DAMPING_RATIO ** (1 - foliage) * LEAF_DAMPING_RATIO**foliage)
+    share = _or_middle(foliage)
+    return float(BARE_DAMPING_RATIO ** (1 - share) * LEAF_DAMPING_RATIO**share)
+
+
+def _or_middle(foliage: float | None) -> float:
+    return UNKNOWN_FOLIAGE if foliage is None else foliage
 
 
 def loop_times(height_m: float) -> int:
@@ -72,47 +69,6 @@ def loop_times(height_m: float) -> int:
 def loop_period_s(height_m: float) -> float:
     """Period that a tree of this height chooses [s]."""
     return loop_times(height_m) * NUM_FRAMES / FPS
-
-
-def foliage_of(spectrum: SparseVoxelSpectrum) -> float:
-    """Estimate foliage in [0, 1]: a tree is in leaf unless both its motion and its shape say that it is bare.
-
-    Leaves flutter at frequencies at which stems hardly move, and they hide the thin twigs that bear them. Calibrated on
-    generated trees at 128³ in winds of 2 to 10 m/s, and no other in 1 to 25 m/s; twigs of coarser voxels look thick and
-    count as leaf.
-    """
-    return 1 - (1 - _flutter(spectrum)) * (1 - _hiding(spectrum.grid))
-
-
-def _hiding(grid: VoxelGrid) -> float:
-    """From the share of voxels that lie in a thin line."""
-    keys = np.sort(_keys(grid.coords.astype(np.int64)))
-    shifts = _keys(np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3), axis=-1).reshape(-1, 3), origin=0)
-    occupied = sum(np.isin(keys + shift, keys, assume_unique=True).astype(np.int64) for shift in shifts)
-    leaf, bare = THIN_SHARE
-    thin = np.count_nonzero(occupied <= THIN_OF_27) / max(len(keys), 1)
-    return float(np.clip((bare - thin) / (bare - leaf), 0, 1))
-
-
-def _keys(coords: Int64[np.ndarray, "n 3"], *, origin: int = 1) -> Int64[np.ndarray, " n"]:
-    """One number per voxel; neighbours differ by a constant."""
-    x, y, z = (coords + origin).T
-    return np.asarray((x * _KEY_STRIDE + y) * _KEY_STRIDE + z)
-
-
-def _flutter(spectrum: SparseVoxelSpectrum) -> float:
-    """From the share of the energy at high frequencies in the voxels that move."""
-    fast = spectrum.frequencies_hz > FLUTTER_ABOVE_HZ * quickening(spectrum.grid.height_m)
-    if not fast.any():
-        return 1.0
-    energy = (np.abs(spectrum.coefficients) ** 2).sum(axis=2)  # [V, K]
-    total = energy[:, 1:].sum(axis=1)
-    moving = (total >= np.median(total)) & (total > 0)
-    if not moving.any():
-        return 1.0
-    bare, leaf = FLUTTER_SHARE
-    share = max(float(np.median(energy[moving][:, fast].sum(axis=1) / total[moving])), np.finfo(np.float64).tiny)
-    return float(np.clip(np.log(share / bare) / np.log(leaf / bare), 0, 1))
 
 
 def free_omega(wind_omega: Float64[np.ndarray, " M"], frequency_hz: float) -> Float64[np.ndarray, " M"]:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Complex64, Complex128, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
-from dynamictree.modal.real_trees import foliage_of, free_omega, natural_damping, natural_frequency_hz
+from dynamictree.modal.real_trees import free_omega, natural_damping, natural_frequency_hz
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -41,7 +41,7 @@ class ModalSystem:
     mass_kg: float
     sway_m2: float  # mean_p Σ_k |φ_k(p)|² / 2
     height_m: float
-    foliage: float  # 0 is bare, 1 in leaf
+    foliage: float | None  # 0 is bare, 1 in leaf; None where it is not known
 
     @property
     def num_modes(self) -> int:
@@ -65,6 +65,7 @@ def modal_system(
     mass_kg: float | None = None,
     damping_ratio: float | Float64[np.ndarray, " M"] | None = None,
     frequency_hz: float | None = None,
+    foliage: float | None = None,
 ) -> ModalSystem:
     """Read a spectrum as oscillators.
 
@@ -73,6 +74,7 @@ def modal_system(
         mass_kg: mass that moves [kg], spread evenly over the voxels; by default `MASS_KG_M3` times the height cubed.
         damping_ratio: ζ, one for all modes or one per mode (see `rayleigh_damping`); by default that of real trees.
         frequency_hz: lowest natural frequency; by default that of real trees. 1 / P gives those of the bins.
+        foliage: 0 is bare, 1 in leaf; by default the spectrum's.
 
     Raises:
         InputError: the spectrum does not move, or mass, damping or frequency is not a physical one.
@@ -84,7 +86,7 @@ def modal_system(
     if sway == 0:
         raise InputError("every coefficient above bin 0 is zero; a spectrum that does not move has no modes")
     height = spectrum.grid.height_m
-    foliage = foliage_of(spectrum)
+    foliage = spectrum.foliage if foliage is None else foliage
     return ModalSystem(
         grid=spectrum.grid,
         tree=spectrum.tree,
@@ -105,17 +107,22 @@ def with_physics(
     mass_kg: float | None = None,
     damping_ratio: float | Float64[np.ndarray, " M"] | None = None,
     frequency_hz: float | None = None,
+    foliage: float | None = None,
 ) -> ModalSystem:
-    """Change mass (None keeps it), damping and lowest frequency (None is the measured one); shares the shapes.
+    """Change mass and foliage (None keeps them), damping and lowest frequency (None is the measured one).
+
+    The shapes are shared.
 
     Raises:
         InputError: mass, damping or frequency is not a physical one.
     """
+    foliage = system.foliage if foliage is None else foliage
     return replace(
         system,
         mass_kg=system.mass_kg if mass_kg is None else _mass(mass_kg),
-        damping_ratio=_damping(damping_ratio, system.num_modes, system.foliage),
-        omega=_natural(system.wind_omega, frequency_hz, system.height_m, system.foliage),
+        damping_ratio=_damping(damping_ratio, system.num_modes, foliage),
+        omega=_natural(system.wind_omega, frequency_hz, system.height_m, foliage),
+        foliage=foliage,
     )
 
 
@@ -144,7 +151,7 @@ def _mass(mass_kg: float) -> float:
 
 
 def _natural(
-    wind_omega: Float64[np.ndarray, " M"], frequency_hz: float | None, height_m: float, foliage: float
+    wind_omega: Float64[np.ndarray, " M"], frequency_hz: float | None, height_m: float, foliage: float | None
 ) -> Float64[np.ndarray, " M"]:
     lowest = natural_frequency_hz(height_m, foliage) if frequency_hz is None else frequency_hz
     if not (np.isfinite(lowest) and lowest > 0):
@@ -153,7 +160,7 @@ def _natural(
 
 
 def _damping(
-    damping_ratio: float | Float64[np.ndarray, " M"] | None, num_modes: int, foliage: float
+    damping_ratio: float | Float64[np.ndarray, " M"] | None, num_modes: int, foliage: float | None
 ) -> Float64[np.ndarray, " M"]:
     zeta = np.asarray(natural_damping(foliage) if damping_ratio is None else damping_ratio, np.float64)
     if zeta.shape not in {(), (num_modes,)}:

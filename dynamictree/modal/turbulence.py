@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float32, Float64
 
-from dynamictree.modal.real_trees import foliage_of, natural_damping, natural_frequency_hz
+from dynamictree.modal.real_trees import natural_damping, natural_frequency_hz
 from dynamictree.requests import Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
@@ -99,8 +99,7 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
     rng = np.random.default_rng(seed)
     wind = wind or spectrum.wind or Wind()
     height = spectrum.grid.height_m
-    foliage = foliage_of(spectrum)
-    damping, natural = natural_damping(foliage), natural_frequency_hz(height, foliage)
+    damping, natural = natural_damping(spectrum.foliage), natural_frequency_hz(height, spectrum.foliage)
     fastest_gust_hz = 0.5 / spectrum.period_s  # what is faster is in the spectrum
     length = turbulence_length_m(height)
     gusts = _gusts(max(wind.speed_m_s, SLOWEST_WIND_M_S) / length, fastest_gust_hz, wind.gust, rng)

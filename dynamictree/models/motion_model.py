@@ -75,8 +75,8 @@ class MotionModel(ABC):
     @abstractmethod
     def _coefficients(
         self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
-    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
-        """The motion [m] and the grid that it is on."""
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], float | None]:
+        """The grid that the motion is on, the motion [m], and the tree's foliage, if the model knows it."""
 
     def generate(
         self,
@@ -111,8 +111,10 @@ class MotionModel(ABC):
             generator=generator, num_steps=num_steps or self.default_steps, lowest_bin=lowest_bin, on_step=on_step
         )
         with torch.no_grad(), one_thread():
-            grid, coefficients = self._coefficients(voxels, wind, sampling)
-        return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind)
+            grid, coefficients, foliage = self._coefficients(voxels, wind, sampling)
+        return SparseVoxelSpectrum(
+            grid=grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind, foliage=foliage
+        )
 
 
 def _check_request(wind: Wind, num_steps: int | None) -> None:

@@ -37,7 +37,16 @@ def generate_trees(
     coefficients = np.zeros((len(voxels.grid), num_frequencies, 3), np.complex64)
     for rows, spectrum in zip(rows_of_tree.values(), spectra, strict=True):
         coefficients[rows, : spectrum.num_frequencies] = spectrum.coefficients
-    return replace(spectra[0], grid=voxels.grid, coefficients=coefficients, tree=voxels.tree, seed=seed)
+    foliage = [spectrum.foliage for spectrum in spectra]
+    stated = [one for one in foliage if one is not None]
+    return replace(
+        spectra[0],
+        grid=voxels.grid,
+        coefficients=coefficients,
+        tree=voxels.tree,
+        seed=seed,
+        foliage=float(np.mean(stated)) if stated else None,
+    )
 
 
 def _on_grid(spectrum: SparseVoxelSpectrum, grid: VoxelGrid) -> SparseVoxelSpectrum:

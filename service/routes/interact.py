@@ -97,6 +97,10 @@ class InteractPayload(Payload):
     num_frames: int
     frequencies_hz: list[float] = Field(description="natural frequencies by bin; bin 0 is no mode and 0")
     damping_ratio: float
+    foliage: float | None = Field(
+        description="that chose damping and frequency, 0 bare to 1 in leaf; null where neither the request nor the "
+        "shape told it, and the middle was taken"
+    )
     mass_kg: float
     modal_mass_kg_m2: float = Field(description="m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
     groups: list[GroupPayload]
@@ -228,7 +232,11 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
         InputError, NumericsError, ProblemError: the request cannot be met.
     """
     system = with_physics(
-        ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio, frequency_hz=body.frequency_hz
+        ready.tree.system,
+        mass_kg=body.mass_kg,
+        damping_ratio=body.damping_ratio,
+        frequency_hz=body.frequency_hz,
+        foliage=body.foliage,
     )
     forces = [
         library_force(force, system.grid, lambda: with_mesh(owned, ready, body.spectrum_id)) for force in body.forces
@@ -336,6 +344,7 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
         "num_frames": body.num_frames,
         "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
         "damping_ratio": float(system.damping_ratio[0]),
+        "foliage": system.foliage,
         "mass_kg": system.mass_kg,
         "modal_mass_kg_m2": system.modal_mass,
     }

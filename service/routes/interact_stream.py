@@ -145,6 +145,7 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
             mass_kg=message.mass_kg,
             damping_ratio=message.damping_ratio,
             frequency_hz=message.frequency_hz,
+            foliage=message.foliage,
         )
     except TimeoutError:
         await socket.close(INVALID, f"no open message within {OPEN_S:g} s")
@@ -159,6 +160,7 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
         "rate_hz": message.rate_hz,
         "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
         "damping_ratio": float(system.damping_ratio[0]),
+        "foliage": system.foliage,
         "modal_mass_kg_m2": system.modal_mass,
     }
     await _send(socket, reply)

@@ -43,6 +43,7 @@ class SpectrumPayload(Payload):
     model: str
     seed: int
     wind: Wind | None
+    foliage: float | None = Field(description="0 bare, 1 in leaf; null where the shape did not tell")
     wind_bands: WindBandsPayload | None = Field(description="null unless the job asked for them")
     units: str = "m"
     up_axis: str = "+Z"

@@ -7,12 +7,11 @@ import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, contact_at_voxel
-from dynamictree.modal.real_trees import foliage_of, free_omega, natural_damping, natural_frequency_hz
+from dynamictree.modal.real_trees import free_omega, natural_damping, natural_frequency_hz
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system, with_physics
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
-from lab.dataset.sample import make_sample, voxel_spectrum
 
 # height class [m], 10th and 90th percentile [Hz]; of models of scanned trees to 12 m, then of measured broadleaves
 BANDS = [
@@ -81,19 +80,19 @@ def test_a_released_pull_rings_at_the_trees_own_frequency_and_damping(
     assert np.allclose(system.damping_ratio, natural_damping(system.foliage))
 
 
-def test_foliage_is_estimated_from_flutter_and_thin_twigs() -> None:
-    def foliage(species: str, seed: int, *, flutter: float = 1.0) -> float:
-        spectrum = voxel_spectrum(make_sample(seed, species), 128)[1]
-        fast = spectrum.frequencies_hz > 1.4
-        coefficients = np.where(fast[:, None], flutter, 1) * spectrum.coefficients
-        return foliage_of(replace(spectrum, coefficients=coefficients.astype(np.complex64)))
-
-    assert foliage("bare-winter", 3) < 0.1
-    assert foliage("bare-winter", 5) < 0.1
-    assert foliage("bare-winter", 5, flutter=10.0) > 0.9  # twigs alone do not make a bare tree
-    assert foliage("conical-conifer", 3) > 0.9
-    assert foliage("birch", 3) > 0.9
-    assert foliage("pine", 3, flutter=0.1) > 0.9  # a model may lose flutter
+def test_a_request_says_the_foliage_then_the_spectrum_else_it_lies_in_between(spectrum: SparseVoxelSpectrum) -> None:
+    in_leaf = modal_system(replace(spectrum, foliage=1.0))
+    assert (in_leaf.damping_ratio == natural_damping(1.0)).all()
+    bare = with_physics(in_leaf, foliage=0.0)
+    assert (bare.damping_ratio == natural_damping(0.0)).all()
+    assert bare.omega[0] > in_leaf.omega[0]
+    assert (modal_system(replace(spectrum, foliage=1.0), foliage=0.0).damping_ratio == bare.damping_ratio).all()
+    unknown = modal_system(replace(spectrum, foliage=None))
+    assert unknown.foliage is None
+    assert unknown.damping_ratio == pytest.approx(0.08, abs=0.001)
+    assert in_leaf.omega[0] < unknown.omega[0] < bare.omega[0]
+    with pytest.raises(InputError, match=r"foliage is 1\.5; 0"):
+        replace(spectrum, foliage=1.5)
 
 
 def test_given_physics_replace_the_measured_ones(spectrum: SparseVoxelSpectrum) -> None:

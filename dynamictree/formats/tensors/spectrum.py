@@ -57,6 +57,7 @@ def write_spectrum(
         "model": spectrum.model,
         "seed": str(spectrum.seed),
         "wind": json.dumps(asdict(spectrum.wind) if spectrum.wind else None),
+        **({} if spectrum.foliage is None else {"foliage": repr(float(spectrum.foliage))}),
         **source_metadata(spectrum.source),
     }
     tensors = {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}
@@ -85,6 +86,7 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
         model=text(metadata, "model", rf"[^\x00-\x1f]{{0,{MAX_TEXT_CHARS}}}"),
         seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
         wind=_wind(metadata),
+        foliage=number(metadata, "foliage") if "foliage" in metadata else None,
         bands=_bands(tensors, coefficients.shape[1]),
         source=source_of(metadata),
     )

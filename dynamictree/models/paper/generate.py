@@ -53,7 +53,7 @@ class PaperModel(MotionModel):
 
     def _coefficients(
         self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
-    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], None]:
         """The paper's network knows no wind: its direction turns the motion, its speed and gust scale it."""
         preset = self.network.preset
         fine, _ = coarsened(voxels, halvings_between(voxels.grid, self.resolution, self.name))
@@ -75,7 +75,7 @@ class PaperModel(MotionModel):
         sizes = self.network.frequency_sizes.cpu().numpy() * wind_sizes(wind, preset.num_frequencies) * height_m
         coefficients = (unit * sizes[:, None]) @ wind_axes(wind)
         coefficients[:, 0].imag = 0
-        return _on_output_grid(fine.grid, inputs.grids, preset.num_halvings, coefficients)
+        return *_on_output_grid(fine.grid, inputs.grids, preset.num_halvings, coefficients), None
 
     def _sample(
         self,

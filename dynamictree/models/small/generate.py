@@ -49,12 +49,13 @@ class SmallModel(MotionModel):
 
     def _coefficients(
         self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
-    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], float | None]:
         self._check(voxels.grid)
         prepared = self.prepare(voxels, wind)
         start = prepared.noise.draw(self.network.noise_shares, sampling.generator, channels=CHANNELS)
         whitened = self._denoise(prepared, start, sampling)
-        return voxels.grid, prepared.to_metres(prepared.assemble(whitened, sampling.generator))
+        coefficients = prepared.to_metres(prepared.assemble(whitened, sampling.generator))
+        return voxels.grid, coefficients, prepared.foliage
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
         """Deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""
