@@ -20,8 +20,7 @@ PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
 WEIGHTS = ROOT / "dynamictree" / "weights" / "small.safetensors"
 EVALUATE = "-m dynamictree.cli evaluate --json"
 COMMANDS = {
-    "motion": f"{EVALUATE} --trees 6 --training-trees 12",
-    "classifier": f"{EVALUATE} --classifier --classifier-trees 60 --max-voxels 20000",
+    "motion": f"{EVALUATE} --trees 3 --training-trees 6",
     **{name: f"-m benchmarks {name}" for name in ("wind_condition", "storm_stretch", "engine_exports")},
     **{name: f"-m benchmarks {name}" for name in ("plant_verdicts", "modal_coordinates", "modal_frame")},
     **{name: f"-m benchmarks {name}" for name in ("deform_gaussians", "bind_gaussians", "render_frame")},
@@ -31,7 +30,7 @@ COMMANDS = {
 """Arguments of Python that measure each result."""
 SHORT = {"DYNAMICTREE_BENCHMARK_SIZES": "1964", "DYNAMICTREE_BENCHMARK_RUNS": "3"}
 """Environment of the benchmarks: the demo tree and one size, three times each."""
-OF_THE_WEIGHTS = ("motion", "classifier", "wind_condition", "storm_stretch")
+OF_THE_WEIGHTS = ("motion", "wind_condition", "storm_stretch")
 """Results that other weights change."""
 
 
@@ -56,7 +55,6 @@ def rendered(template: str) -> str:
         wind_rows="\n".join(_wind_row(row) for row in results["wind_condition"]["value"]),
         storm_rows="\n".join(_storm_row(name, row) for name, row in results["storm_stretch"]["trees"].items()),
         num_kinds=len(results["plant_verdicts"]["kinds"]),
-        num_features=len(results["classifier"]["features"]),
         **results,
     )
 
