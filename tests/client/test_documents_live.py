@@ -14,8 +14,9 @@ from dynamictree_client import Client, models, operations
 
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.from_mesh import splats_of_mesh
-from lab.dataset.sample import make_sample
+from lab.dataset.sample import make_sample, voxel_spectrum
 from recipes import batch
 from tests.reconstruct.conftest import photographed
 
@@ -35,9 +36,12 @@ def marked_blocks() -> Iterator[ParameterSet]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the reader is, with a tree as a mesh and as a splat, and photos."""
+    """Where the reader is, with a tree as a mesh and as a splat, its spectrum, and photos."""
     folder = tmp_path_factory.mktemp("reader")
-    mesh = make_sample(3, "sapling").mesh
+    sample = make_sample(3, "sapling")
+    mesh = sample.mesh
+    with (folder / "tree.spectrum.safetensors").open("wb") as stream:
+        write_spectrum(voxel_spectrum(sample, 64)[1], stream)
     for name in ("tree.glb", "oak.glb"):
         with (folder / name).open("wb") as stream:
             write_glb(mesh, stream)
