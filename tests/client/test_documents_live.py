@@ -53,7 +53,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(language: str, text: str, folder: Path, url: str) -> str:
-    environment = {"URL": url, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    # recipes and benchmarks are run from the clone
+    environment = {"URL": url, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-W", "error", "-"] if language == "python" else ["bash", "-euo", "pipefail"]
     text = text.replace("http://127.0.0.1:8000", url).replace("localhost:8000", url.removeprefix("http://"))
     answer = subprocess.run(
