@@ -56,9 +56,10 @@ def speckled(tree: TriangleMesh) -> TriangleMesh:
     shades = np.clip(np.random.default_rng(1).normal(0.7, 0.3, (tree.num_vertices, 3)), 0.1, 1)
     colors = np.concatenate([255 * shades, np.full((len(shades), 1), 255)], axis=1).astype(np.uint8)
     bright = tuple(
-        replace(m, base_color=(*(min(1.0, 2 * c) for c in m.base_color[:3]), m.base_color[3])) for m in tree.materials
+        replace(m, base_color=(*(min(1.0, 2 * c) for c in m.base_color[:3]), m.base_color[3]))
+        for m in tree.look.materials
     )
-    return replace(tree, vertex_colors=colors, materials=bright)
+    return replace(tree, look=replace(tree.look, vertex_colors=colors, materials=bright))
 
 
 def orbit(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:

@@ -76,4 +76,8 @@ def _upright() -> Iterator[tuple[str, TriangleMesh]]:
 
 
 def _nameless(mesh: TriangleMesh) -> TriangleMesh:
-    return replace(mesh, materials=(), face_material=None, part_names=(), face_part=None)
+    return replace(
+        mesh,
+        look=replace(mesh.look, materials=(), face_material=None),
+        parts=replace(mesh.parts, names=(), of_face=None),
+    )

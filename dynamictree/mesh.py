@@ -1,7 +1,7 @@
 """Triangle meshes in memory: metres, +Z up, right-handed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt8
 
 from dynamictree.color import linear_to_srgb
 from dynamictree.errors import MeshError
+from dynamictree.source import METRES_Z_UP, Source
 
 if TYPE_CHECKING:
     import trimesh
@@ -64,52 +65,52 @@ class StillPart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TriangleMesh:
-    """One mesh of one or many parts. Vertex order is the source's; displacement files follow it.
+class MeshLook:
+    """How a surface is drawn: texture coordinates, colours, materials and shading normals; None where it has none."""
 
-    `source_up_axis` and `source_scale` only record how the file's axes and units became metres and +Z up.
-    """
-
-    vertices: Float32[np.ndarray, "N 3"]  # rest positions [m]
-    faces: Int32[np.ndarray, "F 3"]
     uv: Float32[np.ndarray, "N 2"] | None = None  # texture coordinates, v downward as in glTF
     vertex_colors: UInt8[np.ndarray, "N 4"] | None = None  # sRGB and alpha
     face_material: Int32[np.ndarray, " F"] | None = None  # index into materials
-    materials: tuple[Material, ...] = field(default=())
-    normals: Float32[np.ndarray, "N 3"] | None = (
-        None  # the source's own for shading, of unit length; 0 where it has none
-    )
-    source_up_axis: str = "+Z"
-    source_up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was worked out from the shape
-    source_scale: float = 1.0  # metres a unit of the source
-    source_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
-    warnings: tuple[SourceWarning, ...] = ()
-    part_names: tuple[str, ...] = ()  # of nodes or groups, with those above them: "Pot/Cylinder"
-    face_part: Int32[np.ndarray, " F"] | None = None  # index into part_names
-    still_parts: tuple[StillPart, ...] = ()  # what was detected to be no plant
+    materials: tuple[Material, ...] = ()
+    normals: Float32[np.ndarray, "N 3"] | None = None  # the source's own, of unit length; 0 where it has none
+
+    def of(self, vertices: Int[np.ndarray, " n"], faces: Bool[np.ndarray, " F"]) -> "MeshLook":
+        """The look of the selected vertices and faces."""
+        return MeshLook(
+            uv=None if self.uv is None else self.uv[vertices],
+            vertex_colors=None if self.vertex_colors is None else self.vertex_colors[vertices],
+            face_material=None if self.face_material is None else self.face_material[faces],
+            materials=self.materials,
+            normals=None if self.normals is None else self.normals[vertices],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """Parts of a mesh by the names of its file, and those that were detected to be no plant."""
+
+    names: tuple[str, ...] = ()  # of nodes or groups, with those above them: "Pot/Cylinder"
+    of_face: Int32[np.ndarray, " F"] | None = None  # index into names
+    still: tuple[StillPart, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """The geometry of a mesh, and what of it may move: all that voxels, motion and binding need to know."""
+
+    vertices: Float32[np.ndarray, "N 3"]  # rest positions [m]
+    faces: Int32[np.ndarray, "F 3"]
     still_faces: Bool[np.ndarray, " F"] | None = None  # of what is no plant, such as a pot; None if all may move
     face_tree: Int32[np.ndarray, " F"] | None = None  # of several trees the one, from 0; -1 for still faces
-    source_gltf: SourceGltf | None = None  # of glTF only, while its vertices are where the file has them
 
     @property
-    def moving_part(self) -> "TriangleMesh":
+    def moving_part(self) -> "Surface":
         """The same vertices with only the faces that may move."""
         if self.still_faces is None:
             return self
-        selected = ~self.still_faces
-        material = None if self.face_material is None else self.face_material[selected]
-        part = None if self.face_part is None else self.face_part[selected]
-        tree = None if self.face_tree is None else np.maximum(self.face_tree[selected], 0)
-        faces = self.faces[selected]
-        return replace(
-            self,
-            faces=faces,
-            face_material=material,
-            face_part=part,
-            still_faces=None,
-            face_tree=tree,
-            source_gltf=None,
-        )
+        moves = ~self.still_faces
+        tree = None if self.face_tree is None else np.maximum(self.face_tree[moves], 0)
+        return Surface(vertices=self.vertices, faces=self.faces[moves], face_tree=tree)
 
     @property
     def still_vertices(self) -> Bool[np.ndarray, " N"]:
@@ -134,6 +135,34 @@ class TriangleMesh:
     def height_m(self) -> float:
         """Extent along +Z [m]."""
         return float(np.ptp(self.vertices[:, 2]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleMesh(Surface):
+    """A surface with its look and how it was read. Vertex order is the source's; displacement files follow it."""
+
+    look: MeshLook = MeshLook()
+    parts: Parts = Parts()
+    source: Source = METRES_Z_UP
+    warnings: tuple[SourceWarning, ...] = ()
+    gltf: SourceGltf | None = None  # of glTF only, while its vertices are where the file has them
+
+    @property
+    def moving_part(self) -> "TriangleMesh":
+        """The same vertices with only the faces that may move."""
+        if self.still_faces is None:
+            return self
+        moves, rest = ~self.still_faces, super().moving_part
+        material = None if self.look.face_material is None else self.look.face_material[moves]
+        return replace(
+            self,
+            faces=rest.faces,
+            still_faces=None,
+            face_tree=rest.face_tree,
+            look=replace(self.look, face_material=material),
+            parts=replace(self.parts, of_face=None if self.parts.of_face is None else self.parts.of_face[moves]),
+            gltf=None,
+        )
 
     @staticmethod
     def from_trimesh(source: "trimesh.Trimesh | trimesh.Scene") -> "TriangleMesh":
@@ -160,22 +189,22 @@ class TriangleMesh:
         import trimesh
 
         result = trimesh.Trimesh(vertices=self.vertices, faces=self.faces, process=False)
-        if self.vertex_colors is not None:
-            result.visual.vertex_colors = self.vertex_colors
-        elif len(self.materials) == 1 and self.uv is not None:
-            (material,) = self.materials
+        if self.look.vertex_colors is not None:
+            result.visual.vertex_colors = self.look.vertex_colors
+        elif len(self.look.materials) == 1 and self.look.uv is not None:
+            (material,) = self.look.materials
             result.visual = trimesh.visual.TextureVisuals(
-                uv=self.uv * [1, -1] + [0, 1], material=_to_trimesh_material(material)
+                uv=self.look.uv * [1, -1] + [0, 1], material=_to_trimesh_material(material)
             )
-        elif self.face_material is not None:
-            colors = np.array([material.base_color for material in self.materials])[self.face_material]
+        elif self.look.face_material is not None:
+            colors = np.array([material.base_color for material in self.look.materials])[self.look.face_material]
             colors[:, :3] = linear_to_srgb(colors[:, :3])
             result.visual.face_colors = np.round(colors * 255).astype(np.uint8)
         return result
 
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
         """Give the same mesh with other positions, in the same order [m]."""
-        return replace(self, vertices=vertices, normals=None, source_gltf=None)
+        return replace(self, vertices=vertices, look=replace(self.look, normals=None), gltf=None)
 
 
 def triangle_mesh(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene") -> TriangleMesh:
@@ -246,7 +275,7 @@ def edges_of(faces: Int32[np.ndarray, "F 3"]) -> Int32[np.ndarray, "E 2"]:
     return np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1).astype(np.int32)
 
 
-def weld(mesh: TriangleMesh) -> tuple[TriangleMesh, Int32[np.ndarray, " N"]]:
+def weld(mesh: Surface) -> tuple[Surface, Int32[np.ndarray, " N"]]:
     """Make vertices at exactly one place one vertex, as files split them at seams of texture or shading.
 
     Returns:
@@ -254,7 +283,7 @@ def weld(mesh: TriangleMesh) -> tuple[TriangleMesh, Int32[np.ndarray, " N"]]:
     """
     places, vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
     vertex = vertex.ravel().astype(np.int32)
-    return TriangleMesh(vertices=places, faces=vertex[mesh.faces]), vertex
+    return Surface(vertices=places, faces=vertex[mesh.faces]), vertex
 
 
 def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32[np.ndarray, " N"]:
@@ -290,9 +319,10 @@ def _from_trimesh(source: "trimesh.Trimesh", placed: Float64[np.ndarray, "4 4"])
         uv = None if stored is None else (np.asarray(stored) * [1, -1] + [0, 1]).astype(np.float32)
         material = _from_trimesh_material(visual.material, textured=uv is not None)
         face_material = np.zeros(len(faces), np.int32)
-        return TriangleMesh(vertices=vertices, faces=faces, uv=uv, face_material=face_material, materials=(material,))
+        look = MeshLook(uv=uv, face_material=face_material, materials=(material,))
+        return TriangleMesh(vertices=vertices, faces=faces, look=look)
     colors = np.asarray(visual.vertex_colors, np.uint8) if visual.kind in ("vertex", "face") else None
-    return TriangleMesh(vertices=vertices, faces=faces, vertex_colors=colors)
+    return TriangleMesh(vertices=vertices, faces=faces, look=MeshLook(vertex_colors=colors))
 
 
 def _from_trimesh_material(source: "trimesh.visual.material.Material", *, textured: bool) -> Material:
@@ -336,15 +366,22 @@ def joined(parts: Sequence[TriangleMesh]) -> TriangleMesh:
     face_material, starts = list[Int32[np.ndarray, " F"]](), np.cumsum([0, *(part.num_vertices for part in parts)])
     for part in parts:
         face_material.append(np.full(part.num_faces, len(materials), np.int32))
-        materials += part.materials or (Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False),)
-    uv = [np.zeros((p.num_vertices, 2), np.float32) if p.uv is None else p.uv for p in parts]
-    white = [np.full((p.num_vertices, 4), 255, np.uint8) if p.vertex_colors is None else p.vertex_colors for p in parts]
-    has_materials = any(part.materials for part in parts)
+        materials += part.look.materials or (
+            Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False),
+        )
+    uv = [np.zeros((p.num_vertices, 2), np.float32) if p.look.uv is None else p.look.uv for p in parts]
+    white = [
+        np.full((p.num_vertices, 4), 255, np.uint8) if p.look.vertex_colors is None else p.look.vertex_colors
+        for p in parts
+    ]
+    has_materials = any(part.look.materials for part in parts)
     return TriangleMesh(
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([p.faces + np.int32(start) for p, start in zip(parts, starts, strict=False)]),
-        uv=np.concatenate(uv) if any(part.uv is not None for part in parts) else None,
-        vertex_colors=np.concatenate(white) if any(part.vertex_colors is not None for part in parts) else None,
-        face_material=np.concatenate(face_material) if has_materials else None,
-        materials=tuple(materials) if has_materials else (),
+        look=MeshLook(
+            uv=np.concatenate(uv) if any(part.look.uv is not None for part in parts) else None,
+            vertex_colors=np.concatenate(white) if any(part.look.vertex_colors is not None for part in parts) else None,
+            face_material=np.concatenate(face_material) if has_materials else None,
+            materials=tuple(materials) if has_materials else (),
+        ),
     )

@@ -72,7 +72,7 @@ def voxelize(
     """
     mesh = triangle_mesh(mesh)
     finest = stand_resolution(mesh, GridParams(resolution=resolution).resolution)
-    return voxelize_surface(mesh, finest, source_sha256=source_sha256)
+    return voxelize_surface(mesh, finest, source=replace(mesh.source, sha256=source_sha256))
 
 
 def generate(

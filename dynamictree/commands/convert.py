@@ -68,7 +68,7 @@ def write_mesh_file(mesh: "TriangleMesh", path: Path) -> None:
             case ".ply":
                 write_ply(mesh, stream)
             case _:
-                library = f"{path.stem}.mtl" if mesh.materials else ""
+                library = f"{path.stem}.mtl" if mesh.look.materials else ""
                 for name, content in write_obj(mesh, stream, library=library).items():
                     (path.parent / name).write_bytes(content)
 

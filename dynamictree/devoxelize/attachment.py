@@ -13,7 +13,7 @@ import scipy.sparse
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
-from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds
+from dynamictree.mesh import Surface, connected_parts, part_bounds
 from dynamictree.parallel import num_cores
 from dynamictree.voxel.clip import SurfacePieces
 from dynamictree.voxel.grid import VoxelGrid
@@ -103,7 +103,7 @@ def _depths(
     return result
 
 
-def find_attachments(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> Attachments:
+def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> Attachments:
     """Find the attachments in a welded mesh and its grid; `pieces` are those of both, if they are there."""
     part = connected_parts(mesh.faces, mesh.num_vertices)
     low, high = part_bounds(part, mesh.vertices)
@@ -250,7 +250,7 @@ def _first_of_each(group: Int32[np.ndarray, " M"], gap: Float64[np.ndarray, " M"
 
 
 def _attachments(
-    mesh: TriangleMesh,
+    mesh: Surface,
     part: Int32[np.ndarray, " N"],
     pieces: SurfacePieces | None,
     pairs: Int64[np.ndarray, "B 2"],

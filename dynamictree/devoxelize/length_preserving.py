@@ -25,7 +25,7 @@ from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.devoxelize.limit import limited
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.devoxelize.surface_fit import LINK
-from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.mesh import Surface, edges_of, weld
 from dynamictree.parallel import num_cores, single_thread
 from dynamictree.spectrum import bin_weights, synthesis
 from dynamictree.voxel.grid import VoxelGrid
@@ -59,7 +59,7 @@ def ignore_progress(share: float) -> None:
 class LengthPreservingInterpolation:
     """Smooth interpolation followed by `preserve_lengths`; prepared once per mesh, applied to any spectra."""
 
-    mesh: TriangleMesh
+    mesh: Surface
     grid: VoxelGrid
     interpolation: VoxelInterpolation
 
@@ -77,7 +77,7 @@ class LengthPreservingInterpolation:
         return bounded
 
 
-def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> "LengthPreservingInterpolation | TreesInterpolation":
+def length_preserving(grid: VoxelGrid, mesh: Surface) -> "LengthPreservingInterpolation | TreesInterpolation":
     """Prepare the devoxelization that products use: `smooth`, then `preserve_lengths`. Dev(·) of paper eq. 1.
 
     Each of several trees is devoxelized by itself, from the voxels in which it has most of the surface.
@@ -105,14 +105,14 @@ class TreesInterpolation:
         return moved
 
 
-def _of_trees(grid: VoxelGrid, mesh: TriangleMesh) -> TreesInterpolation:
+def _of_trees(grid: VoxelGrid, mesh: Surface) -> TreesInterpolation:
     assert mesh.face_tree is not None
     tree_of_voxel = voxel_trees(mesh, grid)
     trees = []
     for number in np.unique(tree_of_voxel[tree_of_voxel >= 0]):
         rows = np.flatnonzero(tree_of_voxel == number).astype(np.int32)
         vertices, corner = np.unique(mesh.faces[mesh.face_tree == number], return_inverse=True)
-        alone = TriangleMesh(vertices=mesh.vertices[vertices], faces=corner.reshape(-1, 3).astype(np.int32))
+        alone = Surface(vertices=mesh.vertices[vertices], faces=corner.reshape(-1, 3).astype(np.int32))
         own = replace(grid, coords=grid.coords[rows])
         interpolation = LengthPreservingInterpolation(mesh=alone, grid=own, interpolation=smooth(own, alone))
         trees.append((vertices, rows, interpolation))
@@ -120,7 +120,7 @@ def _of_trees(grid: VoxelGrid, mesh: TriangleMesh) -> TreesInterpolation:
 
 
 def preserve_lengths(
-    mesh: TriangleMesh,
+    mesh: Surface,
     coefficients: Complex64[np.ndarray, "N K 3"],
     voxel_size_m: float,
     *,
@@ -202,7 +202,7 @@ def _weights(motion: Complex64[np.ndarray, "n 3 K"]) -> Float32[np.ndarray, " n"
 
 
 def _net(
-    mesh: TriangleMesh, voxel_size_m: float, weights: Float32[np.ndarray, " n"], attachments: Attachments | None
+    mesh: Surface, voxel_size_m: float, weights: Float32[np.ndarray, " n"], attachments: Attachments | None
 ) -> _Net:
     edges = edges_of(mesh.faces)
     across = mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]]

@@ -9,7 +9,7 @@ from dynamictree.devoxelize.attachment import find_attachments
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.devoxelize.nearest import nearest
 from dynamictree.devoxelize.surface_fit import MAX_FACTORED, SMOOTHNESS, fit_surface
-from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.mesh import Surface, edges_of, weld
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import grid_pieces, surface_average
 
@@ -17,7 +17,7 @@ MAX_VOXELS_PER_POINT = 8
 
 
 def smooth(
-    grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNESS, max_factored: int = MAX_FACTORED
+    grid: VoxelGrid, mesh: Surface, *, smoothness: float = SMOOTHNESS, max_factored: int = MAX_FACTORED
 ) -> VoxelInterpolation:
     """Find the smoothest motion of the mesh whose mean in each voxel is the voxel's value, see `surface_fit.py`.
 

@@ -18,7 +18,7 @@ from jaxtyping import Float32, Int32, Int64
 
 from dynamictree.devoxelize.attachment import Attachments
 from dynamictree.devoxelize.symmetric_factor import SymmetricFactor, factored
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import Surface, edges_of
 from dynamictree.voxel.grid import VoxelGrid
 
 SMOOTHNESS = 0.03
@@ -63,7 +63,7 @@ class SurfaceFit:
 
 
 def fit_surface(
-    mesh: TriangleMesh,
+    mesh: Surface,
     grid: VoxelGrid,
     average: scipy.sparse.csr_array,
     attachments: Attachments,
@@ -123,7 +123,7 @@ def _with_minorities(
 
 
 def _edge_ties(
-    mesh: TriangleMesh, start: Int32[np.ndarray, " E"], end: Int32[np.ndarray, " E"], size_m: float
+    mesh: Surface, start: Int32[np.ndarray, " E"], end: Int32[np.ndarray, " E"], size_m: float
 ) -> scipy.sparse.csr_array:
     """(h / l)² of every edge, both ways [N, N]."""
     length = np.linalg.norm(mesh.vertices[start].astype(np.float64) - mesh.vertices[end], axis=1)
@@ -132,7 +132,7 @@ def _edge_ties(
     return scipy.sparse.coo_array((np.tile(ties, 2), places), shape=(mesh.num_vertices,) * 2).tocsr()
 
 
-def _clusters(mesh: TriangleMesh, grid: VoxelGrid, part: Int32[np.ndarray, " N"]) -> Int64[np.ndarray, " N"]:
+def _clusters(mesh: Surface, grid: VoxelGrid, part: Int32[np.ndarray, " N"]) -> Int64[np.ndarray, " N"]:
     """Each vertex's cluster: the vertices of one part in one cell."""
     cells = np.floor((mesh.vertices - np.asarray(grid.origin_m)) / (_CELL * grid.voxel_size_m)).astype(np.int64)
     return np.unique(np.column_stack([cells, part]), axis=0, return_inverse=True)[1].ravel()

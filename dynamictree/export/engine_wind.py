@@ -220,7 +220,7 @@ def baked_glb(
     pivot = pivots.pivot_m @ up_rotation("+Y").astype(np.float32)
     writer = GlbWriter(extras={"largest_weight_m": float(size.max()), "highest_hz": float(wind.frequencies_hz[-1])})
     sets: Mapping[str, Float32[np.ndarray, "N 2"]] = {
-        **({"TEXCOORD_0": np.zeros((mesh.num_vertices, 2), np.float32)} if mesh.uv is None else {}),
+        **({"TEXCOORD_0": np.zeros((mesh.num_vertices, 2), np.float32)} if mesh.look.uv is None else {}),
         "TEXCOORD_1": pivot[:, :2],
         "TEXCOORD_2": np.stack([pivot[:, 2], pivots.order.astype(np.float32)], axis=1),
     }

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 from PIL import Image
 
 from dynamictree.export.moving_tree import Report
-from dynamictree.mesh import Material, TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.mesh import Material, MeshLook, TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.render.appearance import foliage_faces, is_leafy
 from dynamictree.spectrum import iter_motion
@@ -140,9 +140,11 @@ def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     surface, _ = weld(mesh)
     part = connected_parts(surface.faces, surface.num_vertices)[surface.faces[:, 0]]
     leaf = foliage_faces(surface.faces, surface.num_vertices)
-    leafy = np.array([is_leafy(material) for material in mesh.materials])
+    leafy = np.array([is_leafy(material) for material in mesh.look.materials])
     if leafy.any():
-        face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+        face_material = (
+            np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
+        )
         leaf &= leafy[face_material]
     if mesh.still_faces is not None:
         leaf &= ~mesh.still_faces
@@ -173,7 +175,7 @@ def _reduced(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], leaves: Int64[np.ndarray, " F"], share: float
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
     """A share of the triangles: wood simplified by material, leaves thinned."""
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     stays = (leaves >= 0) & (np.floor((leaves + 1) * share) > np.floor(leaves * share))
     faces, materials = [mesh.faces[stays]], [face_material[stays]]
     for number in np.unique(face_material[leaves < 0]).tolist():
@@ -184,10 +186,12 @@ def _reduced(
     level = TriangleMesh(
         vertices=vertices[used],
         faces=corners.reshape(-1, 3).astype(np.int32),
-        uv=None if mesh.uv is None else mesh.uv[used],
-        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[used],
-        face_material=np.concatenate(materials) if mesh.materials else None,
-        materials=mesh.materials,
+        look=MeshLook(
+            uv=None if mesh.look.uv is None else mesh.look.uv[used],
+            vertex_colors=None if mesh.look.vertex_colors is None else mesh.look.vertex_colors[used],
+            face_material=np.concatenate(materials) if mesh.look.materials else None,
+            materials=mesh.look.materials,
+        ),
     )
     return level, coefficients[used]
 
@@ -262,13 +266,13 @@ def _corners_at(
     first = np.searchsorted(place[order], np.arange(int(place.max()) + 1))
     count = np.diff(np.append(first, len(order)))
     choices = own[order[first[:, None] + np.minimum(np.arange(_SPLITS), count[:, None] - 1)]]  # [P, _SPLITS]
-    if mesh.uv is None:
+    if mesh.look.uv is None:
         return np.asarray(choices[faces, 0].astype(np.int32))
     best = np.full(len(faces), np.inf)
     chosen = choices[faces, 0].astype(np.int32)
     for splits in np.ndindex(_SPLITS, _SPLITS, _SPLITS):
         trial = np.stack([choices[faces[:, corner], split] for corner, split in enumerate(splits)], axis=1)
-        uv = mesh.uv[trial]
+        uv = mesh.look.uv[trial]
         spread = sum(((uv[:, a] - uv[:, b]) ** 2).sum(axis=1) for a, b in ((0, 1), (1, 2), (2, 0)))
         better = spread < best
         best[better], chosen[better] = spread[better], trial[better]
@@ -338,9 +342,11 @@ def _cards(
     cards = TriangleMesh(
         vertices=places.astype(np.float32),
         faces=np.concatenate(faces).astype(np.int32),
-        uv=np.concatenate(uv).astype(np.float32),
-        face_material=np.zeros(len(quads) * len(_CARD_VIEWS_DEG), np.int32),
-        materials=(picture,),
+        look=MeshLook(
+            uv=np.concatenate(uv).astype(np.float32),
+            face_material=np.zeros(len(quads) * len(_CARD_VIEWS_DEG), np.int32),
+            materials=(picture,),
+        ),
     )
     return cards, _mean_motion(mesh, coefficients, places, height / _CARD_ROWS)
 

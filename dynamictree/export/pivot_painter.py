@@ -76,7 +76,7 @@ def rest_glb(mesh: TriangleMesh, lookup: Float32[np.ndarray, "N 2"]) -> bytes:
     """The mesh at rest in one node, with the lookup as TEXCOORD_1."""
     writer, stream = GlbWriter(), io.BytesIO()
     attributes = {}
-    if mesh.uv is None:
+    if mesh.look.uv is None:
         zeros = np.zeros((mesh.num_vertices, 2), np.float32)
         attributes["TEXCOORD_0"] = writer.add_accessor(zeros, target=VERTEX_BUFFER)
     attributes["TEXCOORD_1"] = writer.add_accessor(lookup, target=VERTEX_BUFFER)

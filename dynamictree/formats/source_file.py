@@ -79,7 +79,7 @@ def read_capture(
     movable = None if mask is None else read_mask(mask)
     capture = plant_of_cloud(cloud, reading, facts, mask=movable, tell_trees=mesh is None)
     cloud = capture.cloud
-    remarks = offset_warnings(cloud.source_offset) + _remarks(cloud, file_type, reading)
+    remarks = offset_warnings(cloud.source.offset) + _remarks(cloud, file_type, reading)
     capture = replace(capture, warnings=capture.warnings + remarks)
     if mesh is None:
         return capture
@@ -92,14 +92,16 @@ def read_capture(
     beside = read_mesh(
         BytesIO(content.read()),
         file_type=mesh_type,
-        reading=Reading(up_axis=cloud.source_up_axis, unit_m=cloud.source_scale),
+        reading=Reading(up_axis=cloud.source.up_axis, unit_m=cloud.source.scale),
         companions=companions,
     )
-    apart = np.subtract(beside.source_offset, cloud.source_offset)  # each file was moved to the origin by itself
-    moved = beside.vertices + (up_rotation(cloud.source_up_axis) @ apart * cloud.source_scale)
+    apart = np.subtract(beside.source.offset, cloud.source.offset)  # each file was moved to the origin by itself
+    moved = beside.vertices + (up_rotation(cloud.source.up_axis) @ apart * cloud.source.scale)
     return replace(
         capture,
-        mesh=replace(beside, vertices=moved.astype(np.float32), source_offset=cloud.source_offset),
+        mesh=replace(
+            beside, vertices=moved.astype(np.float32), source=replace(beside.source, offset=cloud.source.offset)
+        ),
     )
 
 
@@ -109,9 +111,9 @@ def _remarks(cloud: GaussianCloud, file_type: str, reading: Reading) -> tuple[So
     if cloud.dropped:
         message = f"{cloud.dropped:,} rows that are not finite, or that the file marks as noise, were left out"
         remarks.append(SourceWarning(code="rows-left-out", message=message))
-    if file_type in ("las", "laz") and cloud.source_scale != 1 and reading.unit_m is None and not reading.height_m:
+    if file_type in ("las", "laz") and cloud.source.scale != 1 and reading.unit_m is None and not reading.height_m:
         message = (
-            f"the scan's coordinate system is in units of {cloud.source_scale:.7g} m, which became metres; set unit_m "
+            f"the scan's coordinate system is in units of {cloud.source.scale:.7g} m, which became metres; set unit_m "
             "to 1 if its numbers are metres all the same"
         )
         remarks.append(SourceWarning(code="unit-of-the-file", message=message))

@@ -21,12 +21,12 @@ def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianClo
     if not (np.isfinite(unit_m) and unit_m > 0):
         raise InputError(f"unit_m is {unit_m}; it must be positive and finite")
     turned = transformed(cloud, up_rotation(up_axis), unit_m)
-    return replace(turned, source_up_axis=up_axis, source_scale=unit_m)
+    return replace(turned, source=replace(turned.source, up_axis=up_axis, scale=unit_m))
 
 
 def to_source_axes(cloud: GaussianCloud) -> GaussianCloud:
     """Undo `to_z_up`: as the source's file would have it, so that what we write lies where the capture lay."""
-    return transformed(cloud, up_rotation(cloud.source_up_axis).T, 1 / cloud.source_scale)
+    return transformed(cloud, up_rotation(cloud.source.up_axis).T, 1 / cloud.source.scale)
 
 
 def transformed(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], scale: float) -> GaussianCloud:

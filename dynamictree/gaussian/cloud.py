@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
 from dynamictree.errors import InputError
+from dynamictree.source import METRES_Z_UP, Source
 
 MAX_GAUSSIANS = 5_000_000
 """What a worker of 8 GB reads and animates; a 5 M cloud of SH degree 3 is 1.2 GB."""
@@ -22,7 +23,6 @@ class GaussianCloud:
     """Anisotropic Gaussians with view-dependent colour. Order is the source's; every frame follows it.
 
     A colour is 0.5 + Σ_h sh_h Y_h(direction from the eye), in display space (sRGB), as in Kerbl et al. 2023.
-    `source_up_axis` and `source_scale` only record how the file's axes and units became metres and +Z up.
     """
 
     means: Float32[np.ndarray, "G 3"]  # [m]
@@ -30,9 +30,7 @@ class GaussianCloud:
     scales: Float32[np.ndarray, "G 3"]  # standard deviations along its own axes [m]
     opacity: Float32[np.ndarray, " G"]
     sh: Float32[np.ndarray, "G H 3"]
-    source_up_axis: str = "+Z"
-    source_scale: float = 1.0  # metres a unit of the source
-    source_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
+    source: Source = METRES_Z_UP
     dropped: int = 0  # rows of the source that are not finite or marked as noise
 
     @property

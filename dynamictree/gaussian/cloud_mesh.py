@@ -15,7 +15,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import quaternion_matrices
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import MeshLook, TriangleMesh, joined
 from dynamictree.parallel import compiled, in_bands
 
 CELLS_ALONG = 256
@@ -68,10 +68,8 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     return TriangleMesh(
         vertices=vertices,
         faces=faces.astype(np.int32),
-        vertex_colors=_colors(visible, vertices),
-        source_up_axis=cloud.source_up_axis,
-        source_scale=cloud.source_scale,
-        source_offset=cloud.source_offset,
+        look=MeshLook(vertex_colors=_colors(visible, vertices)),
+        source=cloud.source,
     )
 
 
@@ -92,9 +90,7 @@ def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = N
     return replace(
         joined(parts),
         face_tree=face_tree,
-        source_up_axis=cloud.source_up_axis,
-        source_scale=cloud.source_scale,
-        source_offset=cloud.source_offset,
+        source=cloud.source,
     )
 
 

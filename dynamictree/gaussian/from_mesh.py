@@ -60,9 +60,7 @@ def splats_of_mesh(
         scales=(scales[faces] * narrower).astype(np.float32),
         opacity=np.full(len(faces), _OPACITY, np.float32),
         sh=((colors - 0.5) / SH_0).astype(np.float32)[:, None],
-        source_up_axis=mesh.source_up_axis,
-        source_scale=mesh.source_scale,
-        source_offset=mesh.source_offset,
+        source=mesh.source,
     )
     return MeshSplat(cloud=cloud, binding=bind_to_faces(cloud, mesh, faces, weights))
 

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from dynamictree.devoxelize.attachment import CARD_VERTICES, SMALL_PART_VOXELS, Attachments, find_attachments
-from dynamictree.mesh import TriangleMesh, edges_of, part_bounds, weld
+from dynamictree.mesh import Surface, edges_of, part_bounds, weld
 from dynamictree.voxel.grid import VoxelGrid
 
 FINENESS = 128
@@ -77,7 +77,7 @@ class _Parts:
     begins: Bool[np.ndarray, " n"]  # where a part that bends begins
 
 
-def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | None = None) -> TurnSkeleton:
+def turn_skeleton(mesh: Surface, grid: VoxelGrid, attached: Attachments | None = None) -> TurnSkeleton:
     """Find the bones of a mesh; `grid` is that of its motion, `attached` are its attachments, if at hand."""
     surface, vertex = weld(mesh.moving_part)
     surface, attached, row = _without_loose_vertices(surface, attached or find_attachments(surface, grid))
@@ -125,8 +125,8 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
 
 
 def _without_loose_vertices(
-    surface: TriangleMesh, attached: Attachments
-) -> tuple[TriangleMesh, Attachments, Int64[np.ndarray, " n"]]:
+    surface: Surface, attached: Attachments
+) -> tuple[Surface, Attachments, Int64[np.ndarray, " n"]]:
     """The same without vertices of no face, such as those of a pot; and the row of each vertex, -1 of these."""
     used = np.unique(surface.faces)
     row = np.full(surface.num_vertices, -1, np.int64)
@@ -139,10 +139,10 @@ def _without_loose_vertices(
         corners=row[attached.corners].astype(np.int32),
     )
     faces = row[surface.faces].astype(np.int32)
-    return TriangleMesh(vertices=surface.vertices[used], faces=faces), attached, row
+    return Surface(vertices=surface.vertices[used], faces=faces), attached, row
 
 
-def _parts_of(surface: TriangleMesh, attached: Attachments, voxel_m: float) -> _Parts:
+def _parts_of(surface: Surface, attached: Attachments, voxel_m: float) -> _Parts:
     of = attached.part.astype(np.int64)
     low, high = part_bounds(of, surface.vertices)
     small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
@@ -160,7 +160,7 @@ def _parts_of(surface: TriangleMesh, attached: Attachments, voxel_m: float) -> _
 
 
 def _nodes(
-    surface: TriangleMesh, parts: _Parts, voxel_m: float
+    surface: Surface, parts: _Parts, voxel_m: float
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " B"], Int64[np.ndarray, " B"], Bool[np.ndarray, " P"]]:
     """Node of each vertex; of each node, the one before it in its part, or -1, and its vertex nearest to the foot.
 

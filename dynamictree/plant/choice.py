@@ -22,7 +22,7 @@ def with_choice(mesh: TriangleMesh, choice: CloudParams) -> TriangleMesh:
         InputError: a name or box that fits nothing, or nothing is left to move.
     """
     names = _names(mesh)
-    owner = [mesh.face_material, mesh.face_part]
+    owner = [mesh.look.face_material, mesh.parts.of_face]
     middles = mesh.vertices[mesh.faces].mean(axis=1, dtype=np.float32)
     still = np.zeros(mesh.num_faces, np.bool_) if mesh.still_faces is None else mesh.still_faces.copy()
 
@@ -79,8 +79,8 @@ def part_names(mesh: TriangleMesh) -> tuple[str, ...]:
 
 
 def _names(mesh: TriangleMesh) -> tuple[list[str], list[str]]:
-    materials = [material.name for material in mesh.materials] if mesh.face_material is not None else []
-    return materials, list(mesh.part_names)
+    materials = [material.name for material in mesh.look.materials] if mesh.look.face_material is not None else []
+    return materials, list(mesh.parts.names)
 
 
 def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str]) -> list[bool]:

@@ -32,11 +32,11 @@ def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> 
     """
     upright = validate_mesh(mesh_to_z_up(source, reading, file))
     parts, still = find_still_parts(upright)
-    mesh = replace(upright, still_parts=parts, still_faces=still)
+    mesh = replace(upright, parts=replace(upright.parts, still=parts), still_faces=still)
     doubts: tuple[SourceWarning, ...] = ()
     if reading.up_axis is None and file.up_axis is not None:
         standing = judge_each_standing(mesh.moving_part) or judge_standing(mesh.moving_part)
-        doubts += axis_doubts(standing, mesh.source_up_axis)
+        doubts += axis_doubts(standing, mesh.source.up_axis)
     mesh = with_trees(replace(mesh, warnings=mesh.warnings + doubts + doubt_mesh(mesh)))
     if reading.unit_m is None and reading.height_m is None and mesh.face_tree is None:
         sizes = size_doubts(mesh.moving_part, file_unit=file.unit_m is not None)
@@ -87,7 +87,7 @@ def plant_of_cloud(
 
 def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
     """Turn a cloud until what it stands on is level, and `by_shape` first until the shape stands; a warning says so."""
-    usual, seen = cloud.source_up_axis, (cloud.opacity >= VISIBLE) & ~find_sky(cloud)
+    usual, seen = cloud.source.up_axis, (cloud.opacity >= VISIBLE) & ~find_sky(cloud)
     judged = judge_up_axis_of_points(cloud.means[seen]) if by_shape and seen.sum() >= FEWEST_GAUSSIANS else None
     shape = judged is not None and judged.axis != "+Z"
     way = up_rotation(judged.axis) if judged is not None and shape else np.eye(3)
@@ -103,7 +103,7 @@ def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tu
         f"{'the plant' if level is None else 'what the plant stands on'} is {tilt_deg:.0f}° from level if {usual} is "
         f"up, so {name} was taken as up; set up_axis to {usual} if the plant stood upright before"
     )
-    turned = to_z_up(to_source_axes(cloud), up_axis=name, unit_m=cloud.source_scale)
+    turned = to_z_up(to_source_axes(cloud), up_axis=name, unit_m=cloud.source.scale)
     return turned, (SourceWarning(code="levelled", message=message),)
 
 
@@ -111,7 +111,7 @@ def _doubt_axis(capture: Capture) -> tuple[SourceWarning, ...]:
     """A warning if the shape of what moves stands upright along another axis than the one taken."""
     points = capture.cloud.means[moving_part(capture) & (capture.cloud.opacity >= VISIBLE)]
     judged = judge_up_axis_of_points(points) if len(points) >= FEWEST_GAUSSIANS else None
-    return axis_doubts(judged, capture.cloud.source_up_axis)
+    return axis_doubts(judged, capture.cloud.source.up_axis)
 
 
 def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:

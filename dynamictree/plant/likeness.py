@@ -146,10 +146,10 @@ def _green_share(cloud: GaussianCloud) -> float:
 
 def _has_plant_colors(mesh: TriangleMesh) -> bool:
     green = np.zeros(mesh.num_faces, np.bool_)
-    if mesh.vertex_colors is not None:
-        green |= _is_green(mesh.vertex_colors[mesh.faces][:, :, :3].astype(np.float64).mean(axis=1))
-    if mesh.face_material is not None and mesh.materials:
-        green |= np.array([_is_of_plant(material) for material in mesh.materials])[mesh.face_material]
+    if mesh.look.vertex_colors is not None:
+        green |= _is_green(mesh.look.vertex_colors[mesh.faces][:, :, :3].astype(np.float64).mean(axis=1))
+    if mesh.look.face_material is not None and mesh.look.materials:
+        green |= np.array([_is_of_plant(material) for material in mesh.look.materials])[mesh.look.face_material]
     return bool(green.mean() >= _GREEN_SHARE)
 
 

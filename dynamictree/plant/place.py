@@ -1,7 +1,7 @@
 """Axes and units of sources: given by the caller or the format, or inferred from the shape of the tree.
 
 Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL say
-neither, so both are worked out, and what was found is recorded in `source_up_axis` and `source_scale`:
+neither, so both are worked out, and what was found is recorded in `Source`:
 
 - up is the likeliest of the six axes by several cues, see `upright.py`;
 - the unit is the first of metre, centimetre and millimetre (STL: metre and millimetre) in which the tree is at most
@@ -60,14 +60,14 @@ def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> Tri
     height = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
     given = reading.unit_m or file.unit_m
     scale = scale_to(reading.height_m, height) or given or guess_unit_m(height, file.usual_units_m)
-    normals = None if mesh.normals is None else (mesh.normals @ up_rotation(judged.axis).T).astype(np.float32)
+    normals = None if mesh.look.normals is None else (mesh.look.normals @ up_rotation(judged.axis).T).astype(np.float32)
     return replace(
         mesh,
         vertices=(turned * scale).astype(np.float32),
-        normals=normals,
-        source_up_axis=judged.axis,
-        source_up_confidence=round(judged.confidence, 3),
-        source_scale=scale * mesh.source_scale,
+        look=replace(mesh.look, normals=normals),
+        source=replace(
+            mesh.source, up_axis=judged.axis, up_confidence=round(judged.confidence, 3), scale=scale * mesh.source.scale
+        ),
         warnings=mesh.warnings + axis_warnings(judged, file.usual_up_axis),
     )
 
@@ -81,11 +81,13 @@ def sized(
     """
     detected = cloud_height(cloud)
     if height_m is None and (stated or detected == 0):
-        return cloud, height_warnings(detected, cloud.source_scale) if detected > 0 else ()
+        return cloud, height_warnings(detected, cloud.source.scale) if detected > 0 else ()
     keep &= USUAL_HEIGHT_M[0] <= detected <= USUAL_HEIGHT_M[1]
     scale = scale_to(height_m or (detected if keep else DEFAULT_HEIGHT_M), detected)
     assert scale is not None
-    scaled = replace(transformed(cloud, np.eye(3), scale), source_scale=cloud.source_scale * scale)
+    scaled = replace(
+        transformed(cloud, np.eye(3), scale), source=replace(cloud.source, scale=cloud.source.scale * scale)
+    )
     if height_m is not None:
         return scaled, ()
     message = (
@@ -146,7 +148,7 @@ def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
 
 def size_doubts(plant: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, ...]:
     """Says an unlikely size of one plant in metres, and a unit that was guessed; `file_unit`: the file has one."""
-    scale, sides = plant.source_scale, np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
+    scale, sides = plant.source.scale, np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
     height, longest = sides[2], max(sides)
     unlikely = height_warnings(height, scale)
     if unlikely:

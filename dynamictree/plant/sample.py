@@ -3,13 +3,13 @@
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Surface
 from dynamictree.planes import Points
 
 _STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly (Roberts 2018)
 
 
-def surface_points(mesh: TriangleMesh, num_points: int) -> tuple[Points, Int64[np.ndarray, " P"]] | None:
+def surface_points(mesh: Surface, num_points: int) -> tuple[Points, Int64[np.ndarray, " P"]] | None:
     """Points evenly over the surface, always the same ones, and their faces; None of a mesh without surface."""
     area = face_areas(mesh)
     total = float(area.sum())
@@ -19,7 +19,7 @@ def surface_points(mesh: TriangleMesh, num_points: int) -> tuple[Points, Int64[n
     return on_faces(mesh, np.diff(ends, prepend=0))
 
 
-def on_faces(mesh: TriangleMesh, counts: Int64[np.ndarray, " F"]) -> tuple[Points, Int64[np.ndarray, " P"]]:
+def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, Int64[np.ndarray, " P"]]:
     """So many points on each face, and the face of each."""
     face = np.repeat(np.arange(mesh.num_faces), counts)
     u, v = (np.arange(len(face)) * step % 1 for step in _STEPS)
@@ -29,13 +29,13 @@ def on_faces(mesh: TriangleMesh, counts: Int64[np.ndarray, " F"]) -> tuple[Point
     return points, face
 
 
-def face_normals(mesh: TriangleMesh) -> Float64[np.ndarray, "F 3"]:
+def face_normals(mesh: Surface) -> Float64[np.ndarray, "F 3"]:
     """Normals of the faces, as long as twice their areas."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
     return np.cross(b - a, c - a)
 
 
-def face_areas(mesh: TriangleMesh) -> Float64[np.ndarray, " F"]:
+def face_areas(mesh: Surface) -> Float64[np.ndarray, " F"]:
     """Area of each face [m²]."""
     areas: Float64[np.ndarray, " F"] = np.linalg.norm(face_normals(mesh), axis=1) / 2
     return areas

@@ -74,8 +74,8 @@ def _named(mesh: TriangleMesh) -> tuple[Faces, list[StillPart]]:
     """Faces whose material, node or group is named as something that is no plant."""
     named, parts = np.zeros(mesh.num_faces, np.bool_), list[StillPart]()
     for owner, names, meaningless in (
-        (mesh.face_material, [material.name for material in mesh.materials], frozenset[str]()),
-        (mesh.face_part, list(mesh.part_names), OF_SHAPES),
+        (mesh.look.face_material, [material.name for material in mesh.look.materials], frozenset[str]()),
+        (mesh.parts.of_face, list(mesh.parts.names), OF_SHAPES),
     ):
         if owner is None:
             continue
@@ -90,8 +90,8 @@ def _part_of_face(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """The connected part of each face; materials split parts, so that soil in a trunk's mesh is one by itself."""
     welded, _ = weld(mesh)
     part = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]].astype(np.int64)
-    if mesh.face_material is not None:
-        part = part * len(mesh.materials) + mesh.face_material
+    if mesh.look.face_material is not None:
+        part = part * len(mesh.look.materials) + mesh.look.face_material
     detected: Int64[np.ndarray, " F"] = np.unique(part, return_inverse=True)[1].astype(np.int64).ravel()
     return detected
 
@@ -105,9 +105,9 @@ def _scene(mesh: TriangleMesh, of_face: Int64[np.ndarray, " F"]) -> Scene:
     low, high = part_bounds(np.repeat(of_face, 3), mesh.vertices[mesh.faces.ravel()])
     normals = face_normals(mesh) / np.maximum(2 * area, 1e-30)[:, None]
     material = np.full(len(of_part), -1, np.int64)
-    if mesh.face_material is not None:
-        material[of_face] = mesh.face_material
-    soil = np.array([*(not SOIL_NAMES.isdisjoint(words(one.name)) for one in mesh.materials), False])
+    if mesh.look.face_material is not None:
+        material[of_face] = mesh.look.face_material
+    soil = np.array([*(not SOIL_NAMES.isdisjoint(words(one.name)) for one in mesh.look.materials), False])
     return Scene(
         points=points,
         thing=of_face[face],

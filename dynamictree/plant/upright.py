@@ -235,13 +235,13 @@ def _spreads(
 
 def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """1 for faces whose material is named for wood, 2 for leaves, 0 for what tells nothing."""
-    if mesh.face_material is None or not mesh.materials:
+    if mesh.look.face_material is None or not mesh.look.materials:
         return np.zeros(mesh.num_faces, np.int64)
-    named = [2 if LEAF.search(m.name) else 1 if WOOD.search(m.name) else 0 for m in mesh.materials]
+    named = [2 if LEAF.search(m.name) else 1 if WOOD.search(m.name) else 0 for m in mesh.look.materials]
     detected = set(named) - {0}
     if len(detected) == 1:  # what is not named for the one is the other
         named = [kind or 3 - detected.copy().pop() for kind in named]
-    kinds: Int64[np.ndarray, " F"] = np.array(named, np.int64)[mesh.face_material]
+    kinds: Int64[np.ndarray, " F"] = np.array(named, np.int64)[mesh.look.face_material]
     return kinds
 
 

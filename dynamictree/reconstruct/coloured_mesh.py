@@ -99,7 +99,7 @@ def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
     _check(surface, scene.model)
     surface = _smoothed(_decimated(surface))
     mesh = TriangleMesh(vertices=surface.vertices, faces=surface.faces)
-    return replace(mesh, vertex_colors=photo_colors(mesh, scene.model.views))
+    return replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, scene.model.views)))
 
 
 def finished_shape(mesh: TriangleMesh, scene: Scene, *, height_m: float, unit_m: float | None = None) -> Shape:

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from dynamictree.errors import InputError, MeshError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import MeshLook, TriangleMesh
 from dynamictree.reconstruct.coloured_mesh import MAX_FACES
 from dynamictree.reconstruct.cut import BESIDE
 from dynamictree.reconstruct.fusion import Surface, main_cluster
@@ -86,17 +86,19 @@ def _closed_mesh(plant: GaussianCloud, whole: TriangleMesh, radius_m: float) -> 
     except (InputError, MeshError, ValueError) as error:
         raise InputError("the plant that was cut out has no surface; draw more strokes on it") from error
     surface = main_cluster(Surface(mesh.vertices, mesh.faces), GAP * radius_m)
-    if mesh.vertex_colors is None or len(surface.faces) < _LEAST_FACES:
+    if mesh.look.vertex_colors is None or len(surface.faces) < _LEAST_FACES:
         return mesh
-    colors = mesh.vertex_colors[cKDTree(mesh.vertices).query(surface.vertices)[1]]
-    if whole.vertex_colors is not None:
+    colors = mesh.look.vertex_colors[cKDTree(mesh.vertices).query(surface.vertices)[1]]
+    if whole.look.vertex_colors is not None:
         gap, nearest = cKDTree(whole.vertices).query(surface.vertices, distance_upper_bound=BESIDE * radius_m)
         near = np.isfinite(gap)
-        colors[near] = whole.vertex_colors[np.asarray(nearest)[near]]
-    return TriangleMesh(vertices=surface.vertices, faces=surface.faces, vertex_colors=colors)
+        colors[near] = whole.look.vertex_colors[np.asarray(nearest)[near]]
+    return TriangleMesh(vertices=surface.vertices, faces=surface.faces, look=MeshLook(vertex_colors=colors))
 
 
 def _with_faces(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"]) -> TriangleMesh:
     used, rows = np.unique(faces, return_inverse=True)
-    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
-    return TriangleMesh(vertices=mesh.vertices[used], faces=rows.reshape(-1, 3).astype(np.int32), vertex_colors=colors)
+    colors = None if mesh.look.vertex_colors is None else mesh.look.vertex_colors[used]
+    return TriangleMesh(
+        vertices=mesh.vertices[used], faces=rows.reshape(-1, 3).astype(np.int32), look=MeshLook(vertex_colors=colors)
+    )

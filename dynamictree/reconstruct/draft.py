@@ -62,6 +62,8 @@ class Draft:
         path = self.folder / DRAFT
         with replacing(path) as stream:
             cloud = cloud_in_metres(table, _UNKNOWN_SIZE_M, np.zeros(3))
-            write_splat(replace(cloud, source_up_axis=UP_AXIS), stream)  # a .splat file cannot say another axis
+            write_splat(
+                replace(cloud, source=replace(cloud.source, up_axis=UP_AXIS)), stream
+            )  # a .splat file cannot say another axis
         self._written_at = time.monotonic()
         self.on_file(path)

@@ -60,9 +60,9 @@ def _drawn(
     mesh: TriangleMesh, view: View, width: int, height: int
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """The mesh in its own colours, without light, and where it is."""
-    assert mesh.vertex_colors is not None
+    assert mesh.look.vertex_colors is not None
     face = Renderer(mesh, Look(width=width, height=height, shadows=False)).buffers(view.camera).face
-    of_face = mesh.vertex_colors[mesh.faces, :3].mean(axis=1).astype(np.float32) / 255
+    of_face = mesh.look.vertex_colors[mesh.faces, :3].mean(axis=1).astype(np.float32) / 255
     return of_face[face], face >= 0
 
 

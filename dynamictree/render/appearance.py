@@ -43,17 +43,20 @@ def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance
     Raises:
         FormatError: a texture is not a picture, or too large.
     """
-    has_colors = mesh.vertex_colors is not None or any(
-        material.texture_png is not None or material.base_color != Material().base_color for material in mesh.materials
+    has_colors = mesh.look.vertex_colors is not None or any(
+        material.texture_png is not None or material.base_color != Material().base_color
+        for material in mesh.look.materials
     )
     if has_colors:
-        materials = mesh.materials or (Material(base_color=(1.0, 1.0, 1.0, 1.0)),)
-        face_material = mesh.face_material if mesh.face_material is not None else np.zeros(mesh.num_faces, np.int32)
+        materials = mesh.look.materials or (Material(base_color=(1.0, 1.0, 1.0, 1.0)),)
+        face_material = (
+            mesh.look.face_material if mesh.look.face_material is not None else np.zeros(mesh.num_faces, np.int32)
+        )
     else:
         materials = (Material(base_color=(*_WOOD, 1.0)), Material(base_color=(*_LEAF, 1.0)))
         face_material = foliage_faces(mesh.faces, mesh.num_vertices).astype(np.int32)
     leafy = [is_leafy(material) for material in materials] if has_colors else [False, True]
-    colors = mesh.vertex_colors
+    colors = mesh.look.vertex_colors
     vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear_from_bytes(colors[:, :3])
     num_colored = len(materials)
     if grey_still and mesh.still_faces is not None:  # each material a second time, for the faces that stand still
@@ -66,7 +69,7 @@ def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance
     base[num_colored:, :3] = STILL_SHARE * greyed(base[num_colored:, :3])
     cutoff = np.array([material.alpha_cutoff or 0 for material in materials], np.float32)
     return Appearance(
-        uv=np.zeros((mesh.num_vertices, 2), np.float32) if mesh.uv is None else np.array(mesh.uv, np.float32),
+        uv=np.zeros((mesh.num_vertices, 2), np.float32) if mesh.look.uv is None else np.array(mesh.look.uv, np.float32),
         vertex_rgb=vertex_rgb,
         face_material=np.array(face_material, np.int32),
         material_rgb=np.ascontiguousarray(base[:, :3]),

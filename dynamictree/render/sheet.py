@@ -138,8 +138,11 @@ def _sway_picture(
 ) -> UInt8[np.ndarray, "H W 3"]:
     colored = replace(
         mesh,
-        vertex_colors=amplitude_colors(amplitude, mesh.still_vertices),
-        materials=tuple(_bare(material) for material in mesh.materials) or (_bare(Material()),),
+        look=replace(
+            mesh.look,
+            vertex_colors=amplitude_colors(amplitude, mesh.still_vertices),
+            materials=tuple(_bare(material) for material in mesh.look.materials) or (_bare(Material()),),
+        ),
     )
     return Renderer(colored, Look(width=SIDE_PX, height=HALF_PX, shadows=False)).picture(camera=camera)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Surface
 from dynamictree.voxel.clip import SurfacePieces
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -18,7 +18,7 @@ SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def moments_of(
-    mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
+    mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
 ) -> Float32[np.ndarray, "V 16"]:
     """NUM_MOMENTS numbers a voxel, of the pieces of surface in it; `rows` are the pieces' voxels."""
     vertices = (mesh.vertices.astype(np.float64) - grid.origin_m) / grid.voxel_size_m

@@ -7,8 +7,8 @@ import scipy.sparse
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError, MeshError
-from dynamictree.mesh import TriangleMesh
-from dynamictree.source import Source
+from dynamictree.mesh import Surface
+from dynamictree.source import UNKNOWN, Source
 from dynamictree.voxel.clip import SurfacePieces, cut_faces
 from dynamictree.voxel.grid import VoxelGrid, grid_frame
 from dynamictree.voxel.moments import moments_of
@@ -35,7 +35,7 @@ class SurfaceVoxels:
     source: Source = field(default_factory=Source)
 
 
-def voxelize(mesh: TriangleMesh, resolution: int = 128, *, source_sha256: str = "") -> SurfaceVoxels:
+def voxelize(mesh: Surface, resolution: int = 128, *, source: Source = UNKNOWN) -> SurfaceVoxels:
     """The voxels that hold a piece of the surface, with the mean normal of the surface in each.
 
     A voxel is half-open: what lies in the plane between two belongs to the upper one. Where the two sides of a thin
@@ -44,7 +44,7 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128, *, source_sha256: str = 
     Args:
         mesh: with finite vertices; faces without area are passed over.
         resolution: voxels along the cube's edge, 32 to 512.
-        source_sha256: of the file that the mesh was read from, to be recorded.
+        source: what the mesh was read from, to be recorded.
 
     Raises:
         InputError: the resolution is out of range.
@@ -66,17 +66,10 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128, *, source_sha256: str = 
     )
     normals, moments = _mean_normals(mesh, grid, pieces, rows), moments_of(mesh, grid, pieces, rows)
     tree = None if mesh.face_tree is None else _largest_share(mesh.face_tree, pieces, rows, len(grid))
-    source = Source(
-        sha256=source_sha256,
-        up_axis=mesh.source_up_axis,
-        up_confidence=mesh.source_up_confidence,
-        scale=mesh.source_scale,
-        offset=mesh.source_offset,
-    )
     return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source)
 
 
-def voxel_trees(mesh: TriangleMesh, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:
+def voxel_trees(mesh: Surface, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:
     """Of a mesh of several trees, the one that has most of the surface in each voxel; -1 where there is none."""
     mesh = mesh.moving_part
     assert mesh.face_tree is not None
@@ -105,13 +98,13 @@ def _largest_share(
     return trees
 
 
-def surface_moments(mesh: TriangleMesh, grid: VoxelGrid) -> Float32[np.ndarray, "V 16"]:
+def surface_moments(mesh: Surface, grid: VoxelGrid) -> Float32[np.ndarray, "V 16"]:
     """The moments that `voxelize` gives of this mesh, which made the grid."""
     pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
     return moments_of(mesh, grid, pieces, np.searchsorted(grid.keys, pieces.keys))
 
 
-def surface_average(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> scipy.sparse.csr_array:
+def surface_average(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> scipy.sparse.csr_array:
     """Weights [V, N] that turn values at vertices into their mean over the surface in each voxel; rows sum to 1.
 
     Exact for values that are linear on each face. Paper appendix A averages the vertices of a voxel instead, which
@@ -137,13 +130,13 @@ def surface_average(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces |
     return average.tocsr().astype(np.float32)
 
 
-def grid_pieces(mesh: TriangleMesh, grid: VoxelGrid) -> SurfacePieces:
+def grid_pieces(mesh: Surface, grid: VoxelGrid) -> SurfacePieces:
     """Pieces of faces in the voxels of a grid."""
     return surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
 
 
 def surface_pieces(
-    mesh: TriangleMesh, origin_m: tuple[float, float, float], voxel_size_m: float, resolution: int
+    mesh: Surface, origin_m: tuple[float, float, float], voxel_size_m: float, resolution: int
 ) -> SurfacePieces:
     """Pieces of faces in voxels, and each corner of a face in its voxel with the least weight that still counts."""
     in_voxels = (mesh.vertices.astype(np.float64) - origin_m) / voxel_size_m  # [N, 3]
@@ -186,7 +179,7 @@ def _refuse_too_much(corners: Float64[np.ndarray, "F 3 3"]) -> None:
 
 
 def _mean_normals(
-    mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
+    mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
 ) -> Float32[np.ndarray, "V 3"]:
     a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
     cross = np.cross(b - a, c - a)

@@ -58,10 +58,10 @@ def _write_usd(sample: Sample, path: Path) -> None:
         low, high = moved.min(axis=0).tolist(), moved.max(axis=0).tolist()
         points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(moved)), frame)
         extent.Set(Vt.Vec3fArray([Gf.Vec3f(*low), Gf.Vec3f(*high)]), frame)
-    colors = np.array([material.base_color[:3] for material in mesh.materials], np.float32)
-    if mesh.face_material is not None:
+    colors = np.array([material.base_color[:3] for material in mesh.look.materials], np.float32)
+    if mesh.look.face_material is not None:
         prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform).Set(
-            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[mesh.face_material]))
+            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[mesh.look.face_material]))
         )
     prim.GetPrim().SetCustomDataByKey("species", sample.species)
     prim.GetPrim().SetCustomDataByKey("windSpeed", sample.wind.speed_m_s)

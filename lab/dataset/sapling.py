@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Int8, Int32
 
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from lab.dataset.branching import Stems, grow_children, grow_trunks
 from lab.dataset.clumps import clumps
 from lab.dataset.leaves import Leaves, cards, grow_leaves
@@ -76,10 +76,12 @@ def _surface(
         faces=np.concatenate(
             [surface.faces + start for surface, start in zip(surfaces, first_vertex, strict=True)]
         ).astype(np.int32),
-        face_material=material.astype(np.int32),
-        materials=(
-            Material(name="bark", base_color=(*species.bark, 1.0)),
-            Material(name="leaf", base_color=(*species.foliage.color, 1.0)),
+        look=MeshLook(
+            face_material=material.astype(np.int32),
+            materials=(
+                Material(name="bark", base_color=(*species.bark, 1.0)),
+                Material(name="leaf", base_color=(*species.foliage.color, 1.0)),
+            ),
         ),
     )
     return Tree(

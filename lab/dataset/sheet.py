@@ -46,5 +46,5 @@ def _sway_picture(sample: Sample, camera: Camera) -> UInt8[np.ndarray, "H W 3"]:
     from dataclasses import replace
 
     colors = amplitude_colors(sway_amplitude(sample.coefficients))
-    plain = replace(sample.mesh, vertex_colors=colors, face_material=None, materials=())
+    plain = replace(sample.mesh, look=replace(sample.mesh.look, vertex_colors=colors, face_material=None, materials=()))
     return Renderer(plain, Look(width=CELL_PX, height=CELL_PX, shadows=False)).picture(camera=camera)

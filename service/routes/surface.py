@@ -65,11 +65,11 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     """Tensors from which a viewer draws a mesh."""
     tensors: dict[str, np.ndarray] = {"vertices": mesh.vertices, "faces": mesh.faces}
     for name in ("uv", "vertex_colors", "face_material"):
-        if getattr(mesh, name) is not None:
-            tensors[name] = getattr(mesh, name)
+        if getattr(mesh.look, name) is not None:
+            tensors[name] = getattr(mesh.look, name)
     if (still := mesh.still_vertices).any():
         tensors["still"] = still.view(np.uint8)
-    for index, material in enumerate(mesh.materials):
+    for index, material in enumerate(mesh.look.materials):
         if material.texture_png is not None:
             tensors[f"texture_{index}"] = np.frombuffer(material.texture_png, np.uint8)
     return tensors
@@ -184,7 +184,7 @@ def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:
             "alpha_cutoff": material.alpha_cutoff,
             "double_sided": material.double_sided,
         }
-        for material in mesh.materials
+        for material in mesh.look.materials
     ]
     metadata = {"format": "tree-surface", "version": "1", "unit": "m", "up_axis": "+Z"}
     metadata["materials"] = json.dumps(materials)

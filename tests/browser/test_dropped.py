@@ -16,7 +16,7 @@ from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from lab.dataset.sample import make_sample
 from tests.browser.conftest import Viewer, changed, pixels
 
@@ -111,7 +111,7 @@ def test_a_splat_stands_as_its_file_says(
     view: Open, url: str, files: dict[str, Path], tmp_path: Path, up_axis: str
 ) -> None:
     lying = read_gaussian_ply(io.BytesIO(files["splat"].read_bytes()), up_axis="+Z")
-    tall = replace(lying, means=lying.means[:, [0, 2, 1]], source_up_axis=up_axis)
+    tall = replace(lying, means=lying.means[:, [0, 2, 1]], source=replace(lying.source, up_axis=up_axis))
     with (tmp_path / "tall.ply").open("wb") as stream:
         write_gaussian_ply(tall, stream)
     viewer = view(640, 480)
@@ -126,7 +126,9 @@ def test_a_splat_stands_as_its_file_says(
 def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2)
     mesh = TriangleMesh(
-        vertices=np.float32(ball.vertices), faces=np.int32(ball.faces), materials=(Material(base_color=GREEN),)
+        vertices=np.float32(ball.vertices),
+        faces=np.int32(ball.faces),
+        look=MeshLook(materials=(Material(base_color=GREEN),)),
     )
     with (tmp_path / "ball.obj").open("wb") as stream:
         [library] = write_obj(mesh, stream, library="ball.mtl").values()

@@ -86,7 +86,9 @@ def potted(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Material(name="plant", base_color=(0.1, 0.3, 0.05, 1.0)),
         Material(name="Pot", base_color=(*TERRACOTTA, 1.0)),
     )
-    mesh = replace(mesh, materials=(green, pot), face_material=owner[mesh.faces[:, 0]].astype(np.int32))
+    mesh = replace(
+        mesh, look=replace(mesh.look, materials=(green, pot), face_material=owner[mesh.faces[:, 0]].astype(np.int32))
+    )
     path = tmp_path_factory.mktemp("pots") / "potted.glb"
     with path.open("wb") as stream:
         write_glb(mesh, stream)

@@ -30,7 +30,7 @@ def test_a_mesh_keeps_its_triangles_and_its_size(
     np.testing.assert_allclose(after.vertices, before.vertices, atol=1e-6)
     np.testing.assert_array_equal(after.faces, before.faces)
     if ending != "ply":  # PLY has no materials
-        np.testing.assert_allclose(after.materials[0].base_color, before.materials[0].base_color, atol=1e-3)
+        np.testing.assert_allclose(after.look.materials[0].base_color, before.look.materials[0].base_color, atol=1e-3)
 
 
 @pytest.mark.parametrize("ending", ["ply", "splat", "spz", "sog", "glb"])

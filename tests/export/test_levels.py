@@ -82,7 +82,7 @@ def test_wood_moves_as_the_tree_does_and_the_error_is_the_reported_one(written: 
 
 def test_leaves_that_stay_hang_where_they_hung(written: Written) -> None:
     mesh, _, archive, _ = written
-    leaf = mesh.faces[mesh.face_material == 1]
+    leaf = mesh.faces[mesh.look.face_material == 1]
     part = connected_parts(leaf, mesh.num_vertices)
     for number in (1, 2, 3):
         content = archive.read(f"tree-lod{number}.glb")

@@ -127,14 +127,16 @@ def test_alembic_shows_every_frame_with_material_sets_and_seams(
     assert schema.getTimeSampling().getSampleTime(1) == pytest.approx(1 / 24)
     corners = np.array(memoryview(schema.getValue().getFaceIndices())).reshape(-1, 3)
     np.testing.assert_array_equal(corners[:, ::-1], mesh.faces)
-    assert mesh.face_material is not None
-    assert list(schema.getFaceSetNames()) == [material.name for material in mesh.materials]
-    for number, material in enumerate(mesh.materials):
+    assert mesh.look.face_material is not None
+    assert list(schema.getFaceSetNames()) == [material.name for material in mesh.look.materials]
+    for number, material in enumerate(mesh.look.materials):
         faces = schema.getFaceSet(material.name).getSchema().getValue().getFaces()
-        np.testing.assert_array_equal(np.array(memoryview(faces)), np.flatnonzero(mesh.face_material == number))
+        np.testing.assert_array_equal(np.array(memoryview(faces)), np.flatnonzero(mesh.look.face_material == number))
     uv = np.random.default_rng(0).random((mesh.num_vertices, 2)).astype(np.float32)
     with path.with_name("seams.abc").open("wb") as stream:
-        write_motion_alembic(replace(mesh, uv=uv), [np.zeros_like(mesh.vertices)], stream, fps=24.0)
+        write_motion_alembic(
+            replace(mesh, look=replace(mesh.look, uv=uv)), [np.zeros_like(mesh.vertices)], stream, fps=24.0
+        )
     schema = AbcGeom.IPolyMesh(Abc.IArchive(stream.name).getTop(), "tree").getSchema()
     read = schema.getUVsParam().getExpandedValue(Abc.ISampleSelector(0)).getVals()
     np.testing.assert_allclose(
@@ -190,7 +192,7 @@ def test_capsules_lie_in_the_wood_and_follow_it(
     products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
 ) -> None:
     archive, mesh = zipfile.ZipFile(products[0]["rig"]), tree[0]
-    wood = np.unique(mesh.faces[mesh.face_material == 0])
+    wood = np.unique(mesh.faces[mesh.look.face_material == 0])
     solid = pygltflib.GLTF2().load_from_bytes(archive.read("tree-collision.glb"))
     capsules = {capsule["joint"]: capsule for capsule in json.loads(archive.read("collision.json"))["capsules"]}
     world, inside = world_matrices(solid), np.zeros(len(wood), bool)

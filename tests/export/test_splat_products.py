@@ -31,6 +31,7 @@ from dynamictree.gaussian.cloud_mesh import FACES_PER_GAUSSIAN, LEAST_FACES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, moving_part
 from dynamictree.requests import CloudParams, ExportParams, Format, Shot
+from dynamictree.source import Source
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.up_axis import up_rotation
 from dynamictree.voxel.voxelize import voxelize
@@ -52,7 +53,7 @@ def capture() -> Capture:
         scales=np.full((3000, 3), 0.02, np.float32),
         opacity=np.full(3000, 0.9, np.float32),
         sh=rng.normal(size=(3000, 1, 3)).astype(np.float32),
-        source_up_axis="-Y",
+        source=Source(up_axis="-Y"),
     )
     return Capture(cloud=cloud)
 
@@ -207,7 +208,7 @@ def files(capture: Capture, mesh: TriangleMesh, tmp_path: Path) -> Iterator[dict
 
 def test_a_capture_is_read_with_what_came_with_it(capture: Capture, mesh: TriangleMesh, files: dict[str, Path]) -> None:
     read = load_capture(files["cloud"], mask=files["mask"], mesh=files["mesh"])
-    scale = read.cloud.source_scale  # the file states no unit: 5 m high
+    scale = read.cloud.source.scale  # the file states no unit: 5 m high
     assert scale > 1
     np.testing.assert_allclose(read.cloud.means, capture.cloud.means * scale, atol=1e-5)
     assert read.mesh is not None

@@ -15,7 +15,7 @@ from dynamictree.export.table import PRODUCTS, available_products
 from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.plant.capture import Capture
 from dynamictree.requests import MAX_FRAMES, TURBULENT_FRAMES, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -70,8 +70,7 @@ def capture() -> Capture:
     mesh = TriangleMesh(
         vertices=vertices.astype(np.float32),
         faces=np.array(faces, np.int32),
-        uv=vertices[:, 1:].astype(np.float32),
-        materials=(Material(texture_png=bark.getvalue()),),
+        look=MeshLook(uv=vertices[:, 1:].astype(np.float32), materials=(Material(texture_png=bark.getvalue()),)),
     )
     return Capture(cloud=cloud, mesh=mesh)
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from PIL import Image
 
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 
 
 def image_bytes(kind: str = "PNG", mode: str = "RGB", size: tuple[int, int] = (4, 4)) -> bytes:
@@ -34,12 +34,14 @@ def trunk_and_crown(rng: np.random.Generator, *, num_sides: int = 8) -> Triangle
     return TriangleMesh(
         vertices=(vertices[shuffled] + [3.0, -1.0, 0.5]).astype(np.float32),
         faces=face_array,
-        uv=rng.uniform(0, 1, (len(vertices), 2)).astype(np.float32),
-        vertex_colors=rng.integers(0, 256, (len(vertices), 4)).astype(np.uint8),
-        face_material=(np.arange(len(face_array)) >= 2 * num_sides).astype(np.int32),
-        materials=(
-            Material(name="bark", base_color=(0.3, 0.2, 0.1, 1.0)),
-            Material(name="leaf", base_color=(0.1, 0.5, 0.1, 1.0), texture_png=image_bytes(), alpha_cutoff=0.5),
+        look=MeshLook(
+            uv=rng.uniform(0, 1, (len(vertices), 2)).astype(np.float32),
+            vertex_colors=rng.integers(0, 256, (len(vertices), 4)).astype(np.uint8),
+            face_material=(np.arange(len(face_array)) >= 2 * num_sides).astype(np.int32),
+            materials=(
+                Material(name="bark", base_color=(0.3, 0.2, 0.1, 1.0)),
+                Material(name="leaf", base_color=(0.1, 0.5, 0.1, 1.0), texture_png=image_bytes(), alpha_cutoff=0.5),
+            ),
         ),
     )
 

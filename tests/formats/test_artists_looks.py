@@ -154,7 +154,7 @@ def test_an_own_animation_is_mentioned_and_stays_after_ours() -> None:
 def test_what_is_too_much_to_return_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dynamictree.formats.gltf.source.MAX_SOURCE_PRIMITIVES", 2)
     mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
-    assert mesh.source_gltf is None
+    assert mesh.gltf is None
     assert "looks-reduced" in [warning.code for warning in mesh.warnings]
     leaf = animated(mesh, coefficients_of(mesh)).root["materials"][1]
     assert (leaf["alphaMode"], leaf["doubleSided"]) == ("BLEND", True)

@@ -31,7 +31,7 @@ def test_a_long_chain_of_nameless_nodes_is_read_in_linear_time() -> None:
     count = 30_000
     nodes = [{"mesh": 0, "name": "leaf"}, *({"children": [index]} for index in range(count))]
     root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": [count]}])
-    assert read(gltf_bytes(root, binary), "glb").part_names == ("leaf",)
+    assert read(gltf_bytes(root, binary), "glb").parts.names == ("leaf",)
 
 
 def test_instances_count_against_the_cap() -> None:

@@ -36,7 +36,7 @@ def make_cloud(rng: np.random.Generator, *, degree: int, up_axis: str = "-Y", un
         opacity=rng.uniform(0.01, 0.99, count).astype(np.float32),
         sh=(rng.uniform(-0.9, 0.9, size=(count, (degree + 1) ** 2, 3))).astype(np.float32),
     )
-    return replace(cloud, source_up_axis=up_axis, source_scale=unit_m)
+    return replace(cloud, source=replace(cloud.source, up_axis=up_axis, scale=unit_m))
 
 
 def covariances(cloud: GaussianCloud) -> np.ndarray:
@@ -48,8 +48,8 @@ def read_back(cloud: GaussianCloud, write: Write, file_type: str) -> GaussianClo
     stream = io.BytesIO()
     write(cloud, stream)
     assert cloud_kind(stream, file_type=file_type) == "gaussians"
-    up_axis = cloud.source_up_axis if file_type in ("ply", "splat") else None
-    return read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=cloud.source_scale)
+    up_axis = cloud.source.up_axis if file_type in ("ply", "splat") else None
+    return read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=cloud.source.scale)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -78,7 +78,7 @@ def test_splat_keeps_positions_and_scales_and_rounds_the_rest(rng: np.random.Gen
 def test_spz_stays_within_its_rounding(rng: np.random.Generator, degree: int) -> None:
     cloud = make_cloud(rng, degree=degree)
     again = read_back(cloud, write_spz, "spz")
-    up = replace(again, source_up_axis="-Y")
+    up = replace(again, source=replace(again.source, up_axis="-Y"))
     np.testing.assert_allclose(up.means, cloud.means, atol=0.5 / 4096 + 1e-6)
     np.testing.assert_allclose(np.log(up.scales), np.log(cloud.scales), atol=1 / 32 + 1e-5)
     np.testing.assert_allclose(up.opacity, cloud.opacity, atol=0.5 / 255 + 1e-6)

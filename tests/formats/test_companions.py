@@ -92,14 +92,14 @@ def read(content: bytes, files: dict[str, bytes]) -> TriangleMesh:
 def test_a_gltf_with_folders_is_read_with_its_textures(kind: str) -> None:
     content, binary = textured(f"textures/bark.{kind.lower()}")
     mesh = read(content, {"scene.bin": binary, f"textures/bark.{kind.lower()}": image_bytes(kind)})
-    assert mesh.materials[0].texture_png is not None
+    assert mesh.look.materials[0].texture_png is not None
     assert mesh.warnings == ()
 
 
 def test_a_missing_texture_is_a_warning_with_its_name() -> None:
     content, binary = textured("textures/bark%20old.png")
     mesh = read(content, {"scene.bin": binary})
-    assert mesh.materials[0].texture_png is None
+    assert mesh.look.materials[0].texture_png is None
     assert [(warning.code, "'textures/bark old.png'" in warning.message) for warning in mesh.warnings] == [
         ("texture-missing", True)
     ]

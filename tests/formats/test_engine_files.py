@@ -93,7 +93,7 @@ def test_usd_holds_every_frame_and_passes_its_validators(tmp_path: Path, rng: np
 
 def test_usd_binds_each_face_to_its_material(tmp_path: Path, rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
-    assert mesh.face_material is not None
+    assert mesh.look.face_material is not None
     path = tmp_path / "tree.usdz"
     with path.open("wb") as stream:
         write_motion_usdz(mesh, iter(frames_of(mesh, rng, 1)), stream, fps=24.0)
@@ -103,7 +103,7 @@ def test_usd_binds_each_face_to_its_material(tmp_path: Path, rng: np.random.Gene
         if prim.IsA(UsdGeom.Subset):
             bound, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
             result[list(UsdGeom.Subset(prim).GetIndicesAttr().Get())] = int(bound.GetPath().name.split("_")[1])
-    np.testing.assert_array_equal(result, mesh.face_material)
+    np.testing.assert_array_equal(result, mesh.look.face_material)
 
 
 def test_the_validators_would_see_a_broken_stage(tmp_path: Path) -> None:

@@ -45,8 +45,8 @@ def with_data(extra: bytes, *views: dict[str, object], **changes: object) -> Tri
 def test_gltf_turns_from_y_up_to_z_up() -> None:
     mesh = read_gltf()
     np.testing.assert_array_equal(mesh.vertices, CORNERS)
-    assert mesh.source_up_axis == "+Y"
-    assert mesh.source_scale == 1.0
+    assert mesh.source.up_axis == "+Y"
+    assert mesh.source.scale == 1.0
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
 
 
@@ -54,7 +54,7 @@ def test_gltf_follows_explicit_axes_and_units() -> None:
     root, binary = triangle_gltf()
     mesh = read(gltf_bytes(root, binary), "glb", reading=Reading(up_axis="+Z", unit_m=0.01))
     np.testing.assert_allclose(mesh.vertices, np.float32([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))
-    assert (mesh.source_up_axis, mesh.source_scale) == ("+Z", 0.01)
+    assert (mesh.source.up_axis, mesh.source.scale) == ("+Z", 0.01)
 
 
 def test_nodes_place_scale_and_turn_their_meshes() -> None:
@@ -197,10 +197,10 @@ def test_interleaved_and_normalised_attributes_are_read() -> None:
         meshes=[{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1, "TEXCOORD_0": 2}}]}],
     )
     np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 0, -1]])
-    assert mesh.uv is not None
-    np.testing.assert_array_equal(mesh.uv, [[0, 1]] * 3)
-    assert mesh.vertex_colors is not None
-    np.testing.assert_array_equal(mesh.vertex_colors, [[255, 0, 0, 128]] * 3)
+    assert mesh.look.uv is not None
+    np.testing.assert_array_equal(mesh.look.uv, [[0, 1]] * 3)
+    assert mesh.look.vertex_colors is not None
+    np.testing.assert_array_equal(mesh.look.vertex_colors, [[255, 0, 0, 128]] * 3)
 
 
 def test_a_texture_s_transform_moves_its_coordinates() -> None:
@@ -217,10 +217,10 @@ def test_a_texture_s_transform_moves_its_coordinates() -> None:
         textures=[{"source": 0}],
         images=[{"uri": f"data:image/png;base64,{image}"}],
     )
-    assert mesh.uv is not None
-    np.testing.assert_allclose(mesh.uv, [[0.5, 0.25], [0.5, -1.75], [1.5, 0.25]], atol=1e-6)
-    assert mesh.materials[0].texture_png == image_bytes()
-    assert mesh.materials[0].alpha_cutoff == 0.5
+    assert mesh.look.uv is not None
+    np.testing.assert_allclose(mesh.look.uv, [[0.5, 0.25], [0.5, -1.75], [1.5, 0.25]], atol=1e-6)
+    assert mesh.look.materials[0].texture_png == image_bytes()
+    assert mesh.look.materials[0].alpha_cutoff == 0.5
 
 
 def test_the_colour_of_glossy_materials_is_read() -> None:
@@ -232,8 +232,8 @@ def test_the_colour_of_glossy_materials_is_read() -> None:
         textures=[{"source": 0}],
         meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
     )
-    assert mesh.materials[0].base_color == (0.1, 0.4, 0.2, 1.0)
-    assert mesh.materials[0].texture_png == image_bytes()
+    assert mesh.look.materials[0].base_color == (0.1, 0.4, 0.2, 1.0)
+    assert mesh.look.materials[0].texture_png == image_bytes()
 
 
 def test_a_jpeg_texture_becomes_png() -> None:
@@ -243,23 +243,23 @@ def test_a_jpeg_texture_becomes_png() -> None:
         textures=[{"source": 0}],
         images=[{"uri": f"data:image/jpeg;base64,{jpeg}"}],
     )
-    assert mesh.materials[0].texture_png is not None
-    assert mesh.materials[0].texture_png.startswith(b"\x89PNG")
+    assert mesh.look.materials[0].texture_png is not None
+    assert mesh.look.materials[0].texture_png.startswith(b"\x89PNG")
 
 
 def test_a_texture_without_an_image_is_none() -> None:
     material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, "alphaMode": "MASK", "alphaCutoff": 0.3}
     mesh = read_gltf(materials=[material], textures=[{}])
-    assert mesh.materials[0].texture_png is None
-    assert mesh.materials[0].alpha_cutoff == 0.3
+    assert mesh.look.materials[0].texture_png is None
+    assert mesh.look.materials[0].alpha_cutoff == 0.3
 
 
 def test_a_part_without_a_material_gets_a_white_one() -> None:
     primitives = [{"attributes": {"POSITION": 0}, "material": 0}, {"attributes": {"POSITION": 0}, "indices": 1}]
     mesh = read_gltf(meshes=[{"primitives": primitives}], materials=[{"name": "bark"}])
-    assert [material.name for material in mesh.materials] == ["bark", "default"]
-    assert mesh.face_material is not None
-    np.testing.assert_array_equal(mesh.face_material, [0, 1])
+    assert [material.name for material in mesh.look.materials] == ["bark", "default"]
+    assert mesh.look.face_material is not None
+    np.testing.assert_array_equal(mesh.look.face_material, [0, 1])
     assert mesh.num_vertices == 3  # one list of vertices for both
 
 
@@ -271,8 +271,8 @@ def test_a_part_without_colours_is_white_beside_one_with() -> None:
         accessors=[floats(0, "VEC3"), floats(2, "VEC3")],
         meshes=[{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
     )
-    assert mesh.vertex_colors is not None
-    np.testing.assert_array_equal(mesh.vertex_colors[[0, 3]], [[255, 255, 255, 255], [255, 0, 0, 255]])
+    assert mesh.look.vertex_colors is not None
+    np.testing.assert_array_equal(mesh.look.vertex_colors[[0, 3]], [[255, 255, 255, 255], [255, 0, 0, 255]])
 
 
 def test_json_gltf_takes_its_buffers_from_data_uris_or_from_beside_it() -> None:
@@ -292,7 +292,7 @@ def test_draco_is_decoded(rng: np.random.Generator) -> None:
         mesh.faces,
         quantization_bits=20,
         preserve_order=True,
-        tex_coord=mesh.uv.astype(np.float64),
+        tex_coord=mesh.look.uv.astype(np.float64),
     )
     decoded = DracoPy.decode(stream)
     names = {0: "POSITION", 3: "TEXCOORD_0"}  # draco's attribute types
@@ -315,9 +315,9 @@ def test_draco_is_decoded(rng: np.random.Generator) -> None:
     )
     np.testing.assert_allclose(result.vertices, mesh.vertices, atol=1e-4)
     np.testing.assert_array_equal(result.faces, mesh.faces)
-    assert result.uv is not None
-    assert mesh.uv is not None
-    np.testing.assert_allclose(result.uv, mesh.uv, atol=1e-2)
+    assert result.look.uv is not None
+    assert mesh.look.uv is not None
+    np.testing.assert_allclose(result.look.uv, mesh.look.uv, atol=1e-2)
 
 
 def test_whole_numbers_may_be_written_with_a_point() -> None:
@@ -352,8 +352,8 @@ def test_what_names_an_image_that_was_not_sent_is_not_written_back() -> None:
     )
     root["meshes"][0]["primitives"][0]["material"] = 0  # type: ignore[index]
     mesh = read_mesh(io.BytesIO(gltf_bytes(root, binary)), file_type="glb", companions={"here.png": image_bytes()})
-    assert mesh.source_gltf is not None
-    written = json.loads(mesh.source_gltf.document)
+    assert mesh.gltf is not None
+    written = json.loads(mesh.gltf.document)
     assert [("uri" in image, "bufferView" in image) for image in written["images"]] == [(False, True)] * 2
     assert written["materials"] == [
         {"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 1}}, "extensions": {"KHR_materials_x": {}}}

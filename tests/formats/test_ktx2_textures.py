@@ -35,8 +35,8 @@ def test_a_texture_has_the_colours_and_the_cover_that_it_was_made_of(content: by
     model, binary = textured("bark.ktx2", **BASIS)
     mesh = read(model, {"scene.bin": binary, "bark.ktx2": content})
     assert mesh.warnings == ()
-    assert mesh.materials[0].texture_png is not None
-    pixels = np.asarray(Image.open(io.BytesIO(mesh.materials[0].texture_png))).astype(int)
+    assert mesh.look.materials[0].texture_png is not None
+    pixels = np.asarray(Image.open(io.BytesIO(mesh.look.materials[0].texture_png))).astype(int)
     assert pixels.shape == (8, 8, 4)
     assert np.abs(pixels[:, :4] - GREEN).max() <= 2
     assert np.abs(pixels[:, 4:] - BROWN).max() <= 2
@@ -47,7 +47,7 @@ def test_without_the_transcoder_a_texture_is_left_out_with_a_warning(monkeypatch
     model, binary = textured("bark.ktx2")
     mesh = read(model, {"scene.bin": binary, "bark.ktx2": ETC1S})
     assert [warning.code for warning in mesh.warnings] == ["texture-not-read"]
-    assert mesh.materials[0].texture_png is None
+    assert mesh.look.materials[0].texture_png is None
 
 
 @pytest.mark.parametrize("content", [KTX2_MAGIC, KTX2_MAGIC + bytes(100), ETC1S[:200], UASTC[:-40]])

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,21 +10,21 @@ from safetensors.numpy import load, save
 
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.tensors.mesh_bundle import VERSION, read_mesh_bundle, write_mesh_bundle
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
+from dynamictree.source import Source
 
-
-def leaf(**changes: object) -> TriangleMesh:
-    fields = {
-        "vertices": np.array([[0, 0, 0], [1, 0, 0], [0, 1, 2]], np.float32),
-        "faces": np.array([[0, 1, 2]], np.int32),
-        "uv": np.array([[0, 0], [1, 0], [0, 1]], np.float32),
-        "vertex_colors": np.array([[1, 2, 3, 4]] * 3, np.uint8),
-        "face_material": np.array([1], np.int32),
-        "materials": (Material(name="bark"), Material(name="leaf", texture_png=b"\x89PNG", alpha_cutoff=0.5)),
-        "source_up_axis": "+Y",
-        "source_scale": 0.01,
-    }
-    return TriangleMesh(**fields | changes)  # type: ignore[arg-type]
+LOOK = MeshLook(
+    uv=np.array([[0, 0], [1, 0], [0, 1]], np.float32),
+    vertex_colors=np.array([[1, 2, 3, 4]] * 3, np.uint8),
+    face_material=np.array([1], np.int32),
+    materials=(Material(name="bark"), Material(name="leaf", texture_png=b"\x89PNG", alpha_cutoff=0.5)),
+)
+LEAF = TriangleMesh(
+    vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 2]], np.float32),
+    faces=np.array([[0, 1, 2]], np.int32),
+    look=LOOK,
+    source=Source(up_axis="+Y", scale=0.01),
+)
 
 
 def written(mesh: TriangleMesh) -> bytes:
@@ -34,15 +35,17 @@ def written(mesh: TriangleMesh) -> bytes:
 
 @pytest.mark.parametrize("absent", [(), ("uv", "vertex_colors", "face_material")])
 def test_read_undoes_write(absent: tuple[str, ...]) -> None:
-    mesh = leaf(**dict.fromkeys(absent))
+    mesh = replace(LEAF, look=replace(LOOK, **dict.fromkeys(absent)))
     back = read_mesh_bundle(io.BytesIO(written(mesh)))
-    for name in ("vertices", "faces", "uv", "vertex_colors", "face_material"):
+    for name in ("vertices", "faces"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
-    assert (back.materials, back.source_up_axis, back.source_scale) == (mesh.materials, "+Y", 0.01)
+    for name in ("uv", "vertex_colors", "face_material"):
+        np.testing.assert_array_equal(getattr(back.look, name), getattr(mesh.look, name))
+    assert (back.look.materials, back.source) == (mesh.look.materials, mesh.source)
 
 
 def test_another_version_is_refused() -> None:
-    tensors = load(written(leaf()))
+    tensors = load(written(LEAF))
     rest = json.loads(tensors["rest"].tobytes()) | {"version": VERSION + 1}
     tensors["rest"] = np.frombuffer(json.dumps(rest).encode(), np.uint8)
     with pytest.raises(FormatError, match="version"):
@@ -57,7 +60,7 @@ def test_what_is_no_bundle_is_refused(content: bytes) -> None:
 
 def test_a_mesh_that_cannot_be_used_is_refused() -> None:
     with pytest.raises(MeshError):
-        read_mesh_bundle(io.BytesIO(written(leaf(vertices=np.full((3, 3), np.nan, np.float32)))))
+        read_mesh_bundle(io.BytesIO(written(replace(LEAF, vertices=np.full((3, 3), np.nan, np.float32)))))
 
 
 @pytest.mark.parametrize(
@@ -71,6 +74,6 @@ def test_a_mesh_that_cannot_be_used_is_refused() -> None:
     ],
 )
 def test_a_bundle_whose_fields_were_changed_is_refused(rest: bytes) -> None:
-    tensors = load(written(leaf())) | {"rest": np.frombuffer(rest, np.uint8)}
+    tensors = load(written(LEAF)) | {"rest": np.frombuffer(rest, np.uint8)}
     with pytest.raises(FormatError, match="mesh bundle"):
         read_mesh_bundle(io.BytesIO(save(tensors)))

@@ -28,8 +28,8 @@ def test_an_obj_whose_texture_was_not_sent_along_keeps_its_colour(rng: np.random
     stream = io.BytesIO()
     library = write_obj(trunk_and_crown(rng), stream, library="tree.mtl")["tree.mtl"]
     mesh = read(stream.getvalue(), "obj", companions={"tree.mtl": library})
-    assert mesh.materials[1].texture_png is None
-    assert mesh.materials[1].base_color == (0.1, 0.5, 0.1, 1.0)
+    assert mesh.look.materials[1].texture_png is None
+    assert mesh.look.materials[1].base_color == (0.1, 0.5, 0.1, 1.0)
 
 
 def test_a_texture_that_several_materials_miss_is_warned_of_once(rng: np.random.Generator) -> None:
@@ -59,10 +59,12 @@ f -4/-1 -2/-3 -1/-4
     np.testing.assert_array_equal(mesh.vertices[mesh.faces[2]], mesh.vertices[[0, 2, 3]])
     np.testing.assert_array_equal(mesh.faces[:2], [[0, 1, 2], [0, 2, 3]])
     assert mesh.num_vertices == 7  # three corners of the second face lie elsewhere on the texture
-    assert mesh.uv is not None
-    np.testing.assert_array_equal(mesh.uv[mesh.faces[2]], [[0, 0], [1, 1], [0, 1]])  # v downward
-    assert mesh.vertex_colors is not None
-    np.testing.assert_array_equal(mesh.vertex_colors[:4, :3], [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]])
+    assert mesh.look.uv is not None
+    np.testing.assert_array_equal(mesh.look.uv[mesh.faces[2]], [[0, 0], [1, 1], [0, 1]])  # v downward
+    assert mesh.look.vertex_colors is not None
+    np.testing.assert_array_equal(
+        mesh.look.vertex_colors[:4, :3], [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]]
+    )
 
 
 def test_stl_binary_and_ascii_share_their_equal_corners() -> None:
@@ -104,8 +106,8 @@ def test_ply_of_every_encoding(form: str, mixed: bool) -> None:
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
     expected = [[0, 1, 2], [0, 1, 2], [0, 2, 3]] if mixed else [[0, 1, 2], [0, 2, 3]]
     np.testing.assert_array_equal(mesh.faces, expected)
-    assert mesh.vertex_colors is not None
-    np.testing.assert_array_equal(mesh.vertex_colors[0], [1, 2, 3, 255])
+    assert mesh.look.vertex_colors is not None
+    np.testing.assert_array_equal(mesh.look.vertex_colors[0], [1, 2, 3, 255])
 
 
 @pytest.mark.parametrize(("start", "end"), [(b"ply", b" \r\n "), (b"\xef\xbb\xbfply", b"\n"), (b"ply", b"\t\n")])
@@ -125,7 +127,7 @@ def test_vertices_of_a_ply_that_were_given_no_colour_are_not_black(trunk: str, c
     places = ("0 0 0", "1 0 0", "0 0 5", "0 0 5", "1 0 5", "0 0 9")
     rows = [f"{place} {trunk if row < 3 else '0 0 0 0'}" for row, place in enumerate(places)]
     lines = [*header, "property list uchar int vertex_indices", "end_header", *rows, "3 0 1 2", "3 3 4 5", ""]
-    result = read("\n".join(lines).encode(), "ply").vertex_colors
+    result = read("\n".join(lines).encode(), "ply").look.vertex_colors
     assert (None if result is None else result[[0, 3]].tolist()) == colors
 
 
@@ -134,7 +136,7 @@ def test_ply_takes_the_texture_that_its_comment_names(rng: np.random.Generator) 
     write_ply(trunk_and_crown(rng), stream)
     content = stream.getvalue().replace(b"1.0\n", b"1.0\ncomment TextureFile bark.png\n", 1)
     mesh = read(content, "ply", companions={"bark.png": image_bytes()})
-    assert mesh.materials[0].texture_png == image_bytes()
+    assert mesh.look.materials[0].texture_png == image_bytes()
 
 
 @pytest.mark.parametrize("axis", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
@@ -157,7 +159,7 @@ def test_the_axis_that_the_tree_stands_on_is_found(rng: np.random.Generator, axi
     else:  # our own PLY names its axis
         stream.write(trimesh.Trimesh(laid.vertices, laid.faces, process=False).export(file_type=file_type))
     result = read(stream.getvalue(), file_type)
-    assert result.source_up_axis == axis
+    assert result.source.up_axis == axis
     assert result.height_m == pytest.approx(mesh.height_m, rel=1e-5)
 
 
@@ -199,7 +201,7 @@ def test_textures_of_many_bits_and_of_engines_keep_their_brightness(
     library = b"newmtl leaf\nKd 1 1 1\nmap_Kd leaf.png\n"
     content = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 2 0\nvt 0 0\nusemtl leaf\nf 1/1 2/1 3/1\n"
     mesh = read(content, "obj", companions={"a.mtl": library, "leaf.png": stream.getvalue()})
-    texture = mesh.materials[0].texture_png
+    texture = mesh.look.materials[0].texture_png
     assert texture is not None
     decoded = np.asarray(Image.open(io.BytesIO(texture)).convert("RGB"))
     np.testing.assert_allclose(decoded, seen, atol=1)
@@ -211,7 +213,7 @@ def test_a_unit_that_was_guessed_is_said(rng: np.random.Generator) -> None:
         vertices = mesh.vertices * np.float32(units)
         content = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=kind)
         result = read(content.encode() if isinstance(content, str) else content, kind)
-        assert result.source_scale == unit
+        assert result.source.scale == unit
         doubts = [warning.message for warning in result.warnings if warning.code == "size-doubtful"]
         assert len(doubts) == (unit != 1)
         assert all(f"{1000 * result.height_m / (1000 * unit):.4g} units" in doubt for doubt in doubts)
@@ -221,8 +223,8 @@ def test_names_with_umlauts_of_windows_programs_find_their_files() -> None:
     content = "mtllib Größe.mtl\nv 0 0 0\nv 1 0 0\nv 0 2 0\nusemtl Blätter\nf 1 2 3\n".encode("latin-1")
     library = "newmtl Blätter\nKd 0.1 0.6 0.1\n".encode("latin-1")
     mesh = read_mesh(io.BytesIO(content), file_type="obj", companions={"Größe.mtl": library})
-    assert [material.name for material in mesh.materials] == ["Blätter"]
-    assert mesh.materials[0].base_color[1] > mesh.materials[0].base_color[0]
+    assert [material.name for material in mesh.look.materials] == ["Blätter"]
+    assert mesh.look.materials[0].base_color[1] > mesh.look.materials[0].base_color[0]
 
 
 def test_centimetres_are_found_and_recorded(rng: np.random.Generator) -> None:
@@ -230,7 +232,7 @@ def test_centimetres_are_found_and_recorded(rng: np.random.Generator) -> None:
     stream = io.BytesIO()
     write_obj(mesh.with_vertices(mesh.vertices * np.float32(100)), stream)
     result = read(stream.getvalue(), "obj")
-    assert result.source_scale == 0.01
+    assert result.source.scale == 0.01
     np.testing.assert_allclose(result.vertices, mesh.vertices, rtol=1e-5, atol=1e-5)
 
 
@@ -244,5 +246,5 @@ def test_every_sample_mesh_is_read(samples: Path) -> None:
         expected = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type=kind, process=False)
         assert mesh.num_faces == sum(len(part.faces) for part in expected.geometry.values())
         assert 2.5 < mesh.height_m < 5.5, path.name
-        assert mesh.source_up_axis == "+Y", path.name
-        assert len(mesh.materials) >= 1
+        assert mesh.source.up_axis == "+Y", path.name
+        assert len(mesh.look.materials) >= 1

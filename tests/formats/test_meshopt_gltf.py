@@ -73,8 +73,8 @@ def test_a_compressed_file_is_read_as_the_mesh_that_it_holds(files: Files, tree:
     mesh = read_mesh(io.BytesIO(files["meshopt"][0]), file_type="glb")
     np.testing.assert_array_equal(np.sort(mesh.faces, axis=1), np.sort(tree[0].faces, axis=1))
     np.testing.assert_allclose(mesh.vertices, tree[0].vertices, atol=1e-4)
-    assert mesh.source_gltf is not None
-    assert b"meshopt" not in mesh.source_gltf.document
+    assert mesh.gltf is not None
+    assert b"meshopt" not in mesh.gltf.document
 
 
 def test_large_and_small_motions_keep_their_share(tree: Tree, tmp_path: Path) -> None:

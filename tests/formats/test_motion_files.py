@@ -139,9 +139,9 @@ def test_an_animated_glb_keeps_the_look_and_is_read_by_others(rng: np.random.Gen
     result = read_mesh(io.BytesIO(content), file_type="glb")
     np.testing.assert_array_equal(result.vertices, mesh.vertices)
     np.testing.assert_array_equal(result.faces, mesh.faces)
-    np.testing.assert_array_equal(result.uv, mesh.uv)
-    np.testing.assert_array_equal(result.vertex_colors, mesh.vertex_colors)
-    assert result.materials == mesh.materials
+    np.testing.assert_array_equal(result.look.uv, mesh.look.uv)
+    np.testing.assert_array_equal(result.look.vertex_colors, mesh.look.vertex_colors)
+    assert result.look.materials == mesh.look.materials
     scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
     assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
 
@@ -160,7 +160,7 @@ def test_every_frame_of_the_zip_is_the_mesh_at_that_frame(rng: np.random.Generat
         result = read_mesh(io.BytesIO(archive.read(name)), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0))
         np.testing.assert_allclose(result.vertices, mesh.vertices + displacement, atol=1e-5)
         np.testing.assert_array_equal(result.faces, mesh.faces)
-        np.testing.assert_array_equal(result.vertex_colors, mesh.vertex_colors)
+        np.testing.assert_array_equal(result.look.vertex_colors, mesh.look.vertex_colors)
 
 
 def test_frames_of_the_zip_are_read_by_trimesh(rng: np.random.Generator) -> None:

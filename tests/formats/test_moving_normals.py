@@ -78,7 +78,7 @@ def test_a_turned_and_stretched_node_shades_as_the_mesh_does() -> None:
     for key in (3, 11):
         played = played_normals(document, 2, matrix, key)
         assert angles_rad(played, truth[key][48:]).max() < 0.02
-        assert angles_rad(played, mesh.normals[48:]).max() > 0.05  # type: ignore[index]
+        assert angles_rad(played, mesh.look.normals[48:]).max() > 0.05  # type: ignore[index]
 
 
 def test_the_normal_texture_has_the_normals_of_every_frame(rng: np.random.Generator, tmp_path: Path) -> None:

@@ -56,14 +56,14 @@ def test_a_square_is_read_however_it_is_written(text: str) -> None:
 )
 def test_colours_behind_the_position(behind: str, color: list[int]) -> None:
     mesh = read(SQUARE.replace("\n", behind + "\n") + "f 1 2 3\n")
-    assert mesh.vertex_colors is not None
-    assert mesh.vertex_colors[0].tolist() == [*color, 255]
+    assert mesh.look.vertex_colors is not None
+    assert mesh.look.vertex_colors[0].tolist() == [*color, 255]
 
 
 def test_vertices_without_a_colour_are_white_beside_others() -> None:
     mesh = read(SQUARE.replace("v 1 0 0", "v 1 0 0 255 0 0") + "f 1 2 3 4\n")
-    assert mesh.vertex_colors is not None
-    assert mesh.vertex_colors[:2].tolist() == [[255, 255, 255, 255], [255, 0, 0, 255]]
+    assert mesh.look.vertex_colors is not None
+    assert mesh.look.vertex_colors[:2].tolist() == [[255, 255, 255, 255], [255, 0, 0, 255]]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_texture_that_was_sent_is_used(library: str, mtl: str) -> None:
     text = f"mtllib {library}\n{SQUARE}vt 0 0\nusemtl bark\nf 1/1 2/1 3/1\n"
     picture = image_bytes()
     mesh = read_obj(text.encode(), companions={"tree.mtl": mtl.encode(), "my textures/bark oak.png": picture})
-    assert (mesh.materials[0].texture_png, mesh.warnings) == (picture, ())
+    assert (mesh.look.materials[0].texture_png, mesh.warnings) == (picture, ())
 
 
 def test_a_library_of_another_model_is_not_taken() -> None:
@@ -93,7 +93,7 @@ def test_a_library_of_another_model_is_not_taken() -> None:
 def test_colours_of_materials_may_be_short_or_spectral() -> None:
     text = f"mtllib a.mtl\n{SQUARE}usemtl grey\nf 1 2 3\nusemtl curve\nf 1 3 4\n"
     mesh = read(text, a__mtl=b"newmtl grey\nKd 0.25\nd -halo 0.5\nnewmtl curve\nKd spectral a.rfl\nTr 0.25\n")
-    assert [material.base_color for material in mesh.materials] == [(0.25, 0.25, 0.25, 0.5), (0.8, 0.8, 0.8, 0.75)]
+    assert [material.base_color for material in mesh.look.materials] == [(0.25, 0.25, 0.25, 0.5), (0.8, 0.8, 0.8, 0.75)]
 
 
 def test_more_materials_than_a_tree_can_have_are_refused() -> None:
@@ -117,7 +117,7 @@ def test_map_coordinates_are_shifted_before_they_are_rounded(file_type: str) -> 
         "off": "OFF\n3 1 0\n" + "\n".join(rows) + "\n3 0 1 2\n",
     }[file_type]
     mesh = read_mesh(io.BytesIO(content.encode()), file_type=file_type, reading=Reading(up_axis="+Z", unit_m=1))
-    assert mesh.source_offset == (665_187, 5_648_349, 253)
-    moved = np.sort(mesh.vertices.astype(np.float64) + mesh.source_offset, axis=0)
+    assert mesh.source.offset == (665_187, 5_648_349, 253)
+    moved = np.sort(mesh.vertices.astype(np.float64) + mesh.source.offset, axis=0)
     np.testing.assert_allclose(moved, np.sort(places, axis=0), atol=1e-6)
     assert [warning.code for warning in mesh.warnings if "665187, 5648349" in warning.message] == ["moved-to-origin"]

@@ -28,7 +28,7 @@ def test_our_own_mesh_is_read_back_as_it_stood():
     write_ply(mesh, stream)
     read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply")
     assert np.array_equal(read.vertices, mesh.vertices)
-    assert (read.source_up_axis, read.source_scale) == ("+Z", 1.0)
+    assert (read.source.up_axis, read.source.scale) == ("+Z", 1.0)
     plain = b"".join(line for line in stream.getvalue().splitlines(keepends=True) if not line.startswith(b"comment"))
     assert not np.allclose(read_mesh(io.BytesIO(plain), file_type="ply").vertices, mesh.vertices)
 
@@ -37,7 +37,7 @@ def test_what_the_caller_says_counts_more_than_the_comment():
     mesh, stream = lying_mesh(), io.BytesIO()
     write_ply(mesh, stream)
     read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", reading=Reading(up_axis="+Y", unit_m=0.5))
-    assert (read.source_up_axis, read.source_scale) == ("+Y", 0.5)
+    assert (read.source.up_axis, read.source.scale) == ("+Y", 0.5)
 
 
 @pytest.mark.parametrize(("up_axis", "scale"), [("-Y", 1.0), ("+Z", 0.01), ("+Y", 2.5)])
@@ -51,10 +51,10 @@ def test_our_own_splat_is_read_back_as_it_stood(up_axis, scale):
         sh=np.zeros((9, 1, 3), np.float32),
     )
     stream = io.BytesIO()
-    write_gaussian_ply(replace(cloud, source_up_axis=up_axis, source_scale=scale), stream)
+    write_gaussian_ply(replace(cloud, source=replace(cloud.source, up_axis=up_axis, scale=scale)), stream)
     read = read_cloud(io.BytesIO(stream.getvalue()), file_type="ply")
     assert np.allclose(read.means, cloud.means, atol=1e-5)
-    assert (read.source_up_axis, read.source_scale) == (up_axis, scale)
+    assert (read.source.up_axis, read.source.scale) == (up_axis, scale)
 
 
 @pytest.mark.parametrize("comment", ["up_axis up", "unit_m -1", "unit_m nan", "unit_m one", "up_axis +Z +Y"])
@@ -91,4 +91,4 @@ def test_a_splat_of_nerfstudio_says_its_axis_and_one_of_brush_does_not(comment, 
     header = f"ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex 9\n{properties}end_header\n"
     rows = np.random.default_rng(0).normal(size=(9, len(names))).astype("<f4")
     read = read_cloud(io.BytesIO(header.encode() + rows.tobytes()), file_type="ply")
-    assert read.source_up_axis == up_axis
+    assert read.source.up_axis == up_axis

@@ -59,7 +59,7 @@ def test_las_and_laz_keep_positions_and_colours(rng: np.random.Generator, packed
     stream = _las(points, colors, packed=packed)
     assert cloud_kind(stream, file_type="laz") == "points"
     cloud = read_cloud(stream, file_type="laz" if packed else "las")
-    np.testing.assert_allclose(cloud.means, points - cloud.source_offset, atol=1e-3)
+    np.testing.assert_allclose(cloud.means, points - cloud.source.offset, atol=1e-3)
     np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, colors / 255, atol=1e-6)
 
 
@@ -90,7 +90,7 @@ def test_the_coordinate_system_says_the_unit(
     capture = read_capture(stream, file_type="las")
     assert ("unit-of-the-file" in [warning.code for warning in capture.warnings]) == (metres[0] != 1)
     stream.seek(0)
-    assert read_cloud(stream, file_type="las", unit_m=2.0).source_scale == 2
+    assert read_cloud(stream, file_type="las", unit_m=2.0).source.scale == 2
 
 
 @pytest.mark.parametrize("system", [('GEOGCS["WGS 84",UNIT["degree",0.0174]]', ()), ("", ((1024, 2),))])

@@ -95,7 +95,7 @@ def test_map_coordinates_with_commas_keep_their_millimetres() -> None:
     text = "\n".join(f"{x + 694386:.3f},{y + 5155487:.3f},{z + 381:.3f}" for x, y, z in PLACES.tolist())
     cloud = cloud_of(text, "txt")  # Open3D 1379
     np.testing.assert_allclose(
-        cloud.means + np.subtract(cloud.source_offset, (694386, 5155487, 381)), PLACES, atol=1e-3
+        cloud.means + np.subtract(cloud.source.offset, (694386, 5155487, 381)), PLACES, atol=1e-3
     )
 
 

@@ -12,7 +12,7 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.mesh import TriangleMesh, unit_vectors
+from dynamictree.mesh import MeshLook, TriangleMesh, unit_vectors
 from dynamictree.requests import Reading
 from tests.formats.meshes import trunk_and_crown
 
@@ -31,8 +31,10 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
     return TriangleMesh(
         vertices=(rng.normal(size=(num_vertices, 3)) * 10.0 ** rng.integers(-2, 2)).astype(np.float32),
         faces=rng.integers(0, num_vertices, (num_faces, 3)).astype(np.int32),
-        uv=rng.uniform(0, 1, (num_vertices, 2)).astype(np.float32) if has[0] else None,
-        vertex_colors=rng.integers(0, 256, (num_vertices, 4)).astype(np.uint8) if has[1] else None,
+        look=MeshLook(
+            uv=rng.uniform(0, 1, (num_vertices, 2)).astype(np.float32) if has[0] else None,
+            vertex_colors=rng.integers(0, 256, (num_vertices, 4)).astype(np.uint8) if has[1] else None,
+        ),
     )
 
 
@@ -47,8 +49,8 @@ def test_corners_coordinates_and_colours(
     reading = None if kind == "glb" else Reading(up_axis="+Z", unit_m=1.0)
     result = read_mesh(io.BytesIO(stream.getvalue()), file_type=kind, reading=reading)
     assert_geometry(result, mesh)
-    assert_optional(result.uv, mesh.uv, atol=uv_error)
-    assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
+    assert_optional(result.look.uv, mesh.look.uv, atol=uv_error)
+    assert_optional(result.look.vertex_colors, mesh.look.vertex_colors, atol=0)
 
 
 @settings(max_examples=10)
@@ -58,10 +60,10 @@ def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     write_obj(mesh, stream)
     result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert_geometry(result, mesh)
-    if mesh.uv is not None:
-        assert result.uv is not None
+    if mesh.look.uv is not None:
+        assert result.look.uv is not None
         used = np.unique(mesh.faces)
-        np.testing.assert_allclose(result.uv[used], mesh.uv[used], atol=1e-6)
+        np.testing.assert_allclose(result.look.uv[used], mesh.look.uv[used], atol=1e-6)
 
 
 def test_obj_keeps_groups_normals_and_colours(rng: np.random.Generator) -> None:
@@ -70,17 +72,21 @@ def test_obj_keeps_groups_normals_and_colours(rng: np.random.Generator) -> None:
     colors = rng.integers(0, 256, (mesh.num_vertices, 4)).astype(np.uint8) | np.uint8([0, 0, 0, 255])
     part = rng.integers(0, 2, mesh.num_faces).astype(np.int32)
     names = ("Oak/Lower half", "Crown")
-    mesh = replace(mesh, normals=normals, vertex_colors=colors, part_names=names, face_part=part)
+    mesh = replace(
+        mesh,
+        look=replace(mesh.look, normals=normals, vertex_colors=colors),
+        parts=replace(mesh.parts, names=names, of_face=part),
+    )
     stream = io.BytesIO()
     write_obj(mesh, stream)
     result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert_geometry(result, mesh)
-    assert result.face_part is not None
-    assert [result.part_names[one] for one in result.face_part] == [names[one] for one in part]
+    assert result.parts.of_face is not None
+    assert [result.parts.names[one] for one in result.parts.of_face] == [names[one] for one in part]
     used = np.unique(mesh.faces)
-    assert result.normals is not None
-    np.testing.assert_allclose(result.normals[used], normals[used], atol=1e-6)
-    assert_optional(result.vertex_colors, colors, atol=0)
+    assert result.look.normals is not None
+    np.testing.assert_allclose(result.look.normals[used], normals[used], atol=1e-6)
+    assert_optional(result.look.vertex_colors, colors, atol=0)
 
 
 def assert_geometry(result: TriangleMesh, expected: TriangleMesh) -> None:
@@ -100,8 +106,8 @@ def test_glb_keeps_materials_and_textures(rng: np.random.Generator) -> None:
     mesh, stream = trunk_and_crown(rng), io.BytesIO()
     write_glb(mesh, stream)
     result = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
-    assert result.materials == mesh.materials
-    assert_optional(result.face_material, mesh.face_material, atol=0)
+    assert result.look.materials == mesh.look.materials
+    assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
     assert_geometry(result, mesh)
 
 
@@ -111,15 +117,15 @@ def test_obj_keeps_materials_and_textures(rng: np.random.Generator) -> None:
     result = read_mesh(
         io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z"), companions=companions
     )
-    assert result.materials == mesh.materials
-    assert_optional(result.face_material, mesh.face_material, atol=0)
+    assert result.look.materials == mesh.look.materials
+    assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
 
 
 def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.random.Generator) -> None:
     stream = io.BytesIO()
     write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
     result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z"))
-    assert [material.name for material in result.materials] == ["bark", "leaf"]
+    assert [material.name for material in result.look.materials] == ["bark", "leaf"]
 
 
 @pytest.mark.parametrize("kind", WRITERS)

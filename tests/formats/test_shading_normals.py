@@ -38,17 +38,17 @@ def test_normals_of_gltf_stay_across_their_faces_wherever_a_node_puts_them(place
     artist.add("nodes", {"mesh": 0, **place})
     artist.scene(0)
     mesh = read_mesh(io.BytesIO(artist.glb()), file_type="glb")
-    assert mesh.normals is not None
+    assert mesh.look.normals is not None
     faces = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces).astype(np.float32)
-    assert angles_rad(mesh.normals, faces).max() < 1e-5
+    assert angles_rad(mesh.look.normals, faces).max() < 1e-5
 
 
 def test_normals_of_obj_are_turned_upright_with_it() -> None:
     faces = "f 1//1 2//1 3//1 4//1\nf 4//2 3//2 5//2 6//2\n"
     mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Y", unit_m=1.0))
-    assert mesh.normals is not None
+    assert mesh.look.normals is not None
     half = np.sqrt(0.5)
-    of_corners = mesh.normals[mesh.faces]
+    of_corners = mesh.look.normals[mesh.faces]
     np.testing.assert_allclose(of_corners[:2], np.full((2, 3, 3), [0, -half, -half]), atol=1e-6)  # (0, -1, 1) of +Y up
     np.testing.assert_allclose(of_corners[2:], np.full((2, 3, 3), [0, -half, half]), atol=1e-6)
     assert mesh.num_vertices == 8  # the ridge has both

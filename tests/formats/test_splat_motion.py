@@ -20,6 +20,7 @@ from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.mesh import TriangleMesh
+from dynamictree.source import Source
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +40,7 @@ def splat() -> AnimatedSplat:
         scales=np.exp(rng.normal(size=(count, 3)) - 4).astype(np.float32),
         opacity=rng.uniform(0.1, 0.9, count).astype(np.float32),
         sh=rng.normal(size=(count, 16, 3)).astype(np.float32),
-        source_up_axis="-Y",
-        source_scale=0.01,
+        source=Source(up_axis="-Y", scale=0.01),
     )
     coefficients = (rng.normal(size=(2, 400, 3, 3)) * 0.02).astype(np.float32)
     smooth = np.sin(vertices[:, :1, None] * 2) * (coefficients[0, :1] + 1j * coefficients[1, :1])
@@ -95,7 +95,7 @@ def test_the_compact_file_plays_the_same_motion(splat: AnimatedSplat) -> None:
     again = read_animated_splat(stream)
     assert (again.num_frames, again.fps) == (splat.num_frames, splat.fps)
     assert len(again.binding.vertices) < len(splat.binding.vertices)
-    assert again.binding.cloud.source_up_axis == "-Y"
+    assert again.binding.cloud.source.up_axis == "-Y"
     for phase in (0.0, 0.31, 0.77):
         ours = Deformer(splat.binding).pose(splat.displacement(phase))
         theirs = Deformer(again.binding).pose(again.displacement(phase))

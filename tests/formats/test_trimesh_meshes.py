@@ -9,7 +9,7 @@ import pytest
 
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.requests import Reading
 from tests.formats.meshes import image_bytes, trunk_and_crown, zipped
 
@@ -41,7 +41,7 @@ def test_the_file_s_vertices_come_in_its_order(rng: np.random.Generator, kind: s
 def test_a_3mf_is_in_its_own_unit_and_stands_on_z(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     result = read(exported(mesh, "3mf"), "3mf")
-    assert (result.source_up_axis, result.source_scale) == ("+Z", 0.001)
+    assert (result.source.up_axis, result.source.scale) == ("+Z", 0.001)
     assert result.height_m == pytest.approx(mesh.height_m / 1000, rel=1e-4)
 
 
@@ -50,7 +50,7 @@ def test_a_collada_file_s_axis_and_unit_are_its_own(rng: np.random.Generator) ->
     declared = b'<asset><unit name="inch" meter="0.0254"/><up_axis>Z_UP</up_axis>'
     start, end = content.index(b"<asset"), content.index(b"</asset>")
     result = read(content[:start] + declared + content[end:], "dae")
-    assert (result.source_up_axis, result.source_scale) == ("+Z", 0.0254)
+    assert (result.source.up_axis, result.source.scale) == ("+Z", 0.0254)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -97,18 +97,16 @@ def test_a_mesh_comes_back_from_trimesh_with_its_texture(rng: np.random.Generato
     textured = TriangleMesh(
         vertices=mesh.vertices,
         faces=mesh.faces,
-        uv=mesh.uv,
-        face_material=np.zeros(mesh.num_faces, np.int32),
-        materials=(leaf,),
+        look=MeshLook(uv=mesh.look.uv, face_material=np.zeros(mesh.num_faces, np.int32), materials=(leaf,)),
     )
     result = TriangleMesh.from_trimesh(textured.to_trimesh())
     np.testing.assert_array_equal(result.vertices, mesh.vertices)
     np.testing.assert_array_equal(result.faces, mesh.faces)
-    assert result.uv is not None
-    np.testing.assert_allclose(result.uv, mesh.uv, atol=1e-6)
-    assert result.materials[0].texture_png is not None
-    assert (result.materials[0].name, result.materials[0].alpha_cutoff) == ("leaf", 0.5)
-    np.testing.assert_allclose(result.materials[0].base_color, leaf.base_color, atol=1 / 255)
+    assert result.look.uv is not None
+    np.testing.assert_allclose(result.look.uv, mesh.look.uv, atol=1e-6)
+    assert result.look.materials[0].texture_png is not None
+    assert (result.look.materials[0].name, result.look.materials[0].alpha_cutoff) == ("leaf", 0.5)
+    np.testing.assert_allclose(result.look.materials[0].base_color, leaf.base_color, atol=1 / 255)
 
 
 def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) -> None:
@@ -123,8 +121,8 @@ def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) ->
     np.testing.assert_array_equal(result.vertices[: mesh.num_vertices], mesh.vertices)
     np.testing.assert_allclose(result.vertices[mesh.num_vertices :], mesh.vertices * [-1, 1, 1] + [10, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(result.faces[mesh.num_faces :], mesh.faces[:, ::-1] + mesh.num_vertices)
-    assert result.vertex_colors is not None
-    np.testing.assert_array_equal(result.vertex_colors[: mesh.num_vertices], mesh.vertex_colors)
+    assert result.look.vertex_colors is not None
+    np.testing.assert_array_equal(result.look.vertex_colors[: mesh.num_vertices], mesh.look.vertex_colors)
 
 
 def test_a_scene_of_points_is_no_mesh() -> None:
@@ -158,5 +156,5 @@ def test_names_of_collada_nodes_and_materials_are_those_of_parts() -> None:
         "</visual_scene></library_visual_scenes><scene><instance_visual_scene url='#s'/></scene></COLLADA>"
     )
     mesh = read_mesh(io.BytesIO(content.encode()), file_type="dae")
-    names = [mesh.part_names[part] for part in mesh.face_part]  # type: ignore[union-attr]
+    names = [mesh.parts.names[part] for part in mesh.parts.of_face]  # type: ignore[union-attr]
     assert names == ["Trunk", "Trunk", "Pots/FlowerPot/Cylinder", "Pots/Saucer/Cylinder"]

@@ -116,7 +116,7 @@ def test_all_but_the_textures_stays(tmp_path: Path) -> None:
         np.testing.assert_array_equal(packed.accessor(number), plain.accessor(number))
     content = written(tree_of(PICTURES), tmp_path, glb_textures="webp")["glb"]
     again = read_mesh(io.BytesIO(content), file_type="glb", reading=Reading(up_axis="+Y"))
-    assert again.materials[0].texture_png is not None
+    assert again.look.materials[0].texture_png is not None
     assert [warning.code for warning in again.warnings] == ["animations-ignored"]
 
 

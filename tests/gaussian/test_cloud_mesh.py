@@ -16,7 +16,7 @@ from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import PER_FACE, face_shapes, splats_of_mesh
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import quaternion_matrices
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 
 
 def sphere_cloud(rng: np.random.Generator, *, opacity: float = 0.9) -> GaussianCloud:
@@ -40,12 +40,16 @@ def plane(side: int = 6) -> TriangleMesh:
     i = np.arange(side * side, dtype=np.int32).reshape(side, side)
     lower = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
     upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
-    return TriangleMesh(vertices=vertices, faces=np.concatenate([lower, upper]), uv=vertices[:, :2].copy())
+    return TriangleMesh(
+        vertices=vertices, faces=np.concatenate([lower, upper]), look=MeshLook(uv=vertices[:, :2].copy())
+    )
 
 
 def textured(material: Material) -> TriangleMesh:
     mesh = plane()
-    return replace(mesh, face_material=np.zeros(mesh.num_faces, np.int32), materials=(material,))
+    return replace(
+        mesh, look=replace(mesh.look, face_material=np.zeros(mesh.num_faces, np.int32), materials=(material,))
+    )
 
 
 def png(pixels: np.ndarray) -> bytes:
@@ -62,7 +66,7 @@ def test_the_surface_lies_around_the_gaussians(rng: np.random.Generator) -> None
     radii = np.linalg.norm(mesh.vertices - [3, 0, 0], axis=1)
     assert 0.95 < radii.min() < radii.max() < 1.15  # no second surface inside
     assert 0.9 < shape.volume / (4 / 3 * np.pi) < 1.4  # solid, though the capture is hollow, and faces look outward
-    np.testing.assert_array_equal(mesh.vertex_colors, np.tile([204, 204, 204, 255], (mesh.num_vertices, 1)))
+    np.testing.assert_array_equal(mesh.look.vertex_colors, np.tile([204, 204, 204, 255], (mesh.num_vertices, 1)))
     assert bind(cloud, mesh).moving.all()
 
 
@@ -155,7 +159,10 @@ def test_colours_come_from_the_texture(rng: np.random.Generator) -> None:
 
 def test_colours_come_from_the_vertices(rng: np.random.Generator) -> None:
     mesh = plane()
-    mesh = replace(mesh, vertex_colors=np.tile(np.array([30, 200, 90, 255], np.uint8), (mesh.num_vertices, 1)))
+    mesh = replace(
+        mesh,
+        look=replace(mesh.look, vertex_colors=np.tile(np.array([30, 200, 90, 255], np.uint8), (mesh.num_vertices, 1))),
+    )
     cloud = splats_of_mesh(mesh, at_least=0, rng=rng).cloud
     np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, np.tile(np.array([30, 200, 90]) / 255, (250, 1)), atol=0.01)
 

@@ -18,6 +18,7 @@ from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import moving_part
+from dynamictree.source import Source
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 
@@ -164,7 +165,7 @@ def lawn(radius: float) -> trimesh.Trimesh:
 def splat_bytes(*clouds: GaussianCloud) -> bytes:
     """A PLY that names neither axis nor unit, in the axes of a camera that looked level."""
     stream = io.BytesIO()
-    write_gaussian_ply(replace(joined(clouds), source_up_axis="-Y"), stream)
+    write_gaussian_ply(replace(joined(clouds), source=Source(up_axis="-Y")), stream)
     head, body = stream.getvalue().split(b"end_header\n", 1)
     lines = [line for line in head.split(b"\n") if not line.startswith(b"comment")]
     return b"\n".join(lines) + b"end_header\n" + body

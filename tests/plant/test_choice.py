@@ -43,14 +43,14 @@ def still_names(mesh: TriangleMesh, **options: object) -> set[str]:
     """Which nodes stand still."""
     chosen = with_choice(mesh, CloudParams.model_validate(options))
     still = np.zeros(mesh.num_faces, np.bool_) if chosen.still_faces is None else chosen.still_faces
-    assert mesh.face_part is not None
-    return {mesh.part_names[part].rpartition("/")[2] for part in np.unique(mesh.face_part[still])}
+    assert mesh.parts.of_face is not None
+    return {mesh.parts.names[part].rpartition("/")[2] for part in np.unique(mesh.parts.of_face[still])}
 
 
 def test_nodes_are_named_with_those_above_them_and_give_reasons() -> None:
     mesh = read()
-    assert {"Lamp/Cylinder.001", "FlowerPot"} <= {name.removeprefix("world/") for name in mesh.part_names}
-    assert [(part.name.removeprefix("world/"), part.why) for part in mesh.still_parts] == [("FlowerPot", "its name")]
+    assert {"Lamp/Cylinder.001", "FlowerPot"} <= {name.removeprefix("world/") for name in mesh.parts.names}
+    assert [(part.name.removeprefix("world/"), part.why) for part in mesh.parts.still] == [("FlowerPot", "its name")]
 
 
 @pytest.mark.parametrize(
@@ -84,8 +84,8 @@ def test_groups_of_an_obj_have_names() -> None:
     square = "v 0 0 {0}\nv 1 0 {0}\nv 1 1 {0}\nv 0 1 {0}\n"
     text = square.format(0) + "f 1 2 3 4\no Bush\n" + square.format(1) + "f 5 6 7 8\ng Basket\nf 5 7 8\n"
     mesh = read_mesh(BytesIO(text.encode()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
-    assert mesh.face_part is not None
-    assert [mesh.part_names[part] for part in mesh.face_part] == ["", "", "Bush", "Bush", "Basket"]
+    assert mesh.parts.of_face is not None
+    assert [mesh.parts.names[part] for part in mesh.parts.of_face] == ["", "", "Bush", "Bush", "Basket"]
     chosen = with_choice(mesh, CloudParams(still=("basket",), moving=("Bush",)))
     assert chosen.still_faces is not None
     assert chosen.still_faces[-1]

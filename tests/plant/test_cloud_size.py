@@ -29,14 +29,14 @@ def test_a_stated_height_or_unit_is_taken() -> None:
     tall = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y", height_m=12.0))
     assert (cloud_height(tall.cloud), tall.warnings) == (pytest.approx(12.0, rel=1e-4), ())
     metres = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y", unit_m=1.0))
-    assert (metres.cloud.source_scale, metres.warnings) == (1.0, ())
+    assert (metres.cloud.source.scale, metres.warnings) == (1.0, ())
     np.testing.assert_allclose(
-        tall.cloud.scales / metres.cloud.scales, tall.cloud.source_scale / metres.cloud.source_scale, rtol=1e-5
+        tall.cloud.scales / metres.cloud.scales, tall.cloud.source.scale / metres.cloud.source.scale, rtol=1e-5
     )
 
 
 def test_a_scan_keeps_its_metres() -> None:
     lines = b"".join(b"%f 0 %f\n" % (0.01 * i, 0.01 * i) for i in range(600))
     result = read_capture(io.BytesIO(lines), file_type="txt")
-    assert result.cloud.source_scale == 1.0
+    assert result.cloud.source.scale == 1.0
     assert result.warnings == ()

@@ -17,6 +17,7 @@ from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.plant.level import up_of_standing
 from dynamictree.plant.sample import surface_points
 from dynamictree.requests import Reading
+from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -42,14 +43,17 @@ def read(cloud: GaussianCloud, tilt_deg: tuple[float, float], reading: Reading |
     """As a file with -Y up that names no axis, after a tilt."""
     turn = Rotation.from_euler("xy", tilt_deg, degrees=True).as_matrix()
     stream = io.BytesIO()
-    write_splat(replace(transformed(cloud, turn, 1.0), source_up_axis="-Y"), stream)
+    write_splat(
+        replace(transformed(cloud, turn, 1.0), source=Source(up_axis="-Y")),
+        stream,
+    )
     return read_capture(io.BytesIO(stream.getvalue()), file_type="splat", reading=reading)
 
 
 def tilt_left_deg(capture: Capture, tilt_deg: tuple[float, float]) -> float:
     """Between +Z as read and what was up before the tilt."""
     turn = Rotation.from_euler("xy", tilt_deg, degrees=True).as_matrix()
-    up = up_rotation(capture.cloud.source_up_axis) @ up_rotation("-Y").T @ turn @ [0, 0, 1]
+    up = up_rotation(capture.cloud.source.up_axis) @ up_rotation("-Y").T @ turn @ [0, 0, 1]
     return float(np.degrees(np.arccos(np.clip(up[2], -1, 1))))
 
 
@@ -103,7 +107,7 @@ def test_a_pot_that_stands_on_nothing_is_upright(tilt_deg: tuple[float, float], 
 def test_who_names_the_axis_is_right() -> None:
     scene, tilt_deg = standing("shrub", ground=True), (-20, 15)
     given = read(scene, tilt_deg, Reading(up_axis="-Y"))
-    assert given.cloud.source_up_axis == "-Y"
+    assert given.cloud.source.up_axis == "-Y"
     assert not levelled(given)
     stream = io.BytesIO()
     write_gaussian_ply(read(scene, tilt_deg).cloud, stream)

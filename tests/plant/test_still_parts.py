@@ -84,7 +84,9 @@ def test_a_trunk_below_a_round_crown_is_no_pot(detail: int, radius: float, overl
     crown = TriangleMesh(vertices=ball.vertices.astype(np.float32), faces=ball.faces.astype(np.int32))
     scene, owner = merged(tube([0, 0, 0], [0, 0, 2], radius), crown)
     materials = (Material(name="Material.001"), Material(name="Material.002"))
-    named = replace(scene, face_material=owner[scene.faces[:, 0]].astype(np.int32), materials=materials)
+    named = replace(
+        scene, look=replace(scene.look, face_material=owner[scene.faces[:, 0]].astype(np.int32), materials=materials)
+    )
     assert still_faces_of(scene) is None
     assert still_faces_of(named) is None
 
@@ -94,7 +96,7 @@ def test_a_stem_that_stands_on_a_solid_pot_leaves_it_still() -> None:
     scene, owner = merged(stem, crown, pot(0.6, 0.8, -0.8))
     face_material = (owner[scene.faces[:, 0]] == 2).astype(np.int32)
     materials = (Material(name="Material"), Material(name="Material.001"))
-    result = still_faces_of(replace(scene, face_material=face_material, materials=materials))
+    result = still_faces_of(replace(scene, look=replace(scene.look, face_material=face_material, materials=materials)))
     np.testing.assert_array_equal(result, face_material == 1)
 
 
@@ -103,7 +105,7 @@ def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
     scene, owner = merged(rosette, pot(0.4, 0.65, 0), tube([0, 0, 0.55], [0, 0, 0.6], 0.36))
     face_material = owner[scene.faces[:, 0]].astype(np.int32)
     materials = (Material(name="green_1"), Material(name="phong7"), Material(name="dirt"))
-    result = still_faces_of(replace(scene, face_material=face_material, materials=materials))
+    result = still_faces_of(replace(scene, look=replace(scene.look, face_material=face_material, materials=materials)))
     np.testing.assert_array_equal(result, face_material > 0)
 
 
@@ -131,6 +133,6 @@ def test_a_named_part_stands_still_whatever_its_shape() -> None:
     scene, owner = merged(plant, tube([1, 0, 0], [1, 0, 3], 0.1))
     face_material = owner[scene.faces[:, 0]].astype(np.int32)
     materials = (Material(name="Oak"), Material(name="garden_fence"))
-    result = still_faces_of(replace(scene, face_material=face_material, materials=materials))
+    result = still_faces_of(replace(scene, look=replace(scene.look, face_material=face_material, materials=materials)))
     assert result is not None
     np.testing.assert_array_equal(result, face_material == 1)

@@ -66,7 +66,7 @@ def test_one_of_several_trees_is_cut_out_as_it_stands() -> None:
 def test_one_tree_of_any_species_stays_one(name: str) -> None:
     for seed in (0, 1):
         mesh = grow_tree(SPECIES[name], np.random.default_rng([seed, len(name)])).mesh
-        assert num_trees(replace(mesh, materials=(), face_material=None)) == 1
+        assert num_trees(replace(mesh, look=replace(mesh.look, materials=(), face_material=None))) == 1
 
 
 def test_stems_that_grow_from_one_foot_are_of_one_tree() -> None:

@@ -24,7 +24,7 @@ def trees(samples: Path | None) -> Iterator[TriangleMesh]:
     """One tree of each species, without names of materials, and the two of Sapling; +Z up."""
     for name, species in SPECIES.items():
         mesh = grow_tree(species, np.random.default_rng([11, len(name)])).mesh
-        yield replace(mesh, materials=(), face_material=None)
+        yield replace(mesh, look=replace(mesh.look, materials=(), face_material=None))
     for path in sorted((samples / "sapling").glob("*.npz")) if samples else ():
         stored = np.load(path)
         yield TriangleMesh(vertices=stored["rest"].astype(np.float32), faces=stored["faces"].astype(np.int32))
@@ -45,7 +45,7 @@ def test_trees_stand_up_from_any_of_six_axes(samples: Path) -> None:
 def test_names_of_materials_tell_wood_from_leaves() -> None:
     """A crown of the same outline at both ends of its pole stands on the end that is wood."""
     samples_of = grow_tree(SPECIES["shrub"], np.random.default_rng(0)).mesh
-    bare = replace(samples_of, materials=(), face_material=None)
+    bare = replace(samples_of, look=replace(samples_of.look, materials=(), face_material=None))
     assert judge_up_axis(samples_of).confidence > judge_up_axis(bare).confidence
 
 
@@ -55,11 +55,11 @@ def test_what_is_doubtful_is_said() -> None:
     lines += [f"f {i} {i + 1} {i + 2}" for i in range(1, 58)]
     mesh = read_mesh(io.BytesIO("\n".join(lines).encode()), file_type="obj")
     assert "orientation-uncertain" in [warning.code for warning in mesh.warnings]
-    assert mesh.source_up_confidence < CERTAIN
+    assert mesh.source.up_confidence < CERTAIN
     stated = read_mesh(
         io.BytesIO("\n".join(lines).encode()), file_type="obj", reading=Reading(up_axis="+Z", height_m=3.0)
     )
-    assert (stated.warnings, stated.source_up_confidence) == ((), 1.0)
+    assert (stated.warnings, stated.source.up_confidence) == ((), 1.0)
     assert stated.height_m == pytest.approx(3.0, rel=1e-6)
 
 
@@ -107,7 +107,10 @@ def test_a_file_whose_axis_its_shape_denies_is_flagged_with_the_other(pine: Tria
 @pytest.mark.parametrize(("up_axis", "doubted"), [("+Z", True), ("+Y", False)])
 def test_several_trees_that_lie_in_a_gltf_are_flagged(up_axis: str, doubted: bool) -> None:
     tree = replace(
-        grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(1)).mesh, materials=(), face_material=None
+        grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(1)).mesh,
+        look=replace(
+            grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(1)).mesh.look, materials=(), face_material=None
+        ),
     )
     away = np.array([3 * tree.height_m, 0, 0], np.float32)
     plot = joined([tree, tree.with_vertices(tree.vertices + away)])

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import zoom
 
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 
 WIDTH, HEIGHT = 400, 300
@@ -48,24 +48,30 @@ def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> tuple
     stump = TriangleMesh(
         vertices=points.astype(np.float32),
         faces=faces,
-        uv=np.stack([turn, 1 - 0.5 * level], axis=2).reshape(-1, 2).astype(np.float32),
-        face_material=np.zeros(len(faces), np.int32),
-        materials=(bark, lawn),
+        look=MeshLook(
+            uv=np.stack([turn, 1 - 0.5 * level], axis=2).reshape(-1, 2).astype(np.float32),
+            face_material=np.zeros(len(faces), np.int32),
+            materials=(bark, lawn),
+        ),
     )
     if potted:
         glaze = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (110, 140, 235)))
         low = points[faces].mean(axis=1)[:, 2] < POT_M
-        stump = replace(stump, face_material=2 * low.astype(np.int32), materials=(bark, lawn, glaze))
+        stump = replace(
+            stump, look=replace(stump.look, face_material=2 * low.astype(np.int32), materials=(bark, lawn, glaze))
+        )
     corners = 3 * np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     ground = np.int32([[0, 1, 2], [0, 2, 3]]) + len(points)
-    assert stump.uv is not None
-    assert stump.face_material is not None
+    assert stump.look.uv is not None
+    assert stump.look.face_material is not None
     both = TriangleMesh(
         vertices=np.concatenate([stump.vertices, corners]),
         faces=np.concatenate([faces, ground]),
-        uv=np.concatenate([stump.uv, np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])]),
-        face_material=np.concatenate([stump.face_material, np.ones(2, np.int32)]),
-        materials=stump.materials,
+        look=MeshLook(
+            uv=np.concatenate([stump.look.uv, np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])]),
+            face_material=np.concatenate([stump.look.face_material, np.ones(2, np.int32)]),
+            materials=stump.look.materials,
+        ),
     )
     return stump, both
 

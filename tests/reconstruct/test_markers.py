@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from dynamictree.errors import InputError
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.photo_requests import CutParams, PhotoParams
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.marker_detection import MarkerFinder
@@ -37,8 +37,8 @@ def marker_png(number: int) -> bytes:
 
 def with_marker(scene: TriangleMesh, enlarged: float) -> TriangleMesh:
     """The scene with a marker that lies on the ground, turned and a little tilted."""
-    assert scene.uv is not None
-    assert scene.face_material is not None
+    assert scene.look.uv is not None
+    assert scene.look.face_material is not None
     half = 0.5 * enlarged * EDGE_M * 10 / 8  # with its white border
     turn = np.radians(25)
     corners = half * np.array([[-1, 1, 0], [1, 1, 0.05], [1, -1, 0.05], [-1, -1, 0]])
@@ -47,9 +47,14 @@ def with_marker(scene: TriangleMesh, enlarged: float) -> TriangleMesh:
     return TriangleMesh(
         vertices=np.concatenate([scene.vertices, corners]).astype(np.float32),
         faces=np.concatenate([scene.faces, np.int32([[0, 2, 1], [0, 3, 2]]) + scene.num_vertices]),
-        uv=np.concatenate([scene.uv, np.float32([[0, 0], [1, 0], [1, 1], [0, 1]])]),
-        face_material=np.concatenate([scene.face_material, np.full(2, len(scene.materials), np.int32)]),
-        materials=(*scene.materials, Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=marker_png(NUMBER))),
+        look=MeshLook(
+            uv=np.concatenate([scene.look.uv, np.float32([[0, 0], [1, 0], [1, 1], [0, 1]])]),
+            face_material=np.concatenate([scene.look.face_material, np.full(2, len(scene.look.materials), np.int32)]),
+            materials=(
+                *scene.look.materials,
+                Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=marker_png(NUMBER)),
+            ),
+        ),
     )
 
 

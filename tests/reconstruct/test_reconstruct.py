@@ -95,7 +95,7 @@ def test_files_hold_what_was_found(reconstruction, orbit):
         io.BytesIO((folder / "mesh.ply").read_bytes()), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0)
     )
     assert np.allclose(mesh.vertices, result.mesh.vertices)
-    assert np.array_equal(mesh.vertex_colors, result.mesh.vertex_colors)
+    assert np.array_equal(mesh.look.vertex_colors, result.mesh.look.vertex_colors)
     report = json.loads((folder / "report.json").read_text())
     assert report == result.report
     assert report["scale"] == "given"
@@ -259,7 +259,7 @@ def test_real_photos_of_a_thing_on_a_carpet(samples, tmp_path):
     assert result.report["ground_found"]
     assert result.report["scale"] == "unknown"
     assert result.mesh.height_m == pytest.approx(1.0, rel=1e-3)
-    yellow = result.mesh.vertex_colors[:, :3].astype(int)
+    yellow = result.mesh.look.vertex_colors[:, :3].astype(int)
     assert (yellow[:, 0] - yellow[:, 2] > 25).mean() > 0.6  # bananas, not carpet
     length = float(np.ptp(result.mesh.vertices, axis=0).max())
     assert 1.3 < length < 3.0  # of the height

@@ -49,7 +49,7 @@ def test_photos_choose_the_true_mesh(orbit: Orbit, scene: GaussianCloud, worse, 
     views = views_of(orbit)
     stump = TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces)
     meshes = {
-        name: replace(mesh, vertex_colors=photo_colors(mesh, views))
+        name: replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, views)))
         for name, mesh in (("true", stump), ("worse", worse(stump)))
     }
     ordered = dict(sorted(meshes.items(), reverse=first))
@@ -63,7 +63,7 @@ def test_a_single_mesh_is_taken(scene: GaussianCloud, orbit: Orbit) -> None:
 def test_the_first_mesh_is_taken_unless_another_is_clearly_better(orbit: Orbit, scene: GaussianCloud) -> None:
     views = views_of(orbit)
     stump = TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces)
-    stump = replace(stump, vertex_colors=photo_colors(stump, views))
+    stump = replace(stump, look=replace(stump.look, vertex_colors=photo_colors(stump, views)))
     wider = stump.with_vertices((stump.vertices * np.float32([1.001, 1.001, 1])).astype(np.float32))
     for first, second in ((stump, wider), (wider, stump)):
         assert best_mesh({"first": first, "second": second}, scene, views[2::5], radius=1.0) == "first"

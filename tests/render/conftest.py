@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import MeshLook, TriangleMesh
 
 
 def _ball(centre: tuple[float, float, float], radius_m: float, num_rings: int = 12) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +33,7 @@ def two_balls() -> TriangleMesh:
             np.tile([240, 240, 240, 255], (3, 1)),
         ]
     ).astype(np.uint8)
-    return TriangleMesh(vertices=vertices, faces=faces, vertex_colors=colors)
+    return TriangleMesh(vertices=vertices, faces=faces, look=MeshLook(vertex_colors=colors))
 
 
 def facing_card(z: float = 0.0, *, y: float = 0.0, half_m: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

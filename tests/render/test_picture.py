@@ -7,7 +7,7 @@ from PIL import Image
 
 from dynamictree.color import linear_from_bytes, linear_to_srgb
 from dynamictree.errors import FormatError, InputError, MeshError
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer, render_mesh, write_png
 from dynamictree.render import shade as light
 from dynamictree.render.appearance import foliage_faces
@@ -41,7 +41,7 @@ def slow_picture(mesh: TriangleMesh, camera: Camera, size: int, sun: tuple[float
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals[((a - camera.position_m) * normals).sum(axis=1) > 0] *= -1
-    albedo = linear_from_bytes(mesh.vertex_colors[mesh.faces[:, 0], :3])
+    albedo = linear_from_bytes(mesh.look.vertex_colors[mesh.faces[:, 0], :3])
     direct = np.clip(normals @ (np.array(sun) / np.linalg.norm(sun)), 0, None)[:, None]
     dome = (0.5 + 0.5 * normals[:, 2])[:, None]
     lit = albedo * (direct * light._SUN + dome * light._SKY + (1 - dome) * light._BOUNCE)
@@ -55,9 +55,9 @@ def slow_picture(mesh: TriangleMesh, camera: Camera, size: int, sun: tuple[float
 
 def test_agrees_with_a_slow_exact_picture(two_balls):
     flat = replace(
-        two_balls,  # no shared vertices, so that smooth normals are the faces' own
+        two_balls,
         vertices=two_balls.vertices[two_balls.faces.ravel()],
-        vertex_colors=two_balls.vertex_colors[two_balls.faces.ravel()],
+        look=replace(two_balls.look, vertex_colors=two_balls.look.vertex_colors[two_balls.faces.ravel()]),
         faces=np.arange(two_balls.num_faces * 3, dtype=np.int32).reshape(-1, 3),
     )
     camera = Camera.orbit(flat.vertices, azimuth_deg=-20.0, elevation_deg=15.0)
@@ -89,13 +89,15 @@ def test_a_card_is_cut_out_where_its_texture_is_clear():
     texture = np.zeros((16, 16, 4), np.uint8)
     texture[:, :8] = [0, 200, 0, 255]  # the left half is green, the right half clear
     leaf = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png_of(texture), alpha_cutoff=0.5)
-    card = TriangleMesh(vertices=vertices, faces=faces, uv=uv, face_material=np.zeros(2, np.int32), materials=(leaf,))
+    card = TriangleMesh(
+        vertices=vertices, faces=faces, look=MeshLook(uv=uv, face_material=np.zeros(2, np.int32), materials=(leaf,))
+    )
     behind = Renderer(card, PLAIN)
     face = behind.buffers(FRONT).face
     left, right = face[32, 16:31], face[32, 33:48]
     assert (left >= 0).all()
     assert (right == -1).all()
-    opaque = Renderer(replace(card, materials=(replace(leaf, alpha_cutoff=None),)), PLAIN)
+    opaque = Renderer(replace(card, look=replace(card.look, materials=(replace(leaf, alpha_cutoff=None),))), PLAIN)
     assert (opaque.buffers(FRONT).face[32, 33:48] >= 0).all()
 
 
@@ -106,7 +108,7 @@ def test_a_texture_lies_as_its_coordinates_say():
     texture = np.repeat(np.repeat(texture, 64, axis=0), 64, axis=1)
     material = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png_of(texture))
     card = TriangleMesh(
-        vertices=vertices, faces=faces, uv=uv, face_material=np.zeros(2, np.int32), materials=(material,)
+        vertices=vertices, faces=faces, look=MeshLook(uv=uv, face_material=np.zeros(2, np.int32), materials=(material,))
     )
     picture = Renderer(card, PLAIN).picture(camera=FRONT).astype(int)
     above_left, above_right, below_left, below_right = (
@@ -126,7 +128,9 @@ def test_a_texture_lies_as_its_coordinates_say():
 def test_both_sides_of_a_card_are_lit():
     vertices, faces, _ = facing_card()
     white = (Material(base_color=(1.0, 1.0, 1.0, 1.0)),)
-    front = TriangleMesh(vertices=vertices, faces=faces, face_material=np.zeros(2, np.int32), materials=white)
+    front = TriangleMesh(
+        vertices=vertices, faces=faces, look=MeshLook(face_material=np.zeros(2, np.int32), materials=white)
+    )
     back = replace(front, faces=np.ascontiguousarray(faces[:, ::-1]))
     camera = Camera.orbit(vertices, azimuth_deg=17.0)
     pictures = [Renderer(mesh, PLAIN).picture(camera=camera).astype(int) for mesh in (front, back)]
@@ -186,7 +190,7 @@ def test_a_displacement_moves_what_is_seen(two_balls):
 
 
 def test_a_mesh_without_colours_gets_clay_for_wood_and_for_leaves(two_balls):
-    bare = replace(two_balls, vertex_colors=None)
+    bare = replace(two_balls, look=replace(two_balls.look, vertex_colors=None))
     leaves = foliage_faces(bare.faces, bare.num_vertices)
     assert leaves[-1]
     assert not leaves[:-1].any()
@@ -221,14 +225,20 @@ def test_refuses_a_mesh_without_faces(two_balls):
 
 def test_refuses_a_texture_that_is_no_picture(two_balls):
     broken = Material(texture_png=b"\x89PNG but then nothing")
-    textured = replace(two_balls, materials=(broken,), face_material=np.zeros(two_balls.num_faces, np.int32))
+    textured = replace(
+        two_balls,
+        look=replace(two_balls.look, materials=(broken,), face_material=np.zeros(two_balls.num_faces, np.int32)),
+    )
     with pytest.raises(FormatError, match="no picture"):
         render_mesh(textured)
 
 
 def test_refuses_a_texture_of_too_many_pixels(two_balls):
     huge = Material(texture_png=png_of(np.zeros((8001, 8001), np.uint8)))
-    textured = replace(two_balls, materials=(huge,), face_material=np.zeros(two_balls.num_faces, np.int32))
+    textured = replace(
+        two_balls,
+        look=replace(two_balls.look, materials=(huge,), face_material=np.zeros(two_balls.num_faces, np.int32)),
+    )
     with pytest.raises(FormatError, match="8001 x 8001"):
         render_mesh(textured)
 
@@ -253,7 +263,10 @@ def test_what_stands_still_is_drawn_in_grey_if_asked(two_balls: TriangleMesh, ki
         if kind == "texture":
             red = Material(texture_png=png_of(np.tile(np.uint8([220, 40, 30]), (4, 4, 1))))
         blue = Material(base_color=(0.02, 0.05, 0.6, 1.0))
-        mesh = replace(mesh, vertex_colors=None, materials=(red, blue), face_material=(~still).astype(np.int32))
+        mesh = replace(
+            mesh,
+            look=replace(mesh.look, vertex_colors=None, materials=(red, blue), face_material=(~still).astype(np.int32)),
+        )
     plain = Renderer(mesh, PLAIN).picture().astype(int)
     grey = Renderer(mesh, replace(PLAIN, grey_still=True)).picture().astype(int)
     ball = Renderer(mesh, PLAIN).buffers().face

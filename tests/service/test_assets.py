@@ -62,7 +62,7 @@ def test_a_mesh_becomes_an_asset(client: TestClient, services: Services) -> None
     prepared = read_asset(services.store, asset["id"]).prepared
     assert prepared is not None
     mesh = read_mesh_bundle(io.BytesIO(b"".join(services.artifacts.read(prepared.sha256))))
-    assert mesh.materials[0].name == "bark"
+    assert mesh.look.materials[0].name == "bark"
     assert left_behind(services) == []
 
 

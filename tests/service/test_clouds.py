@@ -14,6 +14,7 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.plant.capture import Capture, carrying_mesh
+from dynamictree.source import Source
 from jobs.records import AssetRecord
 from jobs.states import stages_of
 from jobs.storage.assets import read_asset
@@ -32,7 +33,7 @@ def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
         scales=np.full((count, 3), 0.03, np.float32),
         opacity=np.full(count, 0.9, np.float32),
         sh=rng.normal(size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
-        source_up_axis="-Y",
+        source=Source(up_axis="-Y"),
     )
 
 
@@ -86,7 +87,7 @@ def test_mask_and_mesh_come_with_a_splat(client: TestClient, services: Services)
         assert (asset["kind"], asset["summary"]["num_movable"]) == ("cloud", 300)
         capture = stored_capture(services, asset["id"])
         assert capture.mesh is not None
-        scale = capture.cloud.source_scale  # the splat's unit is not known: the mesh is scaled as it is
+        scale = capture.cloud.source.scale  # the splat's unit is not known: the mesh is scaled as it is
         assert scale > 1
         np.testing.assert_allclose(capture.mesh.vertices, mesh.vertices * scale, atol=1e-4 * scale)
         np.testing.assert_array_equal(capture.mask, mask)

@@ -51,7 +51,7 @@ def read_gltf_gaussian(stream: ByteReader, *, up_axis: str = UP_AXIS, unit_m: fl
 
 def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write one primitive of 32-bit floats, in the source's units and +Y up, as glTF demands."""
-    rotation = up_rotation(UP_AXIS).T @ up_rotation(cloud.source_up_axis)
+    rotation = up_rotation(UP_AXIS).T @ up_rotation(cloud.source.up_axis)
     source = transformed(to_source_axes(cloud), rotation, 1.0)
     attributes = {
         "POSITION": source.means,

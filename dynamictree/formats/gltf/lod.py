@@ -36,7 +36,7 @@ def write_lod_glb(
             {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
             for target in clipped_targets(loop_parts(coefficients, num_frames))
         ]
-        key = id(mesh.materials)
+        key = id(mesh.look.materials)
         materials[key] = add_mesh(writer, mesh, targets=targets, materials=materials.get(key))
         node: dict[str, object] = {"mesh": number, "name": f"tree_lod{number}"}
         if number == 0:

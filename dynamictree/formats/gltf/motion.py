@@ -101,7 +101,7 @@ def write_motion_glb(
         motion = np.sqrt(total / (num_frames * len(coefficients)))
         share = rms / motion if motion > 0 else 0.0
         summary = replace(summary, relative_error=float(share), rms_error_m=rms, max_error_m=largest)
-    shift = {"source_offset": list(mesh.source_offset)} if any(mesh.source_offset) else {}
+    shift = {"source_offset": list(mesh.source.offset)} if any(mesh.source.offset) else {}
     template.writer.extras = asdict(summary) | shift
     template.writer.finish(stream)
     return summary

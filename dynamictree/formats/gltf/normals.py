@@ -16,9 +16,9 @@ _NEIGHBOURS = 32  # vertices at one place that are compared; more are leaves tha
 def rest_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
     """A unit vector per vertex: the source's own, or the mean of the faces around its place; +Z where there is none."""
     normals = _smooth_normals(mesh)
-    if mesh.normals is not None:
-        stated = (mesh.normals != 0).any(axis=1, keepdims=True)
-        normals = np.where(stated, mesh.normals, normals)
+    if mesh.look.normals is not None:
+        stated = (mesh.look.normals != 0).any(axis=1, keepdims=True)
+        normals = np.where(stated, mesh.look.normals, normals)
     normals[~(normals != 0).any(axis=1)] = (0, 0, 1)
     return normals
 

@@ -51,7 +51,7 @@ def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMes
         parts, placed = _placed_parts(document, drawn)
         source = keep_source(document, placed)
     mesh = join_parts(parts, materials)
-    return replace(mesh, source_gltf=source, warnings=(*mesh.warnings, *document.warnings))
+    return replace(mesh, gltf=source, warnings=(*mesh.warnings, *document.warnings))
 
 
 def _triangle_primitives(mesh: JsonObject) -> list[tuple[int, JsonObject]]:

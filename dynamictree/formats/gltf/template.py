@@ -212,8 +212,8 @@ class Template:
 
 def open_template(mesh: TriangleMesh) -> Template:
     """The document of the mesh's source, else one mesh in one node."""
-    if mesh.source_gltf is not None:
-        return _of_source(mesh, mesh.source_gltf)
+    if mesh.gltf is not None:
+        return _of_source(mesh, mesh.gltf)
     writer = GlbWriter()
     add_mesh(writer, mesh)
     writer.append("nodes", {"mesh": 0, "name": "tree"})
@@ -227,8 +227,8 @@ def open_template(mesh: TriangleMesh) -> Template:
 def _of_source(mesh: TriangleMesh, source: SourceGltf) -> Template:
     chunks = list(source.binary)
     writer = GlbWriter(root=json.loads(source.document), chunks=chunks, num_bytes=sum(map(len, chunks)))
-    from_mesh = up_rotation(mesh.source_up_axis).T / mesh.source_scale
-    if mesh.source_up_axis != "+Y" or mesh.source_scale != 1.0:
+    from_mesh = up_rotation(mesh.source.up_axis).T / mesh.source.scale
+    if mesh.source.up_axis != "+Y" or mesh.source.scale != 1.0:
         _stand_upright(writer.root, np.linalg.inv(from_mesh))
     slots = []
     for (node, primitive, first, count), to_primitive in zip(

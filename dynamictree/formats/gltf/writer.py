@@ -109,15 +109,15 @@ def add_mesh(
     }
     normals = rest_normals(mesh) @ up_rotation("+Y").astype(np.float32)
     attributes["NORMAL"] = writer.add_accessor(normals, target=VERTEX_BUFFER)
-    if mesh.uv is not None:
-        attributes["TEXCOORD_0"] = writer.add_accessor(mesh.uv, target=VERTEX_BUFFER)
-    if mesh.vertex_colors is not None:
-        colors = linear_colors(mesh.vertex_colors)
+    if mesh.look.uv is not None:
+        attributes["TEXCOORD_0"] = writer.add_accessor(mesh.look.uv, target=VERTEX_BUFFER)
+    if mesh.look.vertex_colors is not None:
+        colors = linear_colors(mesh.look.vertex_colors)
         attributes["COLOR_0"] = writer.add_accessor(colors, target=VERTEX_BUFFER, normalized=True)
     attributes |= more_attributes or {}
     if materials is None:
-        materials = [writer.append("materials", _material(writer, material)) for material in mesh.materials]
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+        materials = [writer.append("materials", _material(writer, material)) for material in mesh.look.materials]
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     primitives = []
     for number in np.unique(face_material):
         corners = mesh.faces[face_material == number].reshape(-1, 1).astype(np.uint32)

@@ -103,7 +103,8 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes], nam
         raise MeshError(f"the file has {total:,} vertices with all instances; at most {MAX_VERTICES:,} are allowed")
     _, offset = near_origin(np.asarray(scene.bounds, np.float64))
     scene.apply_translation([-number for number in offset])
-    mesh = replace(TriangleMesh.from_trimesh(scene), source_offset=offset, warnings=offset_warnings(offset))
+    mesh = TriangleMesh.from_trimesh(scene)
+    mesh = replace(mesh, source=replace(mesh.source, offset=offset), warnings=offset_warnings(offset))
     geometries = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
     sizes = [(name, len(scene.geometry[name].faces)) for name in geometries if hasattr(scene.geometry[name], "faces")]
     return _with_names(mesh, sizes, names)
@@ -120,12 +121,16 @@ def _with_names(mesh: TriangleMesh, sizes: list[tuple[str, int]], names: _Names)
         parts.append(waiting[own].pop(0) if waiting.get(own) else ("", ""))
     part_names = tuple(dict.fromkeys(name for name, _ in parts))
     numbers = np.array([part_names.index(name) for name, _ in parts], np.int32)
-    materials = mesh.materials
+    materials = mesh.look.materials
     if len(materials) == len(parts):
         pairs = zip(materials, parts, strict=True)
         materials = tuple(replace(material, name=name or material.name) for material, (_, name) in pairs)
     face_part = np.repeat(numbers, [size for _, size in sizes])
-    return replace(mesh, materials=materials, part_names=part_names, face_part=face_part)
+    return replace(
+        mesh,
+        look=replace(mesh.look, materials=materials),
+        parts=replace(mesh.parts, names=part_names, of_face=face_part),
+    )
 
 
 def _dae_names(content: bytes) -> _Names:

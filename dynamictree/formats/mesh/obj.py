@@ -15,7 +15,17 @@ from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.mesh.mtl import read_materials, text_of
 from dynamictree.formats.number_text import numbers_of
 from dynamictree.formats.origin import near_origin, offset_warnings
-from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, SourceWarning, TriangleMesh, unit_vectors
+from dynamictree.mesh import (
+    MAX_FACES,
+    MAX_VERTICES,
+    Material,
+    MeshLook,
+    Parts,
+    SourceWarning,
+    TriangleMesh,
+    unit_vectors,
+)
+from dynamictree.source import Source
 
 _CONTINUED = re.compile(rb"\\[ \t]*\r?\n")
 _FACE = re.compile(rb"((-?[0-9]{1,18})(/(-?[0-9]{1,18})?){0,2} )+")
@@ -68,14 +78,18 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
     return TriangleMesh(
         vertices=vertices[original],
         faces=faces,
-        uv=_uv(places, looks[:, 0]),
-        vertex_colors=_colors(table, widths, original),
-        normals=_normals(directions, looks[:, 1]),
-        face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
-        materials=materials,
-        part_names=(*statements.part_names, "") if statements.part_names else (),
-        face_part=_parts(statements)[source_face] if statements.part_names else None,
-        source_offset=offset,
+        look=MeshLook(
+            uv=_uv(places, looks[:, 0]),
+            vertex_colors=_colors(table, widths, original),
+            normals=_normals(directions, looks[:, 1]),
+            face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
+            materials=materials,
+        ),
+        parts=Parts(
+            names=(*statements.part_names, "") if statements.part_names else (),
+            of_face=_parts(statements)[source_face] if statements.part_names else None,
+        ),
+        source=Source(up_axis="+Z", offset=offset),
         warnings=(*warnings, *offset_warnings(offset)),
     )
 

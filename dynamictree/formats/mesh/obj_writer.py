@@ -15,16 +15,16 @@ def write_obj(mesh: TriangleMesh, stream: ByteWriter, *, library: str = "") -> d
     """
     lines = [f"mtllib {library}"] if library else []
     places = mesh.vertices.tolist()
-    if mesh.vertex_colors is not None:
-        places = np.hstack([mesh.vertices, mesh.vertex_colors[:, :3] / 255]).tolist()
+    if mesh.look.vertex_colors is not None:
+        places = np.hstack([mesh.vertices, mesh.look.vertex_colors[:, :3] / 255]).tolist()
     lines += _rows("v", places)
     corner = "{0}"
-    if mesh.uv is not None:
-        lines += _rows("vt", (mesh.uv * [1, -1] + [0, 1]).tolist())
+    if mesh.look.uv is not None:
+        lines += _rows("vt", (mesh.look.uv * [1, -1] + [0, 1]).tolist())
         corner = "{0}/{0}"
-    if mesh.normals is not None:
-        lines += _rows("vn", mesh.normals.tolist())
-        corner = "{0}/{0}/{0}" if mesh.uv is not None else "{0}//{0}"
+    if mesh.look.normals is not None:
+        lines += _rows("vn", mesh.look.normals.tolist())
+        corner = "{0}/{0}/{0}" if mesh.look.uv is not None else "{0}//{0}"
     written: tuple[str, ...] = ()
     for face, belongs in zip((mesh.faces + 1).tolist(), _belongings(mesh), strict=True):
         lines += [line for line in belongs if line not in written]
@@ -41,22 +41,22 @@ def _rows(keyword: str, rows: list[list[float]]) -> list[str]:
 def _belongings(mesh: TriangleMesh) -> Iterator[tuple[str, ...]]:
     """The lines that say the group and the material of each face."""
     nothing = np.zeros(mesh.num_faces, np.int32)
-    groups = [f"g {name}".rstrip() for name in mesh.part_names] if mesh.face_part is not None else [""]
-    materials = [f"usemtl {_name(mesh, number)}" for number in range(len(mesh.materials))] or [""]
-    group_of = nothing if mesh.face_part is None else mesh.face_part
-    material_of = nothing if mesh.face_material is None else mesh.face_material
+    groups = [f"g {name}".rstrip() for name in mesh.parts.names] if mesh.parts.of_face is not None else [""]
+    materials = [f"usemtl {_name(mesh, number)}" for number in range(len(mesh.look.materials))] or [""]
+    group_of = nothing if mesh.parts.of_face is None else mesh.parts.of_face
+    material_of = nothing if mesh.look.face_material is None else mesh.look.face_material
     for group, material in zip(group_of.tolist(), material_of.tolist(), strict=True):
         yield tuple(line for line in (groups[group], materials[material]) if line)
 
 
 def _name(mesh: TriangleMesh, material: int) -> str:
-    return mesh.materials[material].name.strip() or f"material_{material}"
+    return mesh.look.materials[material].name.strip() or f"material_{material}"
 
 
 def _library(mesh: TriangleMesh, library: str) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     lines: list[str] = []
-    for number, material in enumerate(mesh.materials):
+    for number, material in enumerate(mesh.look.materials):
         red, green, blue, alpha = material.base_color
         lines += [f"newmtl {_name(mesh, number)}", f"Kd {red:.6g} {green:.6g} {blue:.6g}", f"d {alpha:.6g}"]
         if material.texture_png is not None:

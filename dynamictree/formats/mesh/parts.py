@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 
 from dynamictree.formats.origin import near_origin, offset_warnings
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, Parts, TriangleMesh
+from dynamictree.source import Source
 
 _WHITE = 255
 _DEFAULT_MATERIAL = Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False)
@@ -43,17 +44,20 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
     face_part = [np.full(len(part.faces), names.index(part.name), np.int32) for part in parts] if any(names) else None
     vertices, offset = near_origin(np.concatenate([part.vertices for part in own]))
     return TriangleMesh(
-        part_names=names if face_part else (),
-        face_part=np.concatenate(face_part) if face_part else None,
+        parts=Parts(names=names if face_part else (), of_face=np.concatenate(face_part) if face_part else None),
         vertices=vertices,
-        source_offset=offset,
+        source=Source(up_axis="+Z", offset=offset),
         warnings=offset_warnings(offset),
         faces=np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts, strict=True)]),
-        uv=np.concatenate(uv) if has_uv else None,
-        vertex_colors=np.concatenate(colors) if has_colors else None,
-        normals=np.concatenate(normals) if has_normals else None,
-        face_material=None if not materials else np.concatenate(face_material),
-        materials=(*materials, _DEFAULT_MATERIAL) if materials and any(p.material < 0 for p in parts) else materials,
+        look=MeshLook(
+            uv=np.concatenate(uv) if has_uv else None,
+            vertex_colors=np.concatenate(colors) if has_colors else None,
+            normals=np.concatenate(normals) if has_normals else None,
+            face_material=None if not materials else np.concatenate(face_material),
+            materials=(*materials, _DEFAULT_MATERIAL)
+            if materials and any(p.material < 0 for p in parts)
+            else materials,
+        ),
     )
 
 

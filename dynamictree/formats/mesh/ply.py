@@ -15,7 +15,8 @@ from dynamictree.formats.number_text import numbers_of
 from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.formats.ply_table import PlyElement, PlyHeader, read_elements, read_header
 from dynamictree.formats.texture import texture_as_png
-from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh, unit_vectors
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, MeshLook, TriangleMesh, unit_vectors
+from dynamictree.source import Source
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _LIST_NAMES = ("vertex_indices", "vertex_index")
@@ -63,12 +64,14 @@ def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> Triangl
     return TriangleMesh(
         vertices=vertices,
         faces=faces,
-        uv=_uv(rows),
-        vertex_colors=_colors(rows),
-        normals=_normals(rows),
-        face_material=np.zeros(len(faces), np.int32) if material else None,
-        materials=(material,) if material else (),
-        source_offset=offset,
+        look=MeshLook(
+            uv=_uv(rows),
+            vertex_colors=_colors(rows),
+            normals=_normals(rows),
+            face_material=np.zeros(len(faces), np.int32) if material else None,
+            materials=(material,) if material else (),
+        ),
+        source=Source(up_axis="+Z", offset=offset),
         warnings=offset_warnings(offset),
     )
 

@@ -17,11 +17,13 @@ def write_ply(mesh: TriangleMesh, stream: ByteWriter) -> None:
 
 def ply_head(mesh: TriangleMesh) -> bytes:
     """The header, with the up axis and the unit in comments."""
-    lines = ["ply", "format binary_little_endian 1.0", *axis_comments("+Z", 1.0, mesh.source_offset)]
+    lines = ["ply", "format binary_little_endian 1.0", *axis_comments("+Z", 1.0, mesh.source.offset)]
     lines += [f"element vertex {mesh.num_vertices}"]
     lines += [f"property float {name}" for name in "xyz"]
-    lines += [f"property float {name}" for name in "st" if mesh.uv is not None]
-    lines += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha") if mesh.vertex_colors is not None]
+    lines += [f"property float {name}" for name in "st" if mesh.look.uv is not None]
+    lines += [
+        f"property uchar {name}" for name in ("red", "green", "blue", "alpha") if mesh.look.vertex_colors is not None
+    ]
     lines += [f"element face {mesh.num_faces}", "property list uchar int vertex_indices", "end_header"]
     return "\n".join(lines).encode() + b"\n"
 
@@ -29,14 +31,14 @@ def ply_head(mesh: TriangleMesh) -> bytes:
 def ply_vertices(mesh: TriangleMesh, positions: Float32[np.ndarray, "N 3"]) -> bytes:
     """The mesh's vertices at other positions."""
     fields: list[tuple[str, str, tuple[int]]] = [("position", "<f4", (3,))]
-    fields += [("uv", "<f4", (2,))] if mesh.uv is not None else []
-    fields += [("color", "u1", (4,))] if mesh.vertex_colors is not None else []
+    fields += [("uv", "<f4", (2,))] if mesh.look.uv is not None else []
+    fields += [("color", "u1", (4,))] if mesh.look.vertex_colors is not None else []
     rows = np.empty(mesh.num_vertices, fields)
     rows["position"] = positions
-    if mesh.uv is not None:
-        rows["uv"] = mesh.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)  # t upward
-    if mesh.vertex_colors is not None:
-        rows["color"] = mesh.vertex_colors
+    if mesh.look.uv is not None:
+        rows["uv"] = mesh.look.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)  # t upward
+    if mesh.look.vertex_colors is not None:
+        rows["color"] = mesh.look.vertex_colors
     return rows.tobytes()
 
 

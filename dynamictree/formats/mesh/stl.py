@@ -7,6 +7,7 @@ from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.number_text import rows_of
 from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, TriangleMesh
+from dynamictree.source import Source
 
 _HEADER_BYTES = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -29,7 +30,9 @@ def read_stl(content: bytes) -> TriangleMesh:
     rank[order] = np.arange(len(order))
     vertices = positions[order].view(np.float32).reshape(-1, 3)
     faces = rank[inverse.ravel()].reshape(-1, 3)
-    return TriangleMesh(vertices=vertices, faces=faces, source_offset=offset, warnings=offset_warnings(offset))
+    return TriangleMesh(
+        vertices=vertices, faces=faces, source=Source(up_axis="+Z", offset=offset), warnings=offset_warnings(offset)
+    )
 
 
 def is_ascii_stl(head: bytes) -> bool:

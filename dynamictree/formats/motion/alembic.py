@@ -43,8 +43,8 @@ def _write_archive(mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3
             schema.set(AbcGeom.OPolyMeshSchemaSample(points))
             continue
         sample = AbcGeom.OPolyMeshSchemaSample(points, corners, counts)
-        if mesh.uv is not None:
-            coordinates = imath.V2fArrayFromBuffer(np.ascontiguousarray(mesh.uv * [1, -1] + [0, 1], np.float32))
+        if mesh.look.uv is not None:
+            coordinates = imath.V2fArrayFromBuffer(np.ascontiguousarray(mesh.look.uv * [1, -1] + [0, 1], np.float32))
             scope = AbcGeom.GeometryScope.kFacevaryingScope
             sample.setUVs(AbcGeom.OV2fGeomParamSample(coordinates, _indices(mesh.faces[:, ::-1]), scope))
         schema.set(sample)
@@ -54,10 +54,10 @@ def _write_archive(mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3
 def _add_face_sets(schema: Any, mesh: TriangleMesh) -> None:
     from alembic3d import AbcGeom
 
-    if not mesh.materials:
+    if not mesh.look.materials:
         return
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
-    names = face_set_names([material.name for material in mesh.materials])
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
+    names = face_set_names([material.name for material in mesh.look.materials])
     for number in np.unique(face_material).tolist():
         chosen = _integers(np.flatnonzero(face_material == number))
         schema.createFaceSet(names[number]).getSchema().set(AbcGeom.OFaceSetSchemaSample(chosen))

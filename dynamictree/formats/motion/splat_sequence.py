@@ -80,6 +80,6 @@ def _frame(binding: Binding, pose: Pose, rows: Float32[np.ndarray, "G P"]) -> by
 def _in_source_axes(binding: Binding) -> tuple[Binding, Float64[np.ndarray, "3 3"]]:
     """The same binding where the capture lay, and what takes a displacement there (as a row, from the right)."""
     cloud = binding.cloud
-    to_source = up_rotation(cloud.source_up_axis) / cloud.source_scale
+    to_source = up_rotation(cloud.source.up_axis) / cloud.source.scale
     source = replace(binding, cloud=to_source_axes(cloud), vertices=(binding.vertices @ to_source).astype(np.float32))
     return source, to_source

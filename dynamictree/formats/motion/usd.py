@@ -32,7 +32,7 @@ def write_motion_usdz(
 def texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:
     """Textures beside the layer, by the numbers of their materials."""
     names = {}
-    for number, material in enumerate(mesh.materials):
+    for number, material in enumerate(mesh.look.materials):
         if material.texture_png is not None:
             names[number] = f"texture_{number}.png"
             (folder / names[number]).write_bytes(material.texture_png)
@@ -78,20 +78,20 @@ def define_surface(stage: Any, root: str, mesh: TriangleMesh) -> None:
     surface.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel())))
     surface.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     surface.CreateDoubleSidedAttr(True)
-    if mesh.uv is not None:
-        upward = np.stack([mesh.uv[:, 0], 1 - mesh.uv[:, 1]], axis=1)  # USD's t points up, glTF's v down
+    if mesh.look.uv is not None:
+        upward = np.stack([mesh.look.uv[:, 0], 1 - mesh.look.uv[:, 1]], axis=1)  # USD's t points up, glTF's v down
         st = UsdGeom.PrimvarsAPI(surface).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(upward)))
-    if mesh.vertex_colors is not None:
-        colors = (linear_colors(mesh.vertex_colors)[:, :3] / 65535).astype(np.float32)
+    if mesh.look.vertex_colors is not None:
+        colors = (linear_colors(mesh.look.vertex_colors)[:, :3] / 65535).astype(np.float32)
         surface.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(
             Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors))
         )
-    if not mesh.materials:
+    if not mesh.look.materials:
         return
     binding = UsdShade.MaterialBindingAPI.Apply(surface.GetPrim())
     binding.Bind(UsdShade.Material.Define(stage, f"{root}/Looks/Material_0"))
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     for number in np.unique(face_material).tolist():
         chosen = np.flatnonzero(face_material == number).astype(np.int32)
         part = binding.CreateMaterialBindSubset(f"Part_{number}", Vt.IntArray.FromNumpy(chosen))
@@ -116,7 +116,7 @@ def set_points(stage: Any, path: str, mesh: TriangleMesh, frames: Iterable[Float
 
 def define_looks(stage: Any, root: str, mesh: TriangleMesh, textures: dict[int, str]) -> None:
     """The materials as `Looks` below `root`; `textures` are names of files beside the layer."""
-    for number, material in enumerate(mesh.materials):
+    for number, material in enumerate(mesh.look.materials):
         _define_material(stage, f"{root}/Looks/Material_{number}", material, textures.get(number))
 
 

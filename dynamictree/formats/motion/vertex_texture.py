@@ -120,7 +120,7 @@ def _template(mesh: TriangleMesh) -> Template:
     units_m = [slot.metres_per_unit for slot in template.slots]
     if _SMALLEST_UNIT * mesh.height_m < min(units_m) and max(units_m) < _LARGEST_UNIT * mesh.height_m:
         return template
-    return open_template(replace(mesh, source_gltf=None))
+    return open_template(replace(mesh, gltf=None))
 
 
 @dataclass

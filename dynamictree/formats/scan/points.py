@@ -11,6 +11,7 @@ from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import harmonic_from_color
 from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Z"
@@ -84,7 +85,7 @@ def cloud_of_points(
             scales=scales,
             opacity=np.full(len(points), _OPACITY, np.float32),
             sh=harmonic_from_color(rgb / np.float32(255))[:, None],
-            source_offset=offset,
+            source=Source(up_axis="+Z", offset=offset),
             dropped=dropped,
         )
     )

@@ -91,7 +91,7 @@ def _scales(rows: Shaped[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3"]:
 
 def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write what every splat viewer reads, in the source's axes and units; undone by `read_gaussian_ply`."""
-    comments = axis_comments(cloud.source_up_axis, cloud.source_scale, cloud.source_offset)
+    comments = axis_comments(cloud.source.up_axis, cloud.source.scale, cloud.source.offset)
     stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1], comments=comments))
     stream.write(ply_rows(to_source_axes(cloud)).tobytes())
 

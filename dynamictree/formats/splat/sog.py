@@ -107,7 +107,7 @@ def bundled(meta: SeekableReader, beside: Mapping[str, bytes]) -> SeekableReader
 
 def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write a bundle in the source's units and −Y up, its Gaussians in Morton order; harmonics lose most."""
-    turn = up_rotation(UP_AXIS).T @ up_rotation(cloud.source_up_axis)
+    turn = up_rotation(UP_AXIS).T @ up_rotation(cloud.source.up_axis)
     source = transformed(to_source_axes(cloud), turn, 1.0)
     log_places = np.sign(source.means) * np.log1p(np.abs(source.means.astype(np.float64)))
     low, high = log_places.min(axis=0), log_places.max(axis=0)

@@ -58,7 +58,7 @@ def write_spz(cloud: GaussianCloud, stream: ByteWriter) -> None:
 
     Positions are rounded to 1/4096 of a unit, or coarser where they reach beyond ±2048.
     """
-    source = transformed(to_source_axes(cloud), _source_to_spz(cloud.source_up_axis), 1.0)
+    source = transformed(to_source_axes(cloud), _source_to_spz(cloud.source.up_axis), 1.0)
     reach = max(float(np.abs(source.means).max()), 1e-30)
     fractional_bits = int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 12))
     header = _LEGACY_HEADER.pack(_MAGIC, 3, source.num_gaussians, source.sh_degree, fractional_bits, 0, 0)

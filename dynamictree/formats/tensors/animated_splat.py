@@ -16,6 +16,7 @@ from dynamictree.gaussian.animate import AnimatedSplat, without_idle_vertices
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
 
 FORMAT = "animated-splat"
@@ -49,8 +50,8 @@ def write_animated_splat(splat: AnimatedSplat, stream: ByteWriter) -> None:
         "version": VERSION,
         "fps": repr(float(splat.fps)),
         "num_frames": str(splat.num_frames),
-        "source_up_axis": cloud.source_up_axis,
-        "source_scale": repr(float(cloud.source_scale)),
+        "source_up_axis": cloud.source.up_axis,
+        "source_scale": repr(float(cloud.source.scale)),
     }
     write_tensors(stream, tensors, metadata)
 
@@ -103,8 +104,7 @@ def _read_cloud(
             scales=_floats(tensors, "scales", (count, 3)),
             opacity=_floats(tensors, "opacity", (count,)),
             sh=sh,
-            source_up_axis=up_axis,
-            source_scale=scale,
+            source=Source(up_axis=up_axis, scale=scale),
         )
     )
 

@@ -16,6 +16,7 @@ from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import StillPart
 from dynamictree.plant.capture import Capture
+from dynamictree.source import Source
 
 FORMAT, VERSION = "cloud-bundle", "1"
 MAX_BYTES = 3 << 30
@@ -42,8 +43,8 @@ def write_cloud_bundle(capture: Capture, stream: ByteWriter) -> None:
         tensors["mesh"] = np.frombuffer(packed.getvalue(), np.uint8)
     if capture.part_of is not None:
         tensors["part_of"] = capture.part_of
-    source = {"source_up_axis": cloud.source_up_axis, "source_scale": repr(float(cloud.source_scale))}
-    source["source_offset"] = json.dumps(cloud.source_offset)
+    source = {"source_up_axis": cloud.source.up_axis, "source_scale": repr(float(cloud.source.scale))}
+    source["source_offset"] = json.dumps(cloud.source.offset)
     source["still_parts"] = json.dumps([asdict(part) for part in capture.still_parts])
     write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION} | source)
 
@@ -63,9 +64,9 @@ def read_cloud_bundle(stream: ByteReader) -> Capture:
     return Capture(
         cloud=GaussianCloud(
             **parts,  # type: ignore[arg-type]  # their names are those of arrays
-            source_up_axis=metadata["source_up_axis"],
-            source_scale=number(metadata, "source_scale"),
-            source_offset=offset_of(metadata),
+            source=Source(
+                up_axis=metadata["source_up_axis"], scale=number(metadata, "source_scale"), offset=offset_of(metadata)
+            ),
         ),
         mask=None if mask is None else mask.astype(np.bool_),
         tree=take_tensor(tensors, "tree", dtypes=("int32",), shape=(None,)) if "tree" in tensors else None,

@@ -179,7 +179,7 @@ def source_of(metadata: Mapping[str, str]) -> Source:
         FormatError: a field is out of range.
     """
     confidence, scale = (
-        None if metadata.get(name, "null") == "null" else number(metadata, name)
+        1.0 if metadata.get(name, "null") == "null" else number(metadata, name)
         for name in ("source_up_confidence", "source_scale")
     )
     return Source(

@@ -15,33 +15,51 @@ from safetensors.numpy import load, save
 
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.mesh import Material, SourceGltf, SourceWarning, StillPart, TriangleMesh, validate_mesh
+from dynamictree.mesh import (
+    Material,
+    MeshLook,
+    Parts,
+    SourceGltf,
+    SourceWarning,
+    StillPart,
+    TriangleMesh,
+    validate_mesh,
+)
+from dynamictree.source import Source
 
 VERSION = 1
 MAX_BYTES = 1 << 30
-_OPTIONAL = ("uv", "vertex_colors", "face_material", "face_part", "still_faces", "face_tree", "normals")
 
 
 def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
     """Write everything that the mesh holds."""
     tensors = {"vertices": mesh.vertices, "faces": mesh.faces}
-    tensors |= {name: getattr(mesh, name) for name in _OPTIONAL if getattr(mesh, name) is not None}
-    for index, material in enumerate(mesh.materials):
+    optional = {
+        "uv": mesh.look.uv,
+        "vertex_colors": mesh.look.vertex_colors,
+        "face_material": mesh.look.face_material,
+        "normals": mesh.look.normals,
+        "face_part": mesh.parts.of_face,
+        "still_faces": mesh.still_faces,
+        "face_tree": mesh.face_tree,
+    }
+    tensors |= {name: tensor for name, tensor in optional.items() if tensor is not None}
+    for index, material in enumerate(mesh.look.materials):
         if material.texture_png is not None:
             tensors[f"texture_{index}"] = np.frombuffer(material.texture_png, np.uint8)
     rest = {
         "version": VERSION,
-        "materials": [asdict(replace(material, texture_png=None)) for material in mesh.materials],
-        "source_up_axis": mesh.source_up_axis,
-        "source_up_confidence": mesh.source_up_confidence,
-        "source_scale": mesh.source_scale,
-        "source_offset": mesh.source_offset,
+        "materials": [asdict(replace(material, texture_png=None)) for material in mesh.look.materials],
+        "source_up_axis": mesh.source.up_axis,
+        "source_up_confidence": mesh.source.up_confidence,
+        "source_scale": mesh.source.scale,
+        "source_offset": mesh.source.offset,
         "warnings": [asdict(warning) for warning in mesh.warnings],
-        "part_names": mesh.part_names,
-        "still_parts": [asdict(part) for part in mesh.still_parts],
+        "part_names": mesh.parts.names,
+        "still_parts": [asdict(part) for part in mesh.parts.still],
     }
-    if mesh.source_gltf is not None:
-        tensors |= _source_tensors(mesh.source_gltf)
+    if mesh.gltf is not None:
+        tensors |= _source_tensors(mesh.gltf)
     tensors["rest"] = np.frombuffer(json.dumps(rest).encode(), np.uint8)
     stream.write(save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}))
 
@@ -60,7 +78,7 @@ def read_mesh_bundle(stream: ByteReader, *, with_source: bool = False) -> Triang
         if version == VERSION:
             mesh = _mesh(tensors, rest)
             if with_source and "source_document" in tensors:
-                mesh = replace(mesh, source_gltf=_source(tensors, mesh.num_vertices))
+                mesh = replace(mesh, gltf=_source(tensors, mesh.num_vertices))
     except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(f"not a mesh bundle: {error}") from error
     if version != VERSION:
@@ -100,19 +118,25 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
     return TriangleMesh(
         vertices=tensors["vertices"],
         faces=tensors["faces"],
-        uv=tensors.get("uv"),
-        vertex_colors=tensors.get("vertex_colors"),
-        face_material=tensors.get("face_material"),
-        part_names=tuple(rest.get("part_names", ())),
-        face_part=tensors.get("face_part"),
-        still_parts=tuple(StillPart(**part) for part in rest.get("still_parts", ())),
+        look=MeshLook(
+            uv=tensors.get("uv"),
+            vertex_colors=tensors.get("vertex_colors"),
+            face_material=tensors.get("face_material"),
+            normals=tensors.get("normals"),
+            materials=tuple(materials),
+        ),
+        parts=Parts(
+            names=tuple(rest.get("part_names", ())),
+            of_face=tensors.get("face_part"),
+            still=tuple(StillPart(**part) for part in rest.get("still_parts", ())),
+        ),
         still_faces=tensors.get("still_faces"),
-        normals=tensors.get("normals"),
         face_tree=tensors.get("face_tree"),
-        materials=tuple(materials),
-        source_up_axis=rest["source_up_axis"],
-        source_up_confidence=rest.get("source_up_confidence", 1.0),
-        source_scale=rest["source_scale"],
-        source_offset=tuple(rest.get("source_offset", (0.0, 0.0, 0.0))),
+        source=Source(
+            up_axis=rest["source_up_axis"],
+            up_confidence=rest.get("source_up_confidence", 1.0),
+            scale=rest["source_scale"],
+            offset=tuple(rest.get("source_offset", (0.0, 0.0, 0.0))),
+        ),
         warnings=tuple(SourceWarning(**entry) for entry in rest.get("warnings", ())),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError
-from dynamictree.mesh import TriangleMesh, connected_parts, weld
+from dynamictree.mesh import Surface, TriangleMesh, connected_parts, weld
 from dynamictree.plant.sample import face_areas, on_faces
 from dynamictree.plant.trees.cells import CELLS_TALL
 from dynamictree.plant.trees.choose import require_tree, several_trees
@@ -35,7 +35,7 @@ def with_trees(mesh: TriangleMesh) -> TriangleMesh:
     return replace(mesh, face_tree=face_tree, warnings=(*mesh.warnings, several_trees(count)))
 
 
-def dense_points(mesh: TriangleMesh) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
+def dense_points(mesh: Surface) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
     """Points over the surface, as dense as the cells in which trees are separated; and the face of each."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -46,7 +46,7 @@ def dense_points(mesh: TriangleMesh) -> tuple[Float64[np.ndarray, "P 3"], Int64[
     return on_faces(mesh, np.ceil(count * min(1.0, MAX_POINTS / count.sum())).astype(np.int64))
 
 
-def mesh_points(mesh: TriangleMesh) -> tuple[Float32[np.ndarray, "P 3"], Int32[np.ndarray, " P"] | None]:
+def mesh_points(mesh: Surface) -> tuple[Float32[np.ndarray, "P 3"], Int32[np.ndarray, " P"] | None]:
     """The corners of the plant's faces, and the tree of each if there are several."""
     moving = mesh.moving_part
     trees = None if moving.face_tree is None else np.repeat(moving.face_tree, 3)
@@ -70,18 +70,15 @@ def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
         mesh,
         vertices=mesh.vertices[vertices],
         faces=corner.reshape(-1, 3).astype(np.int32),
-        uv=None if mesh.uv is None else mesh.uv[vertices],
-        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[vertices],
-        normals=None if mesh.normals is None else mesh.normals[vertices],
-        face_material=None if mesh.face_material is None else mesh.face_material[own],
-        face_part=None if mesh.face_part is None else mesh.face_part[own],
         still_faces=None if mesh.still_faces is None or not mesh.still_faces[own].any() else mesh.still_faces[own],
         face_tree=None,
-        source_gltf=None,
+        look=mesh.look.of(vertices, own),
+        parts=replace(mesh.parts, of_face=None if mesh.parts.of_face is None else mesh.parts.of_face[own]),
+        gltf=None,
     )
 
 
-def stand_resolution(mesh: TriangleMesh, resolution: int) -> int:
+def stand_resolution(mesh: Surface, resolution: int) -> int:
     """Resolution of the grid of several trees, so that the largest has about the resolution of a single one."""
     points, tree = mesh_points(mesh)
     if tree is None:
@@ -92,7 +89,7 @@ def stand_resolution(mesh: TriangleMesh, resolution: int) -> int:
 
 
 def _of_faces(
-    mesh: TriangleMesh, face: Int64[np.ndarray, " P"], tree: Int32[np.ndarray, " P"], count: int
+    mesh: Surface, face: Int64[np.ndarray, " P"], tree: Int32[np.ndarray, " P"], count: int
 ) -> Int32[np.ndarray, " F"]:
     """The tree of each face: that of its connected part, or of its own points where a part spans several trees."""
     part = _parts(mesh)
@@ -108,7 +105,7 @@ def _of_faces(
     return trees
 
 
-def _parts(mesh: TriangleMesh) -> Int32[np.ndarray, " F"]:
+def _parts(mesh: Surface) -> Int32[np.ndarray, " F"]:
     welded, _ = weld(mesh)
     part: Int32[np.ndarray, " F"] = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]]
     return part
