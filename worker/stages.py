@@ -108,13 +108,9 @@ def diffuse(given: StageInput) -> Iterable[Path]:
         voxels,
         model=given.job.preset,
         seed=given.job.seed,
-        wind=params.wind,
-        num_steps=params.num_steps,
-        period_s=params.period_s,
-        wind_bands=params.wind_bands,
-        foliage=params.foliage,
         of_cloud=CLOUD_BUNDLE in given.files,
         on_step=lambda done, total: given.report(done / total),
+        **dict(params),
     )
     return [_written(spectrum, write_spectrum, given.folder / SPECTRUM)]
 

@@ -1,20 +1,24 @@
 """`dynamictree animate`: generate a motion and write it as files."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from dynamictree import method
 from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import file_sha256, read_source, say_foliage
 from dynamictree.commands.terminal import AsJson, progress, tell
+from dynamictree.export.moving_tree import Facts
+from dynamictree.export.size import splat_bytes
+from dynamictree.export.table import PRODUCTS
+from dynamictree.export.write import write_products
 from dynamictree.files import published
+from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.gaussian.cloud import GaussianCloud, level_count
+from dynamictree.modal.real_trees import loop_period_s
 from dynamictree.requests import CloudParams, ExportParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
-
-if TYPE_CHECKING:
-    from dynamictree.export.moving_tree import Facts
-    from dynamictree.plant.capture import Capture
 
 
 @with_request_options
@@ -37,15 +41,10 @@ def animate(
     as_json: AsJson = False,
 ) -> None:
     """Make a tree sway: mesh or splat → voxels → spectrum → motion files."""
-    from dynamictree import method
-    from dynamictree.export.table import PRODUCTS
-    from dynamictree.export.write import write_products
-    from dynamictree.formats.tensors.spectrum import write_spectrum
-
     shape, capture = read_source(source, reading, choice=cloud, mask=mask, beside=mesh)
     period_s = generation.period_s or export.wanted_period_s
     if capture is not None and not as_json:
-        _print_sequence_size(capture, export, period_s)
+        _print_sequence_size(capture.cloud, export, period_s)
     inexact: dict[str, Facts] = {}
     with progress(quiet=as_json) as report, published(output) as folder:
         voxels = method.voxelize(shape, resolution=grid.resolution, source_sha256=file_sha256(source))
@@ -54,13 +53,9 @@ def animate(
             voxels,
             model=model.preset,
             seed=model.seed,
-            wind=generation.wind,
-            num_steps=generation.num_steps,
-            period_s=period_s,
-            wind_bands=generation.wind_bands,
-            foliage=generation.foliage,
             of_cloud=capture is not None,
             on_step=lambda done, total: report("diffuse", done / total),
+            **{**dict(generation), "period_s": period_s},
         )
         say_foliage(spectrum)
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:
@@ -82,13 +77,9 @@ def animate(
     tell(result, as_json=as_json)
 
 
-def _print_sequence_size(capture: "Capture", export: ExportParams, period_s: float | None) -> None:
+def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: float | None) -> None:
     """Print how large files of every frame of a splat will be, before they are written."""
-    from dynamictree.export.size import splat_bytes
-    from dynamictree.gaussian.cloud import level_count
-    from dynamictree.modal.real_trees import loop_period_s
-
-    cloud, z_m = capture.cloud, capture.cloud.means[:, 2]
+    z_m = cloud.means[:, 2]
     num_frames = export.count_frames(period_s or loop_period_s(float(z_m.max() - z_m.min())))
     count, degree = level_count(cloud.num_gaussians, export.share), min(cloud.sh_degree, export.sh_degree)
     for name, size in splat_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, export).items():
@@ -96,7 +87,7 @@ def _print_sequence_size(capture: "Capture", export: ExportParams, period_s: flo
         typer.echo(f"{name}: {what}: {size / 1e6:,.1f} MB", err=True)
 
 
-def _error_line(name: str, facts: "Facts") -> str:
+def _error_line(name: str, facts: Facts) -> str:
     shading = f"; its normals by {facts['normal_error_deg']:.3g}° rms" if "normal_error_deg" in facts else ""
     return (
         f"{name} is off by {1e3 * facts['rms_error_m']:.3g} mm rms ({facts['relative_error']:.2%} of the motion), "

@@ -1,7 +1,7 @@
 """`dynamictree convert`: convert a mesh, splat or scan to another file format."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,14 +11,25 @@ from dynamictree.commands.source import is_cloud, load_capture, load_mesh, say_h
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
+from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
+from dynamictree.formats.gltf.template import open_template
+from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.formats.splat.sog import write_sog
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.splat.spz import write_spz
+from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
 
-if TYPE_CHECKING:
-    from dynamictree.gaussian.cloud import GaussianCloud
-    from dynamictree.mesh import TriangleMesh
-
+CLOUD_WRITERS = {
+    ".ply": write_gaussian_ply,
+    ".splat": write_splat,
+    ".spz": write_spz,
+    ".sog": write_sog,
+    ".glb": write_gltf_gaussian,
+}
 MESH_ENDINGS = (".glb", ".obj", ".ply")
-CLOUD_ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb")
 
 
 @with_request_options
@@ -41,26 +52,23 @@ def convert(
     """
     cloud = load_capture(source, reading).cloud if is_cloud(source) else None
     mesh = load_mesh(source, reading) if cloud is None else None
-    endings = CLOUD_ENDINGS if mesh is None else MESH_ENDINGS
+    endings = tuple(CLOUD_WRITERS) if mesh is None else MESH_ENDINGS
     if output.suffix.lower() not in endings:
         kind = "splat or scan" if mesh is None else "mesh"
         raise InputError(f"{output.name!r} is no file that a {kind} is written to; choose from {', '.join(endings)}")
     with published(output.parent) as folder:
         if mesh is not None:
             say_how_read(mesh, mesh.warnings)
-            write_mesh_file(mesh, folder / output.name)
+            _write_mesh(mesh, folder / output.name)
         elif cloud is not None:
-            write_cloud_file(cloud, folder / output.name)
+            with (folder / output.name).open("wb") as stream:
+                CLOUD_WRITERS[output.suffix.lower()](cloud, stream)
         num_bytes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
     tell({str(output.parent / name): f"{size:,} bytes" for name, size in num_bytes.items()}, as_json=as_json)
 
 
-def write_mesh_file(mesh: "TriangleMesh", path: Path) -> None:
+def _write_mesh(mesh: TriangleMesh, path: Path) -> None:
     """Write a mesh in the format of the path's ending; an OBJ with its MTL and textures beside it."""
-    from dynamictree.formats.gltf.template import open_template
-    from dynamictree.formats.mesh.obj_writer import write_obj
-    from dynamictree.formats.mesh.ply_writer import write_ply
-
     with path.open("wb") as stream:
         match path.suffix.lower():
             case ".glb":
@@ -71,22 +79,3 @@ def write_mesh_file(mesh: "TriangleMesh", path: Path) -> None:
                 library = f"{path.stem}.mtl" if mesh.look.materials else ""
                 for name, content in write_obj(mesh, stream, library=library).items():
                     (path.parent / name).write_bytes(content)
-
-
-def write_cloud_file(cloud: "GaussianCloud", path: Path) -> None:
-    """Write a cloud in the format of the path's ending."""
-    from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
-    from dynamictree.formats.splat.ply import write_gaussian_ply
-    from dynamictree.formats.splat.sog import write_sog
-    from dynamictree.formats.splat.splat import write_splat
-    from dynamictree.formats.splat.spz import write_spz
-
-    writers = {
-        ".ply": write_gaussian_ply,
-        ".splat": write_splat,
-        ".spz": write_spz,
-        ".sog": write_sog,
-        ".glb": write_gltf_gaussian,
-    }
-    with path.open("wb") as stream:
-        writers[path.suffix.lower()](cloud, stream)

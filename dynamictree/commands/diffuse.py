@@ -5,11 +5,14 @@ from typing import Annotated
 
 import typer
 
+from dynamictree import method
 from dynamictree.commands.options import OutputFile, shape_file
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import file_sha256, is_tensor_file, read_source, say_foliage
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import opened, published
+from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
 from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
 
 
@@ -30,10 +33,6 @@ def diffuse(
     as_json: AsJson = False,
 ) -> None:
     """Generate the spectrum of a tree's motion from its shape (*.spectrum.safetensors)."""
-    from dynamictree import method
-    from dynamictree.formats.tensors.spectrum import write_spectrum
-    from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
-
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
         capture = None
         with opened(source) as stream:
@@ -46,13 +45,9 @@ def diffuse(
             voxels,
             model=model.preset,
             seed=model.seed,
-            wind=params.wind,
-            num_steps=params.num_steps,
-            period_s=params.period_s,
-            wind_bands=params.wind_bands,
-            foliage=params.foliage,
             of_cloud=capture is not None,
             on_step=lambda done, total: report("diffuse", done / total),
+            **dict(params),
         )
     say_foliage(spectrum)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:

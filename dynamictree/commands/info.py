@@ -10,6 +10,8 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import is_cloud, is_tensor_file, load_capture, load_mesh
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import opened
+from dynamictree.formats.description import describe_capture, describe_grid, describe_mesh, describe_spectrum
+from dynamictree.formats.tensors import spectrum, voxels
 from dynamictree.requests import Reading
 
 
@@ -20,9 +22,6 @@ def info(
     as_json: AsJson = False,
 ) -> None:
     """Print what a file contains."""
-    from dynamictree.formats.description import describe_capture, describe_grid, describe_mesh, describe_spectrum
-    from dynamictree.formats.tensors import spectrum, voxels
-
     if is_tensor_file(source, spectrum.FORMAT, ".spectrum.safetensors"):
         with opened(source) as stream:
             facts = describe_spectrum(spectrum.read_spectrum(stream))

@@ -2,25 +2,32 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
+from jaxtyping import Float32
+from safetensors.numpy import save
 
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import load_mesh
 from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
+from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.tensors.motion import write_motion
+from dynamictree.formats.tensors.spectrum import read_spectrum
+from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.bone_attachment import attach_mesh
+from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
+from dynamictree.modal.frames import VertexFrames
+from dynamictree.modal.interactive_tree import Answer, InteractiveTree
+from dynamictree.modal.locality import chosen_falloff_m
+from dynamictree.modal.response import answer_tensors, group_forces, respond
+from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.requests import InteractParams, Reading
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from dynamictree.mesh import TriangleMesh
-    from dynamictree.modal.force import Contact, Force
-    from dynamictree.modal.interactive_tree import Answer, InteractiveTree
-    from dynamictree.modal.system import ModalSystem
 
 FORMATS = ("modal", "motion", "ply")
 FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply": "frames-ply.zip"}
@@ -63,12 +70,6 @@ def interact(
     as_json: AsJson = False,
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
-    from dynamictree.formats.tensors.spectrum import read_spectrum
-    from dynamictree.modal.interactive_tree import InteractiveTree
-    from dynamictree.modal.locality import chosen_falloff_m
-    from dynamictree.modal.response import group_forces, respond
-    from dynamictree.modal.system import modal_system
-
     wanted = _formats(formats, has_mesh=mesh is not None)
     with opened(spectrum) as stream:
         system = modal_system(
@@ -114,9 +115,7 @@ def _formats(formats: str, *, has_mesh: bool) -> tuple[str, ...]:
     return wanted
 
 
-def _contact(system: "ModalSystem", point: Vector | None, voxel: int | None, radius_m: float) -> "Contact":
-    from dynamictree.modal.force import contact_at_point, contact_at_voxel
-
+def _contact(system: ModalSystem, point: Vector | None, voxel: int | None, radius_m: float) -> Contact:
     if point is not None and voxel is not None:
         raise InputError("the place is given twice; give --point or --voxel")
     if point is None:
@@ -130,18 +129,14 @@ def _contact(system: "ModalSystem", point: Vector | None, voxel: int | None, rad
 
 
 def _forces(
-    at: "Contact",
+    at: Contact,
     *,
     impulse: Vector | None,
     force: Vector | None,
     displacement: Vector | None,
     wind: Vector | None,
     times: tuple[float, float | None],
-) -> "list[Force]":
-    import numpy as np
-
-    from dynamictree.modal.force import Drag, Impulse, WindField
-
+) -> list[Force]:
     start_s, duration_s = times
     forces: list[Force] = []
     if impulse is not None:
@@ -158,23 +153,20 @@ def _forces(
 
 
 def _write(
-    tree: "InteractiveTree",
-    answer: "Answer",
-    mesh: "TriangleMesh | None",
+    tree: InteractiveTree,
+    answer: Answer,
+    mesh: TriangleMesh | None,
     output: Path,
     *,
     wanted: tuple[str, ...],
     fps: float,
     warp: bool,
 ) -> list[Path]:
-    from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
-    from dynamictree.formats.tensors.motion import write_motion
-
     with published(output) as folder:
         for name in wanted:
             with (folder / FILE_NAMES[name]).open("wb") as stream:
-                if name == "modal":
-                    stream.write(_modal_file(answer, fps))
+                if name == "modal":  # as /v1/interact gives it
+                    stream.write(save(answer_tensors(answer), {"fps": repr(fps)}))
                     continue
                 assert mesh is not None
                 frames = _vertex_frames(tree, answer, mesh, warp=warp)
@@ -185,23 +177,10 @@ def _write(
     return [output / FILE_NAMES[name] for name in wanted]
 
 
-def _modal_file(answer: "Answer", fps: float) -> bytes:
-    """Coordinates and final state, as /v1/interact gives them."""
-    from safetensors.numpy import save
-
-    from dynamictree.modal.response import answer_tensors
-
-    return save(answer_tensors(answer), {"fps": repr(fps)})
-
-
 def _vertex_frames(
-    tree: "InteractiveTree", answer: "Answer", mesh: "TriangleMesh", *, warp: bool
-) -> "Iterator[np.ndarray]":
+    tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, *, warp: bool
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Displacement of the mesh's vertices, frame after frame [m]."""
-    from dynamictree.devoxelize.smooth import smooth
-    from dynamictree.modal.bone_attachment import attach_mesh
-    from dynamictree.modal.frames import VertexFrames
-
     grid = tree.system.grid
     ties = smooth(grid, mesh)
     if not warp:

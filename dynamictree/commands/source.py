@@ -4,19 +4,21 @@ import hashlib
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from dynamictree.errors import InputError
 from dynamictree.files import opened
 from dynamictree.formats.companions import Companions
+from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+from dynamictree.formats.source_file import read_capture, source_kind
+from dynamictree.formats.tensors.container import tensor_format
+from dynamictree.mesh import SourceWarning, TriangleMesh
+from dynamictree.plant.capture import Capture, carrying_mesh, only_tree
+from dynamictree.plant.choice import with_choice
+from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams, Reading
-
-if TYPE_CHECKING:
-    from dynamictree.mesh import SourceWarning, TriangleMesh
-    from dynamictree.plant.capture import Capture
-    from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum
 
 
 def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
@@ -25,8 +27,6 @@ def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    from dynamictree.formats.tensors.container import tensor_format
-
     with opened(path) as stream:
         return path.name.endswith(ending) or tensor_format(stream) == file_format
 
@@ -37,8 +37,6 @@ def is_cloud(path: Path) -> bool:
     Raises:
         InputError: it cannot be read, or is of no format that is known.
     """
-    from dynamictree.formats.source_file import source_kind
-
     with opened(path) as stream:
         return source_kind(stream, path.name)[0] == "cloud"
 
@@ -50,16 +48,12 @@ def read_source(
     choice: CloudParams | None = None,
     mask: Path | None = None,
     beside: Path | None = None,
-) -> "tuple[TriangleMesh, Capture | None]":
+) -> tuple[TriangleMesh, Capture | None]:
     """Read a mesh; or read a splat or scan, and return it with the mesh that carries its moving part.
 
     Raises:
         InputError: a file cannot be read, or they do not fit together.
     """
-    from dynamictree.plant.capture import carrying_mesh, only_tree
-    from dynamictree.plant.choice import with_choice
-    from dynamictree.plant.trees.of_mesh import only_tree_of
-
     number = None if choice is None else choice.tree
     if not is_cloud(path):
         if mask is not None or beside is not None:
@@ -75,7 +69,7 @@ def read_source(
     return mesh, capture
 
 
-def say_how_read(mesh: "TriangleMesh", warnings: "Sequence[SourceWarning]") -> None:
+def say_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
     """Print size, axis and unit as they were read, and what the reader left out, to standard error."""
     unit = f"unit {mesh.source.scale:g} m"
     height = f"{mesh.height_m:.3g}" if mesh.height_m < 1000 else f"{mesh.height_m:,.0f}"
@@ -84,7 +78,7 @@ def say_how_read(mesh: "TriangleMesh", warnings: "Sequence[SourceWarning]") -> N
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
 
 
-def say_foliage(spectrum: "SparseVoxelSpectrum") -> None:
+def say_foliage(spectrum: SparseVoxelSpectrum) -> None:
     """Warn on standard error where the shape did not tell whether the tree is in leaf."""
     if spectrum.foliage is None:
         typer.echo(
@@ -107,14 +101,12 @@ def file_sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-def load_mesh(path: Path, reading: Reading | None = None) -> "TriangleMesh":
+def load_mesh(path: Path, reading: Reading | None = None) -> TriangleMesh:
     """Read a mesh file, and the files beside it that it names (MTL, textures), in metres and +Z up.
 
     Raises:
         InputError: it cannot be read, or the method cannot use the mesh.
     """
-    from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-
     with opened(path) as stream:
         file_type = sniff_file_type(stream.read(4096), path.name)
         stream.seek(0)
@@ -127,14 +119,12 @@ def load_capture(
     *,
     mask: Path | None = None,
     mesh: Path | None = None,
-) -> "Capture":
+) -> Capture:
     """Read a splat or scan, a mask of what may move, and a mesh in the same place.
 
     Raises:
         InputError: one of them cannot be read, or they do not fit together.
     """
-    from dynamictree.formats.source_file import read_capture, source_kind
-
     with ExitStack() as stack:
         stream = stack.enter_context(opened(path))
         _, file_type = source_kind(stream, path.name)

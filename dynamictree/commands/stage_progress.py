@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import typer
 
+from dynamictree.commands.terminal import progress
 from dynamictree.reconstruct.progress import Progress
 
 _EVENT_EVERY_S = 1.0
@@ -25,8 +26,8 @@ def stage_progress(*, as_json: bool) -> Iterator[Report]:
     elif not sys.stderr.isatty():
         yield _Lines(_line, every_share=_LINE_AT)
     else:
-        with _bars() as report:
-            yield report
+        with progress(quiet=False) as bars:
+            yield lambda one: bars(one.stage, one.share, "" if one.psnr_db is None else f"{one.psnr_db:.1f} dB")
 
 
 class _Lines:
@@ -73,27 +74,3 @@ def _line(progress: Progress, eta_s: float | None) -> str:
     if eta_s is not None and progress.share < 1:
         notes.append(f"about {eta_s:.0f} s left")
     return ", ".join(notes)
-
-
-@contextmanager
-def _bars() -> Iterator[Report]:
-    from rich.console import Console
-    from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bars
-
-    columns = (
-        *(TextColumn("{task.description:<8}"), BarColumn(), TaskProgressColumn()),
-        *(TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}")),
-    )
-    with Bars(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def report(progress: Progress) -> None:
-            if progress.stage not in tasks:
-                for earlier in tasks.values():
-                    bars.update(earlier, completed=1.0)
-                tasks[progress.stage] = bars.add_task(progress.stage, total=1.0, note="")
-            note = "" if progress.psnr_db is None else f"{progress.psnr_db:.1f} dB"
-            bars.update(tasks[progress.stage], completed=progress.share, note=note)
-
-        yield report

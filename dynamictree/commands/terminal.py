@@ -1,32 +1,49 @@
 """Output of commands: progress on standard error, results on standard output."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import typer
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
-Report = Callable[[str, float], None]
-"""What a long command tells of a stage: its name and the share done in [0, 1]."""
+
+class Report(Protocol):
+    """What a long command reports to."""
+
+    def __call__(self, stage: str, done: float, note: str = "") -> None:
+        """Take a stage's name, the share of it that is done in [0, 1], and a note beside its bar."""
 
 
 @contextmanager
 def progress(*, quiet: bool) -> Iterator[Report]:
     """Show one progress bar per stage; nothing if `quiet`, for output that a program reads."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskID,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress_bar:
+    columns = (
+        *(TextColumn("{task.description:<12}"), BarColumn(), TaskProgressColumn()),
+        *(TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}")),
+    )
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as display:
         bars: dict[str, TaskID] = {}
 
-        def report(stage: str, done: float) -> None:
+        def report(stage: str, done: float, note: str = "") -> None:
             if stage not in bars:
-                bars[stage] = progress_bar.add_task(stage, total=1.0)
-            progress_bar.update(bars[stage], completed=done)
+                for earlier in bars.values():
+                    display.update(earlier, completed=1.0)
+                bars[stage] = display.add_task(stage, total=1.0, note=note)
+            display.update(bars[stage], completed=done, note=note)
 
         yield report
 

@@ -1,10 +1,12 @@
 """`dynamictree voxelize`: convert a shape to its occupied voxels."""
 
+from dynamictree import method
 from dynamictree.commands.options import OutputFile, SourcePath
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import file_sha256, read_source
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import published
+from dynamictree.formats.tensors.voxels import write_voxels
 from dynamictree.requests import CloudParams, GridParams, Reading
 
 
@@ -18,9 +20,6 @@ def voxelize(
     as_json: AsJson = False,
 ) -> None:
     """Write the voxels that hold a piece of the tree's surface (*.voxels.safetensors)."""
-    from dynamictree import method
-    from dynamictree.formats.tensors.voxels import write_voxels
-
     mesh, _ = read_source(source, reading, choice=cloud)
     voxels = method.voxelize(mesh, resolution=grid.resolution, source_sha256=file_sha256(source))
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
