@@ -18,17 +18,21 @@ from benchmarks._table import table
 TABLE = Path("build/benchmarks.md")
 
 
-def main() -> int:
-    """Exit status: 1 if a benchmark failed."""
-    names = sorted(
+def names() -> list[str]:
+    """Names of all benchmarks."""
+    return sorted(
         module.name for module in pkgutil.iter_modules(benchmarks.__path__) if not module.name.startswith("_")
     )
-    unknown = [name for name in sys.argv[1:] if name not in names]
+
+
+def main() -> int:
+    """Exit status: 1 if a benchmark failed."""
+    unknown = [name for name in sys.argv[1:] if name not in names()]
     if unknown:
-        raise SystemExit(f"benchmarks: no such name: {', '.join(unknown)}; there are {', '.join(names)}")
+        raise SystemExit(f"benchmarks: no such name: {', '.join(unknown)}; there are {', '.join(names())}")
     for name in sys.argv[1:]:
         print(json.dumps({"benchmark": name, **importlib.import_module(f"benchmarks.{name}").run()}), flush=True)
-    return 0 if sys.argv[1:] else _all(names)
+    return 0 if sys.argv[1:] else _all(names())
 
 
 def _all(names: list[str]) -> int:

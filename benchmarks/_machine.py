@@ -13,6 +13,9 @@ import numpy as np
 
 from dynamictree.parallel import in_bands
 
+BRIEF = "DYNAMICTREE_BENCHMARK_BRIEF" in os.environ
+"""Whether every benchmark takes its shortest course: the tests run all of them, so that none is broken unseen."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
@@ -50,7 +53,7 @@ def timed(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> T
     for _ in range(warm_ups):
         call()
     wall, spent = [], []
-    for _ in range(runs):
+    for _ in range(2 if BRIEF else runs):
         began, before = time.perf_counter(), time.process_time()
         call()
         wall.append((time.perf_counter() - began) * 1e3)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.part_gaps import MESHES
 from dynamictree.commands.source import load_mesh
 from dynamictree.mesh import TriangleMesh, edges_of
 from lab.dataset.sample import make_sample
 
+MESHES = ("mesh/tree-lime.glb", "mesh/quaternius_common_tree/CommonTree_2.obj")
 SPECIES = ("weeping", "palm", "pine", "round-broadleaf")
 
 

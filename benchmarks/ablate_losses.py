@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from benchmarks._machine import machine
+from benchmarks._machine import BRIEF, machine
 from dynamictree.models import load_model
 from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
@@ -24,9 +24,9 @@ from lab.paper.examples import PaperExample, paper_example
 from lab.paper.sample_figures import sample_figures
 from lab.paper.train import PaperTraining, train_paper
 
-NUM_TREES, NUM_JUDGED, STEPS, BATCH, RESOLUTION = 16, 4, 1200, 16, 16
+NUM_TREES, NUM_JUDGED, STEPS, BATCH, RESOLUTION = 16, 4, 14 if BRIEF else 1200, 16, 16
 SMOOTHNESS_FROM = STEPS * 4 // 7  # as the paper's 40,000 of 70,000
-DDIM_STEPS = 50
+DDIM_STEPS = 2 if BRIEF else 50
 VARIANTS = {
     "L_DM": (STEPS, True),
     "both from the start": (0, True),

@@ -10,14 +10,14 @@ import statistics
 
 import numpy as np
 
-from benchmarks._machine import machine
+from benchmarks._machine import BRIEF, machine
 from benchmarks._trees import demo_mesh
 from benchmarks._whole_service import Ended, WholeService, whole_service
 from dynamictree.mesh import TriangleMesh
 
 TARGET_S, FIRST_TARGET_S, MEMORY_TARGET_MB = 6.0, 12.0, 1024.0
 SIZES = "2000,10000,50000,200000"
-RUNS = int(os.environ.get("DYNAMICTREE_BENCHMARK_RUNS", "5"))
+RUNS = int(os.environ.get("DYNAMICTREE_BENCHMARK_RUNS", "1" if BRIEF else "5"))
 LARGE = 50_000  # vertices; larger meshes run three times
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks._machine import machine
+from benchmarks._machine import BRIEF, machine
 from benchmarks._photo_lawn import photograph_on_lawn
 from benchmarks._photo_set import photograph
 from benchmarks._whole_service import WholeService, stage_seconds, whole_service
@@ -38,7 +38,7 @@ def run() -> dict[str, object]:
     sets = {"lawn": _lawn, "thin": _thin, "rgba": _rgba}
     if os.environ.get("DYNAMICTREE_SAMPLES"):
         sets["banana"] = _banana
-    chosen = os.environ.get("DYNAMICTREE_BENCHMARK_SETS", ",".join(sets)).split(",")
+    chosen = os.environ.get("DYNAMICTREE_BENCHMARK_SETS", "rgba" if BRIEF else ",".join(sets)).split(",")
     rows = {}
     with whole_service() as service:
         for name in chosen:
