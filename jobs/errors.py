@@ -12,6 +12,7 @@
     ├── FencedError         another attempt owns the job; this one must stop
     ├── BackupError         a backup is damaged, or of a newer version
     ├── OutboundError       an address that may not be called, or that does not answer
+    ├── SchemaError         the tables are of an earlier revision
     └── SettingsError       the settings cannot be used
 
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type.
@@ -84,6 +85,12 @@ class SecretKeyError(JobsError):
     """A stored secret cannot be decrypted: the setting `secret_key` is missing or another one."""
 
     code = "secret-key-error"
+
+
+class SchemaError(JobsError):
+    """The database has tables of an earlier revision."""
+
+    code = "schema-error"
 
 
 class FencedError(JobsError):

@@ -64,5 +64,4 @@ def set_up_logging(settings: Settings) -> None:
         logging.getLogger(name).handlers.clear()
         logging.getLogger(name).propagate = True
     logging.getLogger("uvicorn.access").addFilter(_without_signature)
-    for name in ("alembic", "httpx"):  # httpx tells whole URLs, and secrets of webhooks and storages are in them
-        logging.getLogger(name).setLevel("WARNING")
+    logging.getLogger("httpx").setLevel("WARNING")  # it tells whole URLs, with secrets of webhooks and storages

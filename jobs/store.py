@@ -14,8 +14,8 @@ from ulid import ULID
 
 from jobs.database import tables as t
 from jobs.database.engine import insert_new, open_engine
-from jobs.database.migrations import migrate
 from jobs.database.retry import patient
+from jobs.database.schema import make_tables
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
 from jobs.lifecycle import rows
 from jobs.lifecycle.job_log import LogLine, lines, note
@@ -47,9 +47,9 @@ class Store:
 
     @classmethod
     def open(cls, url: str, *, clock: Callable[[], float] = time.time) -> "Store":
-        """Connect, and bring the tables up to date."""
+        """Connect, and make the tables where there are none."""
         engine = open_engine(url)
-        migrate(engine)
+        make_tables(engine)
         return cls(engine, clock=clock)
 
     def close(self) -> None:

@@ -1,13 +1,15 @@
-"""Tables of the job store; a test compares them with what `migrations/` creates. Times are seconds since 1970."""
+"""Tables of the job store. Times are seconds since 1970."""
 
 import sqlalchemy as sa
 
-HEAD = "0006"
-"""The newest revision in `migrations/versions`."""
+REVISION = 1
+"""Of these tables. A release that changes them raises it and adds only what old code can ignore."""
 
 metadata = sa.MetaData()
 _id = sa.String(64)
 _hash = sa.String(64)
+
+schema_revision = sa.Table("schema_revision", metadata, sa.Column("number", sa.Integer, primary_key=True))
 
 api_keys = sa.Table(
     "api_keys",
@@ -28,8 +30,8 @@ assets = sa.Table(
     "assets",
     metadata,
     sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, server_default="", index=True),  # empty where no key was asked for
-    sa.Column("bytes", sa.BigInteger, nullable=False, server_default="0"),
+    sa.Column("owner", _id, nullable=False, index=True),  # empty where no key was asked for
+    sa.Column("bytes", sa.BigInteger, nullable=False),
     sa.Column("kind", sa.String(16), nullable=False),
     sa.Column("fingerprint", _hash, nullable=False),
     sa.Column("live_fingerprint", _hash, unique=True),  # null once deleted, so that the same bytes may come again
@@ -45,7 +47,7 @@ jobs = sa.Table(
     "jobs",
     metadata,
     sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, server_default=""),
+    sa.Column("owner", _id, nullable=False),
     sa.Column("type", sa.String(16), nullable=False),
     sa.Column("state", sa.String(16), nullable=False),
     sa.Column("asset_id", _id, sa.ForeignKey("assets.id"), nullable=False, index=True),
@@ -53,7 +55,7 @@ jobs = sa.Table(
     sa.Column("seed", sa.BigInteger, nullable=False),
     sa.Column("params", sa.JSON, nullable=False),
     sa.Column("queue", sa.String(32), nullable=False),
-    sa.Column("priority", sa.String(16), nullable=False, server_default="normal"),
+    sa.Column("priority", sa.String(16), nullable=False),
     sa.Column("webhook_id", _id),
     sa.Column("request_id", sa.String(128)),  # of the request that made it
     sa.Column("traceparent", sa.String(64)),
@@ -69,9 +71,8 @@ jobs = sa.Table(
     sa.Column("start_deadline", sa.Double),
     sa.Column("retry_of", _id),
     sa.Column("external_id", sa.String(128)),  # the client's own name for it
-    sa.Column("metadata", sa.JSON, nullable=False, server_default="{}"),  # the client's, returned as they are
+    sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
     sa.Column("cancel_at", sa.Double),
-    sa.Column("fresh_from", sa.String(16)),  # unused; revisions only add
     sa.Column("created_at", sa.Double, nullable=False, index=True),
     sa.Column("started_at", sa.Double),
     sa.Column("finished_at", sa.Double, index=True),
@@ -149,7 +150,7 @@ uploads = sa.Table(
     "uploads",
     metadata,
     sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, server_default="", index=True),
+    sa.Column("owner", _id, nullable=False, index=True),
     sa.Column("state", sa.String(16), nullable=False, index=True),
     sa.Column("filename", sa.String(255), nullable=False),
     sa.Column("options", sa.JSON, nullable=False),  # how to read it: kind, up_axis, unit_m
@@ -171,7 +172,7 @@ webhook_endpoints = sa.Table(
     "webhook_endpoints",
     metadata,
     sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, server_default="", index=True),
+    sa.Column("owner", _id, nullable=False, index=True),
     sa.Column("url", sa.Text, nullable=False),
     sa.Column("events", sa.JSON, nullable=False),
     sa.Column("secret", sa.String(128), nullable=False),

@@ -12,7 +12,7 @@ from jobs.lifecycle.job_log import note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import JobState, JobType, states_before
 
-HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256", "fresh_from"})
+HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
 """Columns of a job that its record does not show."""
 
 

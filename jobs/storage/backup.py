@@ -26,10 +26,10 @@ from jobs.store import Store, new_id
 
 BACKUP_LEASE = "backup"
 LEASE_S = 600.0
-FORMAT = 1
+FORMAT = 2
 DATABASE, BLOBS = "database.jsonl.gz", "blobs"
-NOT_SAVED = frozenset({"leases"})
-"""Who holds what now, which says nothing to another day's processes."""
+NOT_SAVED = frozenset({"leases", "schema_revision"})
+"""Who holds what now says nothing to another day's processes; the tables that are restored into have a revision."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +115,7 @@ def _write_rows(connection: sa.Connection, path: Path) -> int:
     number = 0
     path.touch(mode=0o600)
     with gzip.open(path, "wt") as stream:
-        stream.write(json.dumps({"format": FORMAT, "revision": t.HEAD}) + "\n")
+        stream.write(json.dumps({"format": FORMAT, "revision": t.REVISION}) + "\n")
         for table in t.metadata.sorted_tables:
             if table.name in NOT_SAVED:
                 continue
@@ -129,8 +129,9 @@ def _read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     try:
         with gzip.open(path, "rt") as stream:
             header = json.loads(stream.readline())
-            if header["format"] != FORMAT or header["revision"] > t.HEAD:
-                raise BackupError(f"{path} is of format {header['format']}, revision {header['revision']}: newer code")
+            if header["format"] != FORMAT or header["revision"] > t.REVISION:
+                found = f"format {header['format']}, revision {header['revision']}"
+                raise BackupError(f"{path} is of {found}; this program restores {FORMAT}, {t.REVISION}")
             for line in stream:
                 name, row = json.loads(line)
                 yield name, row

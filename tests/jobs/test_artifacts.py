@@ -112,9 +112,6 @@ def test_pieces_in_s3_make_the_upload(s3: tuple[Server, Path], tmp_path: Path) -
     writer = parts.writer("one", 0)
     writer.write([b"some", b"thing"])
     writer.keep()
-    given_up = parts.writer("one", 9)
-    given_up.write([bytes(OBJECT_BYTES)])
-    given_up.discard()
     last = parts.writer("one", 9)
     last.write([b" more"])
     last.keep()
@@ -138,7 +135,6 @@ def test_of_two_replicas_that_write_one_upload_one_is_refused(s3: tuple[Server, 
     with pytest.raises(BlockingIOError, match="at 0"):
         slow.keep()
     slow.keep()
-    slow.discard()
     assert late.size("both") == 9 + OBJECT_BYTES + 4
     late.fetch("both", tmp_path / "whole")
     assert (tmp_path / "whole").read_bytes().startswith(b"something\0")

@@ -1,0 +1,60 @@
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from jobs.database.engine import open_engine
+from jobs.database.schema import make_tables
+from jobs.errors import SchemaError
+from jobs.lifecycle.attempts import claim, succeed
+from jobs.storage.assets import add_asset
+from jobs.store import Store
+from tests.jobs.conftest import add_job, make_asset
+
+
+def test_many_may_make_the_tables_at_once(tmp_path: Path) -> None:
+    engines = [open_engine(f"sqlite:///{tmp_path / 'new' / 'jobs.sqlite'}") for _ in range(4)]
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(make_tables, engines))
+    for engine in engines:
+        with engine.connect() as connection:
+            assert connection.exec_driver_sql("SELECT count(*) FROM schema_revision").scalar_one() == 1
+        engine.dispose()
+
+
+@pytest.mark.parametrize("earlier", ["DROP TABLE schema_revision", "UPDATE schema_revision SET number = 0"])
+def test_tables_of_an_earlier_revision_are_refused(tmp_path: Path, earlier: str) -> None:
+    url = f"sqlite:///{tmp_path / 'jobs.sqlite'}"
+    Store.open(url).close()
+    engine = sa.create_engine(url)
+    with engine.begin() as connection:
+        connection.execute(sa.text(earlier))
+    engine.dispose()
+    with pytest.raises(SchemaError, match=r"revision 0, this program needs 1; .* another state folder"):
+        Store.open(url)
+
+
+def test_old_code_goes_on_with_newer_tables(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'jobs.sqlite'}"
+    Store.open(url).close()
+    engine = sa.create_engine(url)
+    with engine.begin() as connection:  # as the next release does: it only adds
+        connection.execute(sa.text("UPDATE schema_revision SET number = 9999"))
+        connection.execute(sa.text("ALTER TABLE jobs ADD COLUMN later TEXT"))
+        connection.execute(sa.text("CREATE TABLE later (id TEXT)"))
+    engine.dispose()
+    store = Store.open(url)
+    asset = add_asset(store, make_asset(store.clock()))[0]
+    job = add_job(store, asset)
+    lease = claim(store, job.id, 1, owner="old", lease_s=60)
+    assert lease is not None
+    assert succeed(store, lease) == "succeeded"
+    store.close()
+
+
+def test_only_the_owner_of_the_process_reads_the_database(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "jobs.sqlite"
+    Store.open(f"sqlite:///{path}").close()
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.parent.stat().st_mode & 0o777 == 0o700
