@@ -1,18 +1,32 @@
-"""Middleware around every request: id, security headers, body limit, and a problem for unexpected exceptions."""
+"""Middleware around every request: id, security headers, measurement, audit, body limit, unexpected exceptions."""
 
 import asyncio
 import logging
 import re
+import time
 
+from prometheus_client import Counter, Histogram
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jobs.logging_setup import log_ids
 from jobs.settings import Settings
 from jobs.store import new_id
+from service.http.caller import ANYONE, CALLER
 from service.http.problems import REQUEST_ID, ProblemError, problem_response, request_id_of
 
 logger = logging.getLogger(__name__)
+audit = logging.getLogger("dynamictree.audit")
+"""Every change that a request made, and every refused key. Ids and names only: never a key or a file's content."""
+
+REQUEST_SECONDS = Histogram(
+    "dynamictree_request_seconds",
+    "Requests by route, until the last byte of the answer",
+    ["method", "route"],
+    registry=None,
+    buckets=(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10, 60),
+)
+ANSWERS = Counter("dynamictree_answers", "Answers by status", ["status"], registry=None)
 
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -29,35 +43,28 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
 
 
 class RequestFrame:
-    """Outermost: request id, headers, and a problem object for an exception that no handler knows."""
+    """Outermost: request id, headers, a problem object for an exception that no handler knows, metrics, audit."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Add request id and headers to one request."""
+        """Run one request, then measure and log it."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
         given = Headers(scope=scope).get("x-request-id", "")
         request_id = given if _REQUEST_ID.fullmatch(given) else new_id()
         scope[REQUEST_ID] = request_id
-        started = False
+        began = time.perf_counter()
+        status, location = 0, ""
 
         async def send_framed(message: Message) -> None:
-            nonlocal started
+            nonlocal status, location
             if message["type"] == "http.response.start":
-                started = True
                 headers = MutableHeaders(scope=message)
-                headers["X-Request-Id"] = request_id
-                if scope["path"].startswith("/v1/"):
-                    headers["X-Api-Version"] = API_VERSION
-                if scope["path"].startswith("/v1/uploads"):
-                    headers["Tus-Resumable"] = TUS_VERSION
-                for name, value in SECURITY_HEADERS.items():
-                    headers.setdefault(name, value)
-                if "frame-ancestors 'none'" not in headers["Content-Security-Policy"]:
-                    del headers["X-Frame-Options"]  # it knows no list of origins
+                _add_headers(headers, scope["path"], request_id)
+                status, location = message["status"], headers.get("location", "")
             await send(message)
 
         try:
@@ -66,10 +73,47 @@ class RequestFrame:
         except Exception:
             # the one place that must answer whatever goes wrong; the message stays in the log
             logger.exception("request failed", extra={"request_id": request_id, "path": scope["path"]})
-            if started:
+            if status:
                 raise
             response = problem_response("internal-error", "The cause was logged.", request_id=request_id)
             await response(scope, receive, send_framed)
+        finally:
+            route = getattr(scope.get("route"), "path", "none")  # paths that nobody serves share one label
+            method = "none" if route == "none" else scope["method"]
+            REQUEST_SECONDS.labels(method, route).observe(time.perf_counter() - began)
+            ANSWERS.labels(str(status or "none")).inc()
+            _audit(scope, status, location)
+
+
+def _add_headers(headers: MutableHeaders, path: str, request_id: str) -> None:
+    headers["X-Request-Id"] = request_id
+    if path.startswith("/v1/"):
+        headers["X-Api-Version"] = API_VERSION
+    if path.startswith("/v1/uploads"):
+        headers["Tus-Resumable"] = TUS_VERSION
+    for name, value in SECURITY_HEADERS.items():
+        headers.setdefault(name, value)
+    if "frame-ancestors 'none'" not in headers["Content-Security-Policy"]:
+        del headers["X-Frame-Options"]  # it knows no list of origins
+
+
+def _audit(scope: Scope, status: int, location: str) -> None:
+    """Log a change or a refused key. Pushes, and pieces of an upload, change nothing that outlives them."""
+    path, method = scope["path"], scope["method"]
+    changes = method in {"POST", "PUT", "PATCH", "DELETE"} and not path.startswith(("/v1/interact", "/v1/uploads/"))
+    if not path.startswith("/v1/") or not (changes or status in {401, 403}):
+        return
+    caller, client = scope.get(CALLER, ANYONE), scope.get("client")
+    event = {
+        "actor": caller.key_id or "anyone",
+        "target": location or path[:200],
+        "outcome": status,
+        "owner": caller.owner or "",
+        "address": client[0] if client else "",
+        "request_id": request_id_of(scope),
+    }
+    action = f"{method} {getattr(scope.get('route'), 'path', path[:200])}"
+    audit.info("%s: %s", action, " ".join(f"{name}={value}" for name, value in event.items()), extra=event)
 
 
 class BodyLimit:

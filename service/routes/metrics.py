@@ -4,7 +4,6 @@ Counts of jobs come from the store, so every replica tells the same of them; req
 """
 
 import logging
-import time
 from collections.abc import Iterator, Mapping
 
 import sqlalchemy as sa
@@ -12,35 +11,24 @@ from fastapi import APIRouter, Response
 from prometheus_client import (
     CONTENT_TYPE_LATEST,
     CollectorRegistry,
-    Counter,
-    Histogram,
     PlatformCollector,
     ProcessCollector,
     generate_latest,
 )
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jobs.database.counters import SECONDS, tallies
 from jobs.lifecycle.service_statistics import Census, census
 from jobs.states import JobState, queues_of
 from jobs.storage.artifacts import ArtifactStore
 from jobs.store import Store
+from service.http.middleware import ANSWERS, REQUEST_SECONDS
 from service.http.problems import ProblemError
 from service.http.routing import refusals
 from service.services import OwnedDep
 
 router = APIRouter(tags=["health"])
 logger = logging.getLogger(__name__)
-
-ON_REQUEST = Histogram(
-    "dynamictree_request_seconds",
-    "Requests by route, until the last byte of the answer",
-    ["method", "route"],
-    registry=None,
-    buckets=(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10, 60),
-)
-ON_ANSWER = Counter("dynamictree_answers", "Answers by status", ["status"], registry=None)
 
 
 @router.get(
@@ -58,7 +46,7 @@ def get_metrics(owned: OwnedDep) -> Response:
         owned.services.artifacts,
         tuple(queue for base in owned.services.settings.job_queues for queue in queues_of(base)),
     )
-    for own in (ON_REQUEST, ON_ANSWER, store_metrics):
+    for own in (REQUEST_SECONDS, ANSWERS, store_metrics):
         registry.register(own)
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
@@ -144,33 +132,3 @@ def _counter(name: str, what: str, values: Mapping[str, float], labels: list[str
     for label, value in values.items():
         family.add_metric(label.split(":"), value)
     return family
-
-
-class Measured:
-    """Middleware that measures the duration of each request. Unknown paths share one label."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Time one request."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        began = time.perf_counter()
-        status = "none"
-
-        async def send_seen(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = str(message["status"])
-            await send(message)
-
-        try:
-            await self.app(scope, receive, send_seen)
-        finally:
-            route = getattr(scope.get("route"), "path", "none")
-            ON_REQUEST.labels(scope["method"] if route != "none" else "none", route).observe(
-                time.perf_counter() - began
-            )
-            ON_ANSWER.labels(status).inc()
