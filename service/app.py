@@ -17,7 +17,6 @@ from fastapi.responses import Response
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 from service.http import problem_handlers
-from service.http.audit import Audited
 from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
 from service.http.problems import problem_response, request_id_of
@@ -25,7 +24,6 @@ from service.openapi.document import CONTACT, DESCRIPTION, LICENSE, SERVERS, des
 from service.routes import (
     artifacts,
     assets,
-    batch,
     catalogue,
     health,
     interact,
@@ -44,14 +42,12 @@ from service.routes import (
     usage,
     webhooks,
 )
-from service.routes.metrics import Measured
 from service.services import open_services
 from service.uploads.ingest import Ingest
 
 ROUTERS = (
     uploads.router,
     assets.router,
-    batch.router,
     jobs.router,
     job_events.router,
     artifacts.router,
@@ -89,7 +85,6 @@ EXPOSED = (
     "Tus-Version",
     "Tus-Extension",
     "Tus-Max-Size",
-    "Tus-Checksum-Algorithm",
 )
 """Headers that a page of an allowed origin may read."""
 
@@ -126,7 +121,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Authentication, settings=settings)
-    app.add_middleware(Audited)
     if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,
@@ -135,7 +129,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             allow_headers=["*"],
             expose_headers=EXPOSED,
         )
-    app.add_middleware(Measured)
     app.add_middleware(RequestFrame)
     if settings.otlp_endpoint is not None:
         from service.http.tracing import trace_requests

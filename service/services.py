@@ -23,7 +23,6 @@ from service.interact.lru_cache import LruCache
 from service.interact.ready_tree import ReadyTree
 from service.job_durations import JobDurations
 from service.job_notifier import JobNotifier
-from service.uploads.upload_writer import ActiveWriters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +33,6 @@ class Services:
     store: Store
     artifacts: ArtifactStore
     upload_parts: PartStore
-    upload_writers: ActiveWriters
     outbound: Outbound
     secret_box: SecretBox
     job_durations: JobDurations
@@ -77,7 +75,6 @@ def open_services(settings: Settings) -> Iterator[Services]:
             store=store,
             artifacts=open_artifacts(artifacts_url, credentials=credentials),
             upload_parts=open_parts(artifacts_url, credentials=credentials),
-            upload_writers=ActiveWriters(),
             outbound=Outbound(private_hosts=settings.outbound_hosts),
             secret_box=SecretBox(settings.secret_key_bytes),
             job_durations=JobDurations(store),

@@ -120,7 +120,7 @@ class AsyncClient:
         """Send one file by the tus protocol, version 1.0, and give its upload's id. A broken line costs one piece."""
         path = Path(path)
         size = path.stat().st_size
-        begin = {"method": "POST", "url": "/v1/uploads", "headers": upload_headers(path.name, size)}
+        begin = {"method": "POST", "url": "/v1/uploads", "headers": upload_headers(path)}
         begun = await self._exchange(lambda: begin, repeatable=True)
         place, offset, attempt = begun.headers["Location"], 0, 1
         with path.open("rb") as stream:
@@ -129,7 +129,7 @@ class AsyncClient:
                 piece = stream.read(PIECE)
                 outcome: httpx.Response | httpx.TransportError
                 try:
-                    outcome = await self._http.patch(place, content=piece, headers=piece_headers(offset, piece))
+                    outcome = await self._http.patch(place, content=piece, headers=piece_headers(offset))
                 except httpx.TransportError as error:
                     outcome = error
                 if isinstance(outcome, httpx.Response) and not outcome.is_error:

@@ -13,7 +13,7 @@ from dynamictree_client.models import Artifact
 PathLike = str | Path
 TUS = {"Tus-Resumable": "1.0.0"}
 PIECE = 8 * 1024 * 1024  # bytes sent at once; what a broken line costs
-OUT_OF_STEP = (409, 460)  # tus: another offset is expected; the checksum is another
+OUT_OF_STEP = (409, 460)  # tus: another offset is expected; the sha256 of the whole file is another
 
 
 def chosen_files(paths: PathLike | Sequence[PathLike]) -> list[Path]:
@@ -38,20 +38,17 @@ def form_of(files: Sequence[Path], fields: dict[str, str], stack: ExitStack) -> 
     return {"files": opened, "data": fields}
 
 
-def upload_headers(name: str, size: int) -> dict[str, str]:
-    """Headers that create an upload (tus 1.0)."""
-    return {**TUS, "Upload-Length": str(size), "Upload-Metadata": f"filename {_base64(name.encode())}"}
+def upload_headers(path: Path) -> dict[str, str]:
+    """Headers that create an upload (tus 1.0), with the file's sha256, which the service checks at the end."""
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    metadata = f"filename {_base64(path.name.encode())},sha256 {_base64(digest.encode())}"
+    return {**TUS, "Upload-Length": str(path.stat().st_size), "Upload-Metadata": metadata}
 
 
-def piece_headers(offset: int, piece: bytes) -> dict[str, str]:
-    """Headers of one piece of an upload (tus 1.0, with checksum)."""
-    checksum = f"sha256 {_base64(hashlib.sha256(piece).digest())}"
-    return {
-        **TUS,
-        "Content-Type": "application/offset+octet-stream",
-        "Upload-Offset": str(offset),
-        "Upload-Checksum": checksum,
-    }
+def piece_headers(offset: int) -> dict[str, str]:
+    """Headers of one piece of an upload (tus 1.0)."""
+    return {**TUS, "Content-Type": "application/offset+octet-stream", "Upload-Offset": str(offset)}
 
 
 def _base64(content: bytes) -> str:

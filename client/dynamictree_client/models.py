@@ -90,27 +90,6 @@ class At(Model):
     radius_m: float = 0.0
 
 
-class BatchItem(Model):
-    """Result of one item of a batch: the job, or why it was refused."""
-
-    # what the request would have been answered by itself
-    status: int
-    job: "Job | None"
-    problem: "Problem | None"
-
-
-class Batch(Model):
-    """Results of a batch, in the order of the request."""
-
-    data: "list[BatchItem]"
-
-
-class BatchRequest(Model):
-    """Several jobs at once."""
-
-    jobs: "list[ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest]"
-
-
 class DeliveryList(Model):
     """A page of deliveries, newest first."""
 

@@ -7,8 +7,6 @@ from dynamictree_client.call import Call, path_of
 from dynamictree_client.models import (
     AnimateRequest,
     Asset,
-    Batch,
-    BatchRequest,
     Delivery,
     DeliveryList,
     DiffuseRequest,
@@ -41,7 +39,7 @@ from dynamictree_client.models import (
 
 
 def get_upload_protocol() -> Call[None]:
-    """Supported tus versions, extensions and checksums."""
+    """Supported tus versions and extensions."""
     return Call(method="OPTIONS", path="/v1/uploads", answer=None)
 
 
@@ -52,7 +50,6 @@ def create_upload(
     upload_length: str | None = None,
     upload_metadata: str | None = None,
     content_type: str | None = None,
-    upload_checksum: str | None = None,
 ) -> Call[None]:
     """Begin an upload; its first bytes may come with it."""
     return Call(
@@ -64,7 +61,6 @@ def create_upload(
             "upload-length": upload_length,
             "upload-metadata": upload_metadata,
             "content-type": content_type,
-            "Upload-Checksum": upload_checksum,
         },
         content=content,
         content_type="application/offset+octet-stream",
@@ -88,19 +84,13 @@ def append_to_upload(
     tus_resumable: str | None = None,
     upload_offset: str | None = None,
     content_type: str | None = None,
-    upload_checksum: str | None = None,
 ) -> Call[None]:
-    """Append to an upload. Bytes received before a connection breaks are stored, unless the request has a checksum."""
+    """Append to an upload. Bytes received before a connection breaks are stored."""
     return Call(
         method="PATCH",
         path=path_of("/v1/uploads/{id}", {"id": id}),
         answer=None,
-        headers={
-            "Tus-Resumable": tus_resumable,
-            "upload-offset": upload_offset,
-            "content-type": content_type,
-            "Upload-Checksum": upload_checksum,
-        },
+        headers={"Tus-Resumable": tus_resumable, "upload-offset": upload_offset, "content-type": content_type},
         content=content,
         content_type="application/offset+octet-stream",
     )
@@ -134,13 +124,6 @@ def get_asset(id: str) -> Call[Asset]:
 def delete_asset(id: str) -> Call[None]:
     """Forget an upload. What was made of it stays until it expires."""
     return Call(method="DELETE", path=path_of("/v1/assets/{id}", {"id": id}), answer=None)
-
-
-def create_jobs(body: BatchRequest, *, idempotency_key: str | None = None) -> Call[Batch]:
-    """Create several jobs. Each is accepted or refused separately, with its own status."""
-    return Call(
-        method="POST", path="/v1/jobs:batch", answer=Batch, headers={"idempotency-key": idempotency_key}, body=body
-    )
 
 
 def create_job(

@@ -117,7 +117,7 @@ class Client:
         """Send one file by the tus protocol, version 1.0, and give its upload's id. A broken line costs one piece."""
         path = Path(path)
         size = path.stat().st_size
-        begin = {"method": "POST", "url": "/v1/uploads", "headers": upload_headers(path.name, size)}
+        begin = {"method": "POST", "url": "/v1/uploads", "headers": upload_headers(path)}
         begun = self._exchange(lambda: begin, repeatable=True)
         place, offset, attempt = begun.headers["Location"], 0, 1
         with path.open("rb") as stream:
@@ -126,7 +126,7 @@ class Client:
                 piece = stream.read(PIECE)
                 outcome: httpx.Response | httpx.TransportError
                 try:
-                    outcome = self._http.patch(place, content=piece, headers=piece_headers(offset, piece))
+                    outcome = self._http.patch(place, content=piece, headers=piece_headers(offset))
                 except httpx.TransportError as error:
                     outcome = error
                 if isinstance(outcome, httpx.Response) and not outcome.is_error:

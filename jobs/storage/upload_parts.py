@@ -32,9 +32,6 @@ class PartWriter(Protocol):
     def keep(self) -> None:
         """Make the written bytes durable."""
 
-    def discard(self) -> None:
-        """Discard the bytes of this writer."""
-
 
 class PartStore(Protocol):
     """Storage of incomplete uploads. Raises StorageAwayError if it does not respond."""
@@ -91,7 +88,6 @@ class FileWriter:
         except BlockingIOError:
             os.close(self._descriptor)
             raise
-        self._began = offset
         self._unsynced = 0
         os.lseek(self._descriptor, offset, os.SEEK_SET)
 
@@ -110,13 +106,6 @@ class FileWriter:
         """Sync and close."""
         try:
             os.fdatasync(self._descriptor)
-        finally:
-            os.close(self._descriptor)
-
-    def discard(self) -> None:
-        """Cut off what this writer wrote, and close."""
-        try:
-            os.ftruncate(self._descriptor, self._began)
         finally:
             os.close(self._descriptor)
 
@@ -180,7 +169,6 @@ class ObjectWriter:
         self._folder = folder
         self._offset = offset
         self._waiting = bytearray()
-        self._written_keys: list[str] = []
 
     def write(self, chunks: Sequence[bytes]) -> None:
         """Append."""
@@ -194,12 +182,6 @@ class ObjectWriter:
         if self._waiting:
             self._put()
 
-    def discard(self) -> None:
-        """Delete what this writer put."""
-        if self._written_keys:
-            with reporting_refusals():
-                obstore.delete(self._objects, self._written_keys)
-
     def _put(self) -> None:
         key = f"{self._folder}/{self._offset:020d}"
         content = bytes(self._waiting)
@@ -209,7 +191,6 @@ class ObjectWriter:
                 obstore.put(self._objects, key, content, mode="create")
             except AlreadyExistsError as error:
                 raise BlockingIOError(f"another request has written the upload at {self._offset:,}") from error
-        self._written_keys.append(key)
         self._offset += len(content)
 
 

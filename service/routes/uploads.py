@@ -20,19 +20,18 @@ from service.http.problems import ProblemError, wrong_field
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
+from service.uploads.append import append, stands_elsewhere
 from service.uploads.intake import FIELDS, reading_options
 from service.uploads.quota import announce, require_room
-from service.uploads.upload_writer import CHECKSUMS, Checksum, UploadWriter, stands_elsewhere
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
-EXTENSIONS = ("creation", "creation-with-upload", "checksum", "expiration", "termination")
+EXTENSIONS = ("creation", "creation-with-upload", "expiration", "termination")
 CONTENT_TYPE = "application/offset+octet-stream"
 MAX_METADATA_CHARS = 8192
 _HEX = frozenset("0123456789abcdef")
 
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
-_Checksum = Annotated[str | None, Header(alias="Upload-Checksum", description="sha1 or sha256, a space, base64")]
 _BODY = {
     "requestBody": {
         "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
@@ -49,11 +48,10 @@ _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mi
 
 @router.options("", operation_id="getUploadProtocol", status_code=status.HTTP_204_NO_CONTENT, responses=refusals())
 async def get_protocol(owned: OwnedDep) -> Response:
-    """Supported tus versions, extensions and checksums."""
+    """Supported tus versions and extensions."""
     protocol_headers = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
-        "Tus-Checksum-Algorithm": ",".join(CHECKSUMS),
         "Tus-Max-Size": str(owned.services.settings.max_upload_bytes),
     }
     return Response(status_code=status.HTTP_204_NO_CONTENT, headers=protocol_headers)
@@ -78,14 +76,12 @@ async def create_upload(
         Header(description="filename, kind, sha256, up_axis, unit_m, asset=auto; each a name, a space, base64"),
     ] = None,
     content_type: Annotated[str | None, Header()] = None,
-    upload_checksum: _Checksum = None,
 ) -> Response:
     """Begin an upload; its first bytes may come with it."""
     _require_version(tus_resumable)
     length = _length(upload_length, owned)
     metadata = _metadata(upload_metadata)
     with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
-    checksum = Checksum.of_header(upload_checksum)
     now = owned.store.clock()
     record = UploadRecord(
         id=new_id(),
@@ -101,7 +97,7 @@ async def create_upload(
     record = await run_in_threadpool(announce, owned, record)
     size = 0
     if with_bytes:
-        size = await _append(owned, record, request, 0, checksum)
+        size = await append(owned, record, request.stream(), 0)
         record = await _record_progress(owned, record, size)
     sent = _standing(record, size) | {"Location": f"/v1/uploads/{record.id}"}
     return Response(status_code=status.HTTP_201_CREATED, headers=sent)
@@ -143,9 +139,8 @@ async def append_to_upload(
     tus_resumable: _Version = None,
     upload_offset: Annotated[str | None, Header(description="bytes that are there already")] = None,
     content_type: Annotated[str | None, Header()] = None,
-    upload_checksum: _Checksum = None,
 ) -> Response:
-    """Append to an upload. Bytes received before a connection breaks are stored, unless the request has a checksum."""
+    """Append to an upload. Bytes received before a connection breaks are stored."""
     _require_version(tus_resumable)
     if content_type is None or content_type.partition(";")[0].strip() != CONTENT_TYPE:
         raise ProblemError("unsupported-format", f"Content-Type is {content_type!r}; send {CONTENT_TYPE}")
@@ -153,7 +148,6 @@ async def append_to_upload(
         raise ProblemError(
             "bad-request", f"Upload-Offset is {upload_offset!r}; send the number of bytes that are there"
         )
-    checksum = Checksum.of_header(upload_checksum)
     record = await run_in_threadpool(upload, owned.store, id)
     offset = int(upload_offset)
     if record.state != "receiving":
@@ -161,7 +155,7 @@ async def append_to_upload(
             raise stands_elsewhere(offset, record.received)
         return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, record.received))
     await run_in_threadpool(require_room, owned)
-    size = await _append(owned, record, request, offset, checksum)
+    size = await append(owned, record, request.stream(), offset)
     record = await _record_progress(owned, record, size)
     return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, size))
 
@@ -189,20 +183,13 @@ async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
     response_class=Response,
     responses=refusals("not-found", "expired", "precondition-failed"),
 )
-async def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
+def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
     """Give an upload up. An asset that was made of it stays."""
     _require_version(tus_resumable)
-    await run_in_threadpool(upload, owned.store, id)
-    await owned.services.upload_writers.take_over(id)
-    await run_in_threadpool(owned.services.upload_parts.delete, id)
-    await run_in_threadpool(delete_upload, owned.store, id)
+    upload(owned.store, id)
+    owned.services.upload_parts.delete(id)
+    delete_upload(owned.store, id)
     return Response(status_code=status.HTTP_204_NO_CONTENT)
-
-
-async def _append(owned: Owned, record: UploadRecord, request: Request, offset: int, checksum: Checksum | None) -> int:
-    retention_s = owned.services.settings.upload_retention_s
-    writer = UploadWriter(owned.store, owned.services.upload_parts, record, checksum, retention_s=retention_s)
-    return await owned.services.upload_writers.append(writer, request.stream(), offset)
 
 
 async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:

@@ -284,6 +284,8 @@ def tus(failures: dict[int, int | None], stored: bytearray):  # type: ignore[no-
 
     def answer(number: int, handler: Handler) -> None:
         if handler.command == "POST" and handler.path == "/v1/uploads":
+            digest = base64.b64encode(hashlib.sha256(CONTENT).hexdigest().encode()).decode()
+            assert handler.headers["upload-metadata"].endswith(f",sha256 {digest}")
             handler.reply(201, b"", Location="/v1/uploads/U", Upload_Offset="0")
         elif handler.command == "POST":
             handler.reply(201, ASSET)
@@ -292,8 +294,6 @@ def tus(failures: dict[int, int | None], stored: bytearray):  # type: ignore[no-
         else:
             failure = failures.get(next(pieces), 204)
             assert int(handler.headers["upload-offset"]) == len(stored)
-            digest = base64.b64encode(hashlib.sha256(handler.body).digest()).decode()
-            assert handler.headers["upload-checksum"] == f"sha256 {digest}"
             if failure is None:
                 stored.extend(handler.body)  # it came, but the answer did not
                 handler.close_connection = True

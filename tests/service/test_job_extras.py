@@ -67,20 +67,6 @@ def test_a_poll_with_an_etag_may_wait_for_the_next_change(
     assert same.status_code == 304
 
 
-def test_a_batch_creates_every_valid_job(client: TestClient, asset: AssetRecord) -> None:
-    good = {"type": "voxelize", "asset_id": asset.id}
-    absent = good | {"asset_id": "01ARZ3NDEKTSV4RRFFQ69G5FAV"}
-    sent = {"jobs": [good, absent, good | {"seed": 2}]}
-    first, again = (client.post("/v1/jobs:batch", json=sent, headers={"Idempotency-Key": "b"}) for _ in range(2))
-    assert first.status_code == 202
-    assert [item["status"] for item in first.json()["data"]] == [202, 404, 202]
-    assert first.json()["data"][1]["problem"]["code"] == "not-found"
-    ids = [[item["job"] and item["job"]["id"] for item in response.json()["data"]] for response in (first, again)]
-    assert ids[0] == ids[1]
-    assert len(client.get("/v1/jobs").json()["data"]) == 2
-    assert client.post("/v1/jobs:batch", json={"jobs": []}).status_code == 422
-
-
 def test_a_job_has_a_log_that_goes_on(client: TestClient, asset: AssetRecord, services: Services) -> None:
     sent = {"type": "voxelize", "asset_id": asset.id}
     job = client.post("/v1/jobs", json=sent, headers={"X-Request-Id": "mine"}).json()

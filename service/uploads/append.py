@@ -1,0 +1,160 @@
+"""Append the body of one PATCH to an upload. Received bytes stay; one request writes at a time."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import sqlalchemy as sa
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+
+from jobs.errors import GoneError, NotFoundError
+from jobs.storage.artifacts import is_full
+from jobs.storage.upload_parts import PartStore, PartWriter
+from jobs.storage.uploads import UploadRecord, change_upload, upload
+from jobs.store import Store, new_id
+from service.http.problems import ProblemError
+from service.services import Owned
+
+BATCH_BYTES = 4 * 1024**2
+"""So much is handed to a thread at once; two batches at most are in memory."""
+
+LOOK_S = 0.5
+"""How often a request asks whether a newer one has taken the upload over."""
+
+TAKE_OVER_S = 5.0
+"""How long a newer request waits for the older one to store its bytes."""
+
+
+async def append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> int:
+    """Append a body to an upload, in place of an older request that still writes; return the new size.
+
+    Raises:
+        ProblemError: wrong offset, too many bytes, no room, or a newer request took over.
+    """
+    parts, token = owned.services.upload_parts, new_id()
+    await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), writer=token)
+    writer = await _open(parts, record.id, offset)
+    try:
+        async with _while_ours(owned.store, parts, record.id, token):
+            return await _write_all(owned, record, writer, body, offset)
+    except ClientDisconnect:
+        raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
+    except OSError as error:
+        if isinstance(error, BlockingIOError):
+            raise _taken_over(record.id) from error
+        if is_full(error):
+            raise ProblemError("disk-full", "the disk is full; bytes received so far are stored") from error
+        raise
+
+
+def stands_elsewhere(offset: int, size: int) -> ProblemError:
+    """Problem for bytes that do not begin at the upload's offset."""
+    reason = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
+    return ProblemError("upload-offset-conflict", reason, headers={"Upload-Offset": str(size)})
+
+
+def _taken_over(upload_id: str) -> ProblemError:
+    return ProblemError("conflict", f"another request goes on with upload {upload_id}")
+
+
+async def _open(parts: PartStore, upload_id: str, offset: int) -> PartWriter:
+    deadline = time.monotonic() + TAKE_OVER_S
+    while True:
+        size = await run_in_threadpool(parts.size, upload_id)
+        if size != offset:
+            raise stands_elsewhere(offset, size)
+        try:
+            return await run_in_threadpool(parts.writer, upload_id, offset)
+        except BlockingIOError as error:
+            if time.monotonic() > deadline:
+                raise ProblemError("conflict", f"another request writes upload {upload_id}; try again") from error
+            await asyncio.sleep(0.05)
+
+
+@asynccontextmanager
+async def _while_ours(store: Store, parts: PartStore, upload_id: str, token: str) -> AsyncIterator[None]:
+    """Context manager that ends its block with a ProblemError once the upload has another writer, or is deleted."""
+    block = asyncio.current_task()
+    assert block is not None
+    taken_over = False
+
+    async def watch() -> None:
+        nonlocal taken_over
+        while await run_in_threadpool(_is_ours, store, upload_id, token):
+            await asyncio.sleep(LOOK_S)
+        taken_over = True
+        block.cancel()
+
+    watching = asyncio.create_task(watch())
+    try:
+        yield
+    except asyncio.CancelledError:
+        if not taken_over:
+            raise
+        block.uncancel()
+        await run_in_threadpool(_clear_deleted, store, parts, upload_id)
+        raise _taken_over(upload_id) from None
+    finally:
+        watching.cancel()
+
+
+def _is_ours(store: Store, upload_id: str, token: str) -> bool:
+    try:
+        return upload(store, upload_id).writer == token
+    except (NotFoundError, GoneError):
+        return False
+    except sa.exc.SQLAlchemyError:
+        return True  # the database is away; it will tell later
+
+
+def _clear_deleted(store: Store, parts: PartStore, upload_id: str) -> None:
+    """Delete the bytes that an upload got after it was deleted."""
+    try:
+        upload(store, upload_id)
+    except (NotFoundError, GoneError):
+        parts.delete(upload_id)
+
+
+async def _write_all(
+    owned: Owned, record: UploadRecord, writer: PartWriter, body: AsyncIterator[bytes], offset: int
+) -> int:
+    """Write one batch in a thread while the next one comes in; whatever ends the body, received bytes are kept."""
+    assert record.length is not None
+    batch: list[bytes] = []
+    unwritten, size = 0, offset
+    loop = asyncio.get_running_loop()
+    writing: asyncio.Future[None] | None = None
+
+    async def close() -> None:
+        if writing is not None:
+            await writing
+        if batch and size + unwritten <= record.length:
+            await loop.run_in_executor(None, writer.write, batch)
+        await loop.run_in_executor(None, writer.keep)
+
+    try:
+        async for chunk in body:
+            if chunk and not (size or unwritten):
+                await run_in_threadpool(_stay, owned, record)
+            unwritten += len(chunk)
+            if size + unwritten > record.length:
+                detail = f"the upload has {record.length:,} bytes as announced, and more were sent"
+                raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
+            batch.append(chunk)
+            if unwritten < BATCH_BYTES:
+                continue
+            if writing is not None:
+                await asyncio.shield(writing)  # a thread cannot be cancelled: whoever closes the file waits for it
+            writing = loop.run_in_executor(None, writer.write, batch)
+            batch, size, unwritten = [], size + unwritten, 0
+        return size + unwritten
+    finally:
+        await asyncio.shield(close())
+
+
+def _stay(owned: Owned, record: UploadRecord) -> None:
+    """With its first byte, an upload stays longer than one that was only announced."""
+    until = owned.store.clock() + owned.services.settings.upload_retention_s
+    change_upload(owned.store, record.id, expires_at=until)
