@@ -1,0 +1,172 @@
+"""Read a job's photos or film in a confined child process, as `worker.parse` reads uploads.
+
+`python -m worker.confined_reading`: the request on stdin; on stdout a line of JSON per step, then one with the result.
+The worker itself decodes only what the child has written anew. For a film the child may run ffmpeg and nothing else.
+"""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from dynamictree.errors import DynamicTreeError, FormatError, InputError
+from dynamictree.formats.film import ffmpeg_program
+from dynamictree.reconstruct.given import GivenCamera
+from dynamictree.reconstruct.photo_input import Given, OnPhoto, read_photos
+from dynamictree.reconstruct.photos import Photo, PhotoFile
+from dynamictree.reconstruct.video_frames import Stretch, write_sharp_frames
+from jobs.storage.parser_process import FOLDER, child_environment
+from worker.confine import confine
+
+CHILD = "worker.confined_reading"
+ERRORS = {error.code: error for error in (FormatError, InputError)}
+"""What the child may say of the files, by its code."""
+
+FILM_MEMORY_BYTES = 6 * 2**30
+"""Of each process: decoding 4K takes below one."""
+
+WAIT_S = 10.0
+"""For a child to end that has closed its output."""
+
+MAX_LINE_BYTES = 16 * 2**20
+
+
+class Request(BaseModel):
+    """Files that the child reads, and its output folder: photos with the folder of their cameras, or a film."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    folder: Path
+    photos: tuple[PhotoFile, ...] = ()
+    root: Path | None = None
+    film: Path | None = None
+    wanted: int | tuple[Stretch, ...] = 0  # frames to choose, or where they lie
+
+
+class Answer(BaseModel):
+    """A step, the result, or why the files cannot be used."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+    step: tuple[int, ...] | None = None
+    frames: list[Path] | None = None
+    photos: list[Photo] | None = None
+    cameras: list[dict[str, Any]] | None = None
+    code: str | None = None
+    message: str = ""
+
+
+def read_confined(
+    photos: Sequence[PhotoFile], root: Path | None, folder: Path, on_photo: OnPhoto
+) -> tuple[Given, list[Photo]]:
+    """`read_photos` in a confined child. An exception of `on_photo` ends the child and passes through.
+
+    Raises:
+        InputError: as `read_photos`, or the child died of a file.
+    """
+    answer = _ask(Request(photos=tuple(photos), root=root, folder=folder), on_photo)
+    assert answer.photos is not None
+    return None if answer.cameras is None else tuple(map(_camera, answer.cameras)), answer.photos
+
+
+def write_confined_frames(
+    video: Path, folder: Path, wanted: int | Sequence[Stretch], on_work: Callable[[], None]
+) -> list[Path]:
+    """`write_sharp_frames` in a confined child. An exception of `on_work` ends the child and passes through.
+
+    Raises:
+        InputError: as `write_sharp_frames`, or the child died of the film.
+    """
+    film = video.resolve()
+    frames = wanted if isinstance(wanted, int) else tuple(wanted)
+    try:
+        answer = _ask(Request(film=film, folder=folder, wanted=frames), on_work)
+    except (FormatError, InputError) as error:
+        raise type(error)(str(error).replace(film.name, video.name)) from error
+    assert answer.frames is not None
+    return answer.frames
+
+
+def _camera(fields: dict[str, Any]) -> GivenCamera:
+    matrix = np.array(fields.pop("world_to_camera"), np.float64)
+    return GivenCamera(**fields | {"params": tuple(fields["params"])}, world_to_camera=matrix)
+
+
+def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
+    """Run the child on a request; end it, and the programs that it runs, whatever ends this call."""
+    request.folder.mkdir(parents=True, exist_ok=True)
+    with subprocess.Popen(
+        [sys.executable, "-P", "-m", CHILD],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=child_environment(),
+        cwd=FOLDER,
+        start_new_session=True,
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        try:
+            with suppress(BrokenPipeError):  # it died before it read the request
+                child.stdin.write(request.model_dump_json().encode())
+                child.stdin.close()
+            while line := child.stdout.readline(MAX_LINE_BYTES):
+                answer = Answer.model_validate_json(line)
+                if answer.code is not None:
+                    raise ERRORS.get(answer.code, InputError)(answer.message)
+                if answer.step is None:
+                    return answer
+                on_step(*answer.step)
+            child.wait(WAIT_S)
+        finally:
+            if child.returncode is None:
+                os.killpg(child.pid, signal.SIGKILL)
+    raise InputError(f"reading the files ended with exit code {child.returncode}; export them again, or reduce them")
+
+
+def main() -> None:
+    """In the child: give up all but the files named, then read them."""
+    request = Request.model_validate_json(sys.stdin.buffer.read())
+    answer_to = os.dup(1)
+    os.dup2(2, 1)  # what a library prints is no answer
+    with os.fdopen(answer_to, "w") as stream:
+
+        def tell(answer: Answer) -> None:
+            stream.write(answer.model_dump_json() + "\n")
+            stream.flush()
+
+        try:
+            tell(_photos(request, tell) if request.film is None else _frames(request, request.film, tell))
+        except DynamicTreeError as error:
+            tell(Answer(code=error.code, message=str(error)))
+
+
+def _photos(request: Request, tell: Callable[[Answer], None]) -> Answer:
+    files = [photo.path for photo in request.photos]
+    if request.root is not None:
+        files += [request.root, *request.root.rglob("*")]
+    confine(request.folder, [path.resolve() for path in files])  # inputs are links into the folder of artifacts
+    given, photos = read_photos(request.photos, request.root, request.folder, lambda *done: tell(Answer(step=done)))
+    if given is None:
+        return Answer(photos=photos)
+    cameras = [vars(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in given]
+    return Answer(photos=photos, cameras=cameras)
+
+
+def _frames(request: Request, film: Path, tell: Callable[[Answer], None]) -> Answer:
+    resource.setrlimit(resource.RLIMIT_AS, (FILM_MEMORY_BYTES, FILM_MEMORY_BYTES))
+    confine(request.folder, [film], program=Path(ffmpeg_program()).resolve())
+    tempfile.tempdir = str(request.folder)
+    return Answer(frames=write_sharp_frames(film, request.folder, request.wanted, lambda: tell(Answer(step=()))))
+
+
+if __name__ == "__main__":
+    main()
