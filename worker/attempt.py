@@ -4,12 +4,11 @@ import json
 import logging
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from dynamictree.photo_requests import LearningParams
@@ -26,10 +25,6 @@ from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_
 from worker.cancellation import Watch
 from worker.half_done import alone_in, half_done_folder
 from worker.runtime import Runtime
-
-if TYPE_CHECKING:
-    from dynamictree.export.vertex_motion import Result
-    from worker.stages import StageInput
 
 logger = logging.getLogger(__name__)
 
@@ -53,68 +48,18 @@ OCTETS = "application/octet-stream"
 
 def run_stages(runtime: Runtime, watch: Watch) -> None:
     """Run the remaining stages. An exception of a stage passes through."""
-    # numba and the formats come in with the first job, so that a worker is there at once
-    from worker.stages import STAGES, StageInput, photo_name
-
     job = watch.claimed.job
-    asset = read_asset(runtime.store, job.asset_id)
     folder = runtime.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
     shutil.rmtree(folder, ignore_errors=True)
-    inputs = folder / "inputs"
-    inputs.mkdir(parents=True)
+    (folder / "inputs").mkdir(parents=True)
     try:
-        files = _fetch_prepared(runtime, asset, inputs)
-        photos = _fetch_photos(runtime, asset, inputs / "photos", photo_name)
-        hashes = dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint)
-        sources = _prepared_sources(asset)
+        attempt = _Attempt(runtime=runtime, watch=watch, folder=folder, asset=read_asset(runtime.store, job.asset_id))
+        attempt.fetch()
         for stage in job.stages:
             watch.check()
-            outputs = _finished(runtime, job, stage.name)
-            key = "" if outputs else stage_key(job, stage.name, hashes)
-            if outputs is None:
-                outputs = _from_cache(runtime, watch, stage.name, key)
-            if outputs is None:
-                start_stage(runtime.store, watch.claimed, stage.name)
-                own = folder / stage.name
-                own.mkdir()
-                given = StageInput(
-                    job=job,
-                    folder=own,
-                    resume_dir=half_done_folder(runtime.settings, job),
-                    files=files,
-                    source_sha256="" if asset.kind == "photos" else asset.parts[0].sha256,
-                    photos=photos,
-                    report=partial(watch.report, stage.name),
-                    recall=partial(_recall, runtime, watch, stage.name, own, sources),
-                    publish=partial(_publish_part, runtime, watch, stage.name),
-                )
-                outputs = _run_stage(runtime, watch, stage.name, STAGES[stage.name], given)
-                _publish(runtime, watch, stage.name, outputs, key=key, cached=False)
-            for file in outputs:
-                runtime.artifacts.fetch(file.sha256, inputs / file.name)
-                files[file.name] = inputs / file.name
-                hashes[file.name] = file.sha256
-                sources[file.name] = file
+            attempt.take(attempt.outputs_of(stage.name))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _run_stage(
-    runtime: Runtime, watch: Watch, stage: JobType, run: Callable[["StageInput"], Iterable[Path]], given: "StageInput"
-) -> tuple[OutputFile, ...]:
-    """Run a stage; files that it wrote before a failure are published too, since they may explain it."""
-    try:
-        return _keep(runtime, run(given), given.facts)
-    except Cancelled:
-        raise
-    except DynamicTreeError:
-        left = _keep(
-            runtime,
-            sorted(path for path in given.folder.iterdir() if path.is_file() and path.name[0] != "."),
-            given.facts,
-        )
-        offer(runtime.store, watch.claimed, stage, left, retention_s=runtime.settings.artifact_retention_s)
-        raise
 
 
 def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
@@ -144,154 +89,157 @@ def model_sha256(preset: str) -> str:
     return sha256(path.read_bytes()).hexdigest()
 
 
-def _fetch_prepared(runtime: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:
-    """The mesh or cloud that the parser wrote."""
-    if asset.prepared is None:
-        return {}
-    name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
-    runtime.artifacts.fetch(asset.prepared.sha256, inputs / name)
-    return {name: inputs / name}
+@dataclass(frozen=True, kw_only=True)
+class _Attempt:
+    """One attempt of a job: what its stages have so far."""
 
+    runtime: Runtime
+    watch: Watch
+    folder: Path
+    asset: AssetRecord
+    files: dict[str, Path] = field(default_factory=dict)  # on this machine, by the names that stages know
+    sources: dict[str, OutputFile] = field(default_factory=dict)  # the same, and the photos: what results are made of
+    hashes: dict[str, str] = field(default_factory=dict)  # what a stage's key is made of
+    photos: list[Path] = field(default_factory=list)  # with cameras and masks, under their own names, as sent
 
-def _prepared_sources(asset: AssetRecord) -> dict[str, OutputFile]:
-    """The file that the parser wrote, as stages name theirs; of photos all parts, and what they mean together."""
-    if asset.prepared is None:
-        meaning = OutputFile(name=SOURCE, media_type=OCTETS, sha256=asset.fingerprint, bytes=0)
-        parts = [
-            OutputFile(name=part.name, media_type=OCTETS, sha256=part.sha256, bytes=part.bytes) for part in asset.parts
-        ]
-        return {SOURCE: meaning} | {f"{SOURCE}/{index}": part for index, part in enumerate(parts)}
-    name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
-    part = asset.prepared
-    return {name: OutputFile(name=name, media_type=OCTETS, sha256=part.sha256, bytes=part.bytes)}
+    @property
+    def job(self) -> JobRecord:
+        """The job."""
+        return self.watch.claimed.job
 
+    def fetch(self) -> None:
+        """Get the asset: the mesh or cloud that the parser wrote, or the photos."""
+        from worker.stages import photo_name  # numba and the formats come in with the first job
 
-def _recall(
-    runtime: Runtime,
-    watch: Watch,
-    stage: JobType,
-    folder: Path,
-    sources: Mapping[str, OutputFile],
-    name: "Result",
-    make: Callable[[Path], None],
-) -> Path:
-    """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
-    job = watch.claimed.job
-    path = folder / f".{name}"
-    if name == "reconstruction":
-        used = [file for source, file in sources.items() if source.startswith(SOURCE)]
-        choice = LearningParams.part_of(job.params).model_dump(mode="json")
-    else:
-        used = [sources[source] for source in RESULT_SOURCES[name]]
-        choice = CloudParams.part_of(job.params).model_dump(mode="json")
-    key = intermediate_key(name, job, [file.sha256 for file in used], choice)
-    find = partial(find_intermediate, runtime.store, runtime.artifacts, key)
-    file = find()
-    if file is not None:
-        runtime.artifacts.fetch(file.sha256, path)
-    elif name == "reconstruction":
-        file = _learn(runtime, watch, stage, path, find, make)
-    else:
+        asset = self.asset
+        self.hashes.update(dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint))
+        if asset.prepared is not None:
+            name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
+            self.take([_octets(name, asset.prepared.sha256, asset.prepared.bytes)])
+            self.hashes[name] = asset.fingerprint
+            return
+        self.sources[SOURCE] = _octets(SOURCE, asset.fingerprint, 0)
+        for index, part in enumerate(asset.parts):
+            self.sources[f"{SOURCE}/{index}"] = _octets(part.name, part.sha256, part.bytes)
+            path = self.folder / "inputs" / "photos" / photo_name(index, part.name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.runtime.artifacts.fetch(part.sha256, path)
+            self.photos.append(path)
+
+    def take(self, files: Iterable[OutputFile]) -> None:
+        """Get files for the stages to come."""
+        for file in files:
+            path = self.files[file.name] = self.folder / "inputs" / file.name
+            self.runtime.artifacts.fetch(file.sha256, path)
+            self.hashes[file.name] = file.sha256
+            self.sources[file.name] = file
+
+    def outputs_of(self, stage: JobType) -> tuple[OutputFile, ...]:
+        """The files of a stage: an earlier attempt's, cached ones, or made now."""
+        if any(other.name == stage and other.state == "succeeded" for other in self.job.stages):
+            published = [file for file in self.runtime.store.artifacts_of(self.job.id) if file.stage == stage]
+            return tuple(
+                OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes, facts=a.facts)
+                for a in published
+            )
+        key = stage_key(self.job, stage, self.hashes)
+        cached = self._cached(key)
+        start_stage(self.runtime.store, self.watch.claimed, stage)
+        files = self._run(stage) if cached is None else cached
+        publish_stage(
+            self.runtime.store,
+            self.watch.claimed,
+            stage,
+            files,
+            key=key,
+            cached=cached is not None,
+            retention_s=self.runtime.settings.artifact_retention_s,
+        )
+        logger.info("stage %s of job %s published", stage, self.job.id, extra={"cached": cached is not None})
+        return files
+
+    def _cached(self, key: str) -> tuple[OutputFile, ...] | None:
+        """Files that any job made from the same inputs, if all their bytes are stored."""
+        files = cached_stage(self.runtime.store, key)
+        if files is None:
+            return None
+        for file in files:
+            touch_blob(self.runtime.store, file.sha256, file.bytes)
+        return files if all(self.runtime.artifacts.exists(file.sha256) for file in files) else None
+
+    def _run(self, stage: JobType) -> tuple[OutputFile, ...]:
+        """Run a stage; files that it wrote before a failure are published too, since they may explain it."""
+        from worker.stages import STAGES, StageInput
+
+        own = self.folder / stage
+        own.mkdir()
+        given = StageInput(
+            job=self.job,
+            folder=own,
+            resume_dir=half_done_folder(self.runtime.settings, self.job),
+            files=self.files,
+            source_sha256="" if self.asset.kind == "photos" else self.asset.parts[0].sha256,
+            photos=tuple(self.photos),
+            report=partial(self.watch.report, stage),
+            recall=partial(self._recall, stage, own),
+            publish=lambda path: self._offer(stage, self._stored(path)),
+        )
+        try:
+            return tuple(self._stored(path, given.facts.get(path.name)) for path in STAGES[stage](given))
+        except Cancelled:
+            raise
+        except DynamicTreeError:
+            left = sorted(path for path in own.iterdir() if path.is_file() and path.name[0] != ".")
+            self._offer(stage, *(self._stored(path, given.facts.get(path.name)) for path in left))
+            raise
+
+    def _offer(self, stage: JobType, *files: OutputFile) -> None:
+        """Publish files of a stage that goes on or has failed."""
+        retention_s = self.runtime.settings.artifact_retention_s
+        offer(self.runtime.store, self.watch.claimed, stage, files, retention_s=retention_s)
+
+    def _recall(self, stage: JobType, folder: Path, name: str, make: Callable[[Path], None]) -> Path:
+        """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
+        path = folder / f".{name}"
+        learned = name == "reconstruction"
+        if learned:
+            used = [file for source, file in self.sources.items() if source.startswith(SOURCE)]
+        else:
+            used = [self.sources[source] for source in RESULT_SOURCES[name]]
+        choice = (LearningParams if learned else CloudParams).part_of(self.job.params).model_dump(mode="json")
+        key = intermediate_key(name, self.job, [file.sha256 for file in used], choice)
+        file = self._remembered(key, path)
+        if file is None and learned:  # one job at a time learns a scene; those that waited find what the first one did
+            working_on = half_done_folder(self.runtime.settings, self.job)
+            with alone_in(working_on, partial(self.watch.report, stage, 0.0)) as waited:
+                file = self._remembered(key, path) if waited else None
+                file = file or self._computed(name, path, make)
+        file = file or self._computed(name, path, make)
+        remember_intermediate(self.runtime.store, key, name, file, used, owner=self.job.owner)
+        return path
+
+    def _remembered(self, key: str, path: Path) -> OutputFile | None:
+        """An earlier job's result, fetched to a path."""
+        file = find_intermediate(self.runtime.store, self.runtime.artifacts, key)
+        if file is not None:
+            self.runtime.artifacts.fetch(file.sha256, path)
+        return file
+
+    def _computed(self, name: str, path: Path, make: Callable[[Path], None]) -> OutputFile:
         make(path)
-        file = _stored(runtime, path, name)
-    remember_intermediate(runtime.store, key, name, file, used, owner=job.owner)
-    return path
+        return replace(self._stored(path), name=name, media_type=OCTETS)
 
+    def _stored(self, path: Path, facts: Mapping[str, int | float] | None = None) -> OutputFile:
+        """Store a file's bytes."""
+        from dynamictree.export.table import media_type  # with the stages, not at start
 
-def _learn(
-    runtime: Runtime,
-    watch: Watch,
-    stage: JobType,
-    path: Path,
-    find: Callable[[], OutputFile | None],
-    make: Callable[[Path], None],
-) -> OutputFile:
-    """Learn a scene from photos, one job at a time; those that waited find what the first one learned."""
-    job = watch.claimed.job
-    folder = half_done_folder(runtime.settings, job)
-    with alone_in(folder, partial(watch.report, stage, 0.0)) as waited:
-        if waited and (file := find()) is not None:
-            runtime.artifacts.fetch(file.sha256, path)
-            return file
-        make(path)
-        return _stored(runtime, path, "reconstruction")
-
-
-def _stored(runtime: Runtime, path: Path, name: str) -> OutputFile:
-    digest, size = hash_file(path)
-    touch_blob(runtime.store, digest, size)
-    runtime.artifacts.put(path, digest)
-    return OutputFile(name=name, media_type=OCTETS, sha256=digest, bytes=size)
-
-
-def _fetch_photos(
-    runtime: Runtime, asset: AssetRecord, folder: Path, name_of: Callable[[int, str], str]
-) -> tuple[Path, ...]:
-    """Photos, and the cameras and masks that came with them, under their own names; in the order sent."""
-    if asset.kind != "photos":
-        return ()
-    paths = []
-    for index, part in enumerate(asset.parts):
-        path = folder / name_of(index, part.name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        runtime.artifacts.fetch(part.sha256, path)
-        paths.append(path)
-    return tuple(paths)
-
-
-def _finished(runtime: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:
-    """Files that an earlier attempt of this job published."""
-    if not any(other.name == stage and other.state == "succeeded" for other in job.stages):
-        return None
-    outputs = [artifact for artifact in runtime.store.artifacts_of(job.id) if artifact.stage == stage]
-    return tuple(
-        OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes, facts=a.facts) for a in outputs
-    )
-
-
-def _from_cache(runtime: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[OutputFile, ...] | None:
-    """Files that any job made from the same inputs, if all their bytes are stored."""
-    files = cached_stage(runtime.store, key)
-    if files is None:
-        return None
-    for file in files:
-        touch_blob(runtime.store, file.sha256, file.bytes)
-    if not all(runtime.artifacts.exists(file.sha256) for file in files):
-        return None
-    start_stage(runtime.store, watch.claimed, stage)
-    _publish(runtime, watch, stage, files, key=key, cached=True)
-    return files
-
-
-def _keep(
-    runtime: Runtime, paths: Iterable[Path], facts: Mapping[str, Mapping[str, int | float]]
-) -> tuple[OutputFile, ...]:
-    from dynamictree.export.table import media_type  # with the stages, not at start
-
-    outputs = []
-    for path in paths:
         digest, size = hash_file(path)
-        touch_blob(runtime.store, digest, size)
-        runtime.artifacts.put(path, digest)
-        file = OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size)
-        outputs.append(replace(file, facts=facts.get(path.name, {})))
-    return tuple(outputs)
+        touch_blob(self.runtime.store, digest, size)
+        self.runtime.artifacts.put(path, digest)
+        return OutputFile(
+            name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size, facts=facts or {}
+        )
 
 
-def _publish_part(runtime: Runtime, watch: Watch, stage: JobType, path: Path) -> None:
-    """Publish a file of a stage that goes on; the stage's end replaces it."""
-    offer(
-        runtime.store,
-        watch.claimed,
-        stage,
-        _keep(runtime, [path], {}),
-        retention_s=runtime.settings.artifact_retention_s,
-    )
-
-
-def _publish(
-    runtime: Runtime, watch: Watch, stage: JobType, files: tuple[OutputFile, ...], *, key: str, cached: bool
-) -> None:
-    retention_s = runtime.settings.artifact_retention_s
-    publish_stage(runtime.store, watch.claimed, stage, files, key=key, cached=cached, retention_s=retention_s)
-    logger.info("stage %s of job %s published", stage, watch.claimed.job.id, extra={"cached": cached})
+def _octets(name: str, digest: str, size: int) -> OutputFile:
+    return OutputFile(name=name, media_type=OCTETS, sha256=digest, bytes=size)
