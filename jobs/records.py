@@ -29,6 +29,7 @@ class AssetRecord:
     parts: tuple[AssetPart, ...]  # the mesh first; photos in the order sent
     prepared: AssetPart | None  # the mesh in metres and +Z up, written by the parser's process; None for photos
     summary: Mapping[str, Json]
+    metadata: Mapping[str, str] = field(default_factory=dict)
     created_at: float
     expires_at: float
     deleted_at: float | None = None
@@ -65,7 +66,8 @@ class JobRecord:
     params: Mapping[str, Json]
     queue: str
     priority: Priority = "normal"
-    webhook_id: str | None = None  # notified when the job ends, besides endpoints that subscribed to all jobs
+    webhook_id: str | None = None  # notified besides endpoints that subscribed to all jobs
+    webhook_events: Sequence[str] | None = None  # that this endpoint gets of this job; those of its end if unset
     request_id: str | None = None  # of the request that made it
     traceparent: str | None = None  # W3C trace context of that request
     stages: tuple[StageRecord, ...] = field(default=())
@@ -78,6 +80,8 @@ class JobRecord:
     external_id: str | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     cancel_at: float | None = None
+    processor_s: float = 0.0  # of all attempts so far
+    gpu_s: float = 0.0  # during which they had a GPU
     created_at: float
     started_at: float | None = None
     finished_at: float | None = None

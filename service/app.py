@@ -39,7 +39,6 @@ from service.routes import (
     spectra,
     surface,
     uploads,
-    usage,
     webhooks,
 )
 from service.services import open_services
@@ -61,7 +60,6 @@ ROUTERS = (
     pages.router,
     webhooks.router,
     catalogue.router,
-    usage.router,
     health.router,
     metrics.router,
     ops.router,

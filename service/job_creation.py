@@ -16,7 +16,7 @@ from jobs.states import AUTO, CPU, GPU, JobState, JobType, queue_of, stages_of
 from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.problems import ProblemError, wrong_field
-from service.http.request_context import RequestOrigin
+from service.http.request_headers import RequestOrigin
 from service.http.routing import is_id
 from service.job_responses import tell
 from service.routes.catalogue import require_preset
@@ -67,6 +67,8 @@ def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: 
         error_message=None,
         start_deadline=None,
         cancel_at=None,
+        processor_s=0.0,
+        gpu_s=0.0,
         retry_of=old.id,
         created_at=owned.store.clock(),
         started_at=None,
@@ -165,6 +167,7 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         queue=queue_of(_queue(owned, body, asset), body.priority),
         priority=body.priority,
         webhook_id=body.webhook,
+        webhook_events=body.webhook_events,
         request_id=origin.request_id,
         traceparent=origin.traceparent,
         external_id=body.external_id,

@@ -7,8 +7,8 @@ from statistics import median
 
 from cachetools import TTLCache
 
-from jobs.lifecycle.durations import run_seconds, stage_bytes, stage_seconds
 from jobs.lifecycle.maintenance import WORKER_LEASES, living
+from jobs.lifecycle.statistics import run_seconds, stage_bytes, stage_seconds
 from jobs.records import JobRecord
 from jobs.states import JobState, JobType
 from jobs.store import Store

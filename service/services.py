@@ -17,8 +17,7 @@ from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.storage.upload_parts import PartStore, open_parts
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller
-from service.http.fair_slots import FairSlots
-from service.http.open_streams import OpenStreams
+from service.http.slots import FairSlots, OpenStreams
 from service.interact.lru_cache import LruCache
 from service.interact.ready_tree import ReadyTree
 from service.job_durations import JobDurations

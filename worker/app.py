@@ -5,17 +5,38 @@ Started with `celery -A worker.app worker`.
 
 import multiprocessing
 
-from celery import Celery, signals
+from celery import Celery, bootsteps, signals
+from celery.worker import WorkController
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
-from worker.liveness import Liveness
 from worker.memory_limit import share_one_arena
 
 share_one_arena()  # Celery's threads start after this import
 
 stopping = multiprocessing.Event()
 """Set in every process of this worker when it was asked to stop; made before the pool forks."""
+
+
+TOUCH_S = 5.0
+
+
+class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
+    """Touch the setting `worker_alive_file` every few seconds, so that a health check starts no Python of its own."""
+
+    requires = frozenset({"celery.worker.components:Timer"})
+
+    def start(self, parent: WorkController) -> None:
+        """Start the timer in the event loop that also receives messages."""
+        self._path = read_settings().worker_alive_file
+        if self._path is not None:
+            self._path.touch()
+            parent.timer.call_repeatedly(TOUCH_S, self._path.touch)
+
+    def stop(self, parent: WorkController) -> None:
+        """Remove the file."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
 
 
 def make_app(settings: Settings) -> Celery:

@@ -112,7 +112,9 @@ class Beat:
         return worker_lease(self.queue, self.owner)
 
     def renew(self, job_id: str, attempt: int) -> bool:
-        """Renew an attempt's lease; return whether to continue."""
+        """Renew an attempt's lease, unless the worker is stopped; return whether to continue."""
+        if is_stopped(os.getppid()):
+            return True
         try:
             renew(self.store, job_id, attempt, owner=self.owner, lease_s=self.lease_s)
         except FencedError:

@@ -26,7 +26,9 @@ from kombu.exceptions import OperationalError
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
 from jobs.lifecycle.maintenance import (
     HOUSEKEEPER_LEASE,
+    RUN_JOB,
     WORKER_LEASES,
+    RunJob,
     abort_overdue,
     forget_deliveries,
     forget_expired,
@@ -40,7 +42,6 @@ from jobs.lifecycle.maintenance import (
     unclaimed,
     unsent,
 )
-from jobs.lifecycle.messages import RUN_JOB, RunJob
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 from jobs.states import AUTO
@@ -248,8 +249,8 @@ class Turn:
             self.due = now + (self.every_s if pause_s is None else pause_s)
 
 
-def run(keeper: Housekeeper, stopped: threading.Event) -> None:
-    """Do every duty in its turn, while the lease is ours, until stopped."""
+def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bool] = lambda: True) -> None:
+    """Do every duty in its turn, while the lease is ours, until stopped or something else no longer works."""
     settings, owner = keeper.settings, f"{socket.gethostname()}:{os.getpid()}"
     reaping = Turn(duty=keeper.reap, every_s=settings.reaper_interval_s)
     turns = (
@@ -262,7 +263,7 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
     pauses = PauseDetector(longest_s=(settings.lease_s - settings.heartbeat_s) / 2)
     ours, renew_at = False, 0.0
     reserve = Turn(duty=DiskReserve(settings.state_dir.resolve()).balance, every_s=1.0)
-    while not stopped.wait(settings.outbox_interval_s):
+    while works() and not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
         reserve.take(now)  # before the lease, which a full disk would refuse
         if now >= renew_at:
@@ -305,37 +306,23 @@ def main() -> None:
 
 
 def run_all(keeper: Housekeeper, courier: Courier, stopped: threading.Event) -> int:
-    """Run housekeeper and courier until stopped; return 1 where one of them died, so that both start again."""
-    failed = threading.Event()
-
-    def run_courier() -> None:
-        try:
-            courier.run(stopped)
-        except BaseException:
-            logger.critical("the courier died", exc_info=True)
-        finally:
-            if not stopped.is_set():
-                failed.set()
-                stopped.set()
-
-    thread = threading.Thread(target=run_courier, name="courier", daemon=True)
-    watch = threading.Thread(target=_watch_courier, args=(courier, stopped, failed), name="watch", daemon=True)
+    """Run housekeeper and courier until stopped; return 1 where the courier died or hangs, so that both start again."""
+    thread = threading.Thread(target=courier.run, args=(stopped,), name="courier", daemon=True)
     thread.start()
-    watch.start()
+
+    def works() -> bool:
+        return thread.is_alive() and time.monotonic() - courier.looked_at < COURIER_SILENCE_S
+
     try:
-        run(keeper, stopped)
+        run(keeper, stopped, works=works)
     finally:  # whatever ended it, the courier must not keep the process
+        intended = stopped.is_set()
         stopped.set()
-    thread.join(keeper.settings.webhook_timeout_s + 1)
-    return int(failed.is_set())
-
-
-def _watch_courier(courier: Courier, stopped: threading.Event, failed: threading.Event) -> None:
-    while not stopped.wait(1.0):
-        if time.monotonic() - courier.looked_at > COURIER_SILENCE_S:
-            logger.critical("the courier has not looked for deliveries for %g s", COURIER_SILENCE_S)
-            failed.set()
-            stopped.set()
+    if intended:
+        thread.join(keeper.settings.webhook_timeout_s + 1)
+        return 0
+    logger.critical("the courier %s", "hangs" if thread.is_alive() else "died")
+    return 1
 
 
 if __name__ == "__main__":

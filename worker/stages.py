@@ -51,8 +51,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
     from dynamictree.reconstruct.from_request import reconstruct_capture  # not at start: it is long
-    from worker.confined_film import write_confined_frames
-    from worker.confined_photos import read_confined
+    from worker.confined_reading import read_confined, write_confined_frames
 
     params = ReconstructParams.part_of(given.job.params)
     capture = reconstruct_capture(

@@ -1,8 +1,11 @@
 """The one Celery task. Errors go into the store as (code, message), never across the queue."""
 
 import logging
+import resource
 import threading
-from contextlib import AbstractContextManager, nullcontext
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 
 from celery import Task, signals
@@ -11,11 +14,12 @@ from celery.exceptions import SoftTimeLimitExceeded
 import worker.watchdog  # noqa: F401 (it listens to Celery's signals)
 from dynamictree.errors import Cancelled, DynamicTreeError
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
-from jobs.lifecycle.attempts import claim, fail, finish_cancel, hand_back, report_alive, succeed
-from jobs.lifecycle.messages import RUN_JOB
+from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, hand_back, report_alive, succeed
+from jobs.lifecycle.maintenance import RUN_JOB
 from jobs.logging_setup import log_ids
 from jobs.records import Claim
 from jobs.settings import read_settings
+from jobs.states import GPU
 from jobs.storage.artifacts import is_full
 from jobs.tracing import span, tracer
 from worker.app import app, stopping
@@ -99,10 +103,27 @@ def run_job(job_id: str, attempt: int) -> None:
         logger.info("attempt %s of job %s is not to be run", attempt, job_id)
         return
     with log_ids(job_id=job_id, attempt=attempt, request_id=claimed.job.request_id), _traced(resources, claimed):
-        with Watch(resources, claimed, stopping=stopping.is_set) as watch:
+        with metered(resources, claimed), Watch(resources, claimed, stopping=stopping.is_set) as watch:
             run_stages(resources, watch)
         state = succeed(resources.store, claimed)
         logger.info("job %s has %s", job_id, state)
+
+
+@contextmanager
+def metered(resources: Runtime, claimed: Claim) -> Iterator[None]:
+    """Context manager that adds up what the attempt takes: processor time with that of its programs, and GPU time."""
+    began, processor_s = time.monotonic(), _processor_s()
+    try:
+        yield
+    finally:
+        on_gpu = resources.settings.worker_queue == GPU
+        gpu_s = time.monotonic() - began if on_gpu else 0.0
+        add_usage(resources.store, claimed, processor_s=_processor_s() - processor_s, gpu_s=gpu_s)
+
+
+def _processor_s() -> float:
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def _traced(resources: Runtime, claimed: Claim) -> AbstractContextManager[object]:

@@ -25,8 +25,12 @@ class AnimateRequest(Model):
     seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint to tell of the end
+    # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
+    # which of them; those of its end if unset
+    webhook_events: (
+        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
+    ) = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -71,6 +75,7 @@ class Asset(Model):
     summary: dict[
         str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
     ]
+    metadata: dict[str, str]
     # RFC 3339, UTC
     created_at: datetime
     # RFC 3339, UTC
@@ -103,7 +108,7 @@ class Delivery(Model):
     id: str
     # the header webhook-id; a replay has the same
     message_id: str
-    event: Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+    event: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]
     job_id: str
     state: Literal["pending", "delivered", "failed"]
     tries: "list[Try]"
@@ -122,8 +127,12 @@ class DiffuseRequest(Model):
     seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint to tell of the end
+    # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
+    # which of them; those of its end if unset
+    webhook_events: (
+        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
+    ) = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -149,7 +158,7 @@ class Endpoint(Model):
 
     id: str
     url: str
-    events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
+    events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
     disabled_reason: str | None
     # RFC 3339, UTC
     created_at: datetime
@@ -161,7 +170,7 @@ class EndpointRequest(Model):
     # https
     url: str
     # of every job; none: only of jobs that name the endpoint
-    events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]] = [
+    events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] = [
         "job.succeeded",
         "job.failed",
         "job.canceled",
@@ -309,7 +318,7 @@ class JobEventData(Model):
 class JobEvent(Model):
     """What an endpoint receives, signed."""
 
-    type: Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+    type: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]
     # RFC 3339, UTC
     timestamp: datetime
     data: "JobEventData"
@@ -350,6 +359,10 @@ class Job(Model):
     metadata: dict[str, str]
     start_deadline_at: datetime | None
     cancel_at: datetime | None
+    # processor time of all attempts that have ended [s]
+    processor_s: float
+    # time of theirs on a worker with a GPU [s]
+    gpu_s: float
     # RFC 3339, UTC
     created_at: datetime
     started_at: datetime | None
@@ -463,6 +476,17 @@ class Manifest(Model):
     # whether the job has succeeded and nothing will be added
     complete: bool
     artifacts: "list[Artifact]"
+
+
+class Month(Model):
+    """What attempts of jobs took that ended in one month (UTC)."""
+
+    # 2026-11
+    month: str
+    attempts: int
+    processor_s: float
+    # during which a worker with a GPU was at work [s]
+    gpu_s: float
 
 
 class Ops(Model):
@@ -639,8 +663,12 @@ class ReconstructRequest(Model):
     seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint to tell of the end
+    # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
+    # which of them; those of its end if unset
+    webhook_events: (
+        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
+    ) = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -820,6 +848,8 @@ class Usage(Model):
     active_jobs: int
     bytes: int
     limits: dict[str, int] | None
+    # newest first, at most 12
+    months: "list[Month]"
 
 
 class VoxelizeRequest(Model):
@@ -831,8 +861,12 @@ class VoxelizeRequest(Model):
     seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint to tell of the end
+    # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
+    # which of them; those of its end if unset
+    webhook_events: (
+        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
+    ) = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered

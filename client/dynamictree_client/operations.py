@@ -368,7 +368,7 @@ def get_limits() -> Call[Limits]:
 
 
 def get_usage() -> Call[Usage]:
-    """Jobs that have not ended, bytes stored, and the limits of the key."""
+    """Jobs that have not ended, bytes stored, the limits of the key, and what jobs took by month."""
     return Call(method="GET", path="/v1/usage", answer=Usage)
 
 

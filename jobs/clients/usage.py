@@ -6,6 +6,8 @@ from jobs.database import tables as t
 from jobs.states import ACTIVE, JobState
 from jobs.store import Store
 
+MEASURES = ("attempts", "processor_s", "gpu_s")
+
 
 def stored_bytes(store: Store) -> int:
     """What the owner's assets, uploads, products and intermediates take [bytes]."""
@@ -25,6 +27,14 @@ def stored_bytes_in(connection: sa.Connection, store: Store) -> int:
         .where((t.artifacts.c.expires_at > store.clock()) & store.mine(t.jobs)),
     )
     return sum(int(value or 0) for value in connection.execute(sa.select(*(s.scalar_subquery() for s in sums))).one())
+
+
+def months(store: Store, *, limit: int = 12) -> list[dict[str, object]]:
+    """What attempts of the owner's jobs took, by month, newest first."""
+    columns = (t.usage.c.month, *(sa.func.sum(t.usage.c[name]).label(name) for name in MEASURES))
+    query = sa.select(*columns).where(store.mine(t.usage)).group_by(t.usage.c.month).order_by(t.usage.c.month.desc())
+    with store.reading() as connection:
+        return [dict(row._mapping) for row in connection.execute(query.limit(limit))]
 
 
 def count_active(store: Store) -> int:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 import sqlalchemy as sa
 from ulid import ULID
 
-from jobs.clients.webhook_events import DeliveryState, Event
+from jobs.clients.webhook_events import FIRST_ARTIFACT, DeliveryState, Event
 from jobs.database import tables as t
 from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError
@@ -211,14 +211,21 @@ def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
 def claim_due(
     store: Store, *, lease_s: float, limit: int, per_owner: int, busy: Mapping[str, int]
 ) -> list[tuple[Delivery, Endpoint]]:
-    """Claim deliveries that are due, each for `lease_s`; of one owner at most `per_owner`, `busy` ones included."""
+    """Claim deliveries that are due, each for `lease_s`; of one owner at most `per_owner`, `busy` ones included.
+
+    Events of one job reach an endpoint in order: its end waits until the first artifact was delivered, or given up.
+    """
     now = store.clock()
     owner = t.webhook_endpoints.c.owner
     place = sa.func.row_number().over(partition_by=owner, order_by=t.deliveries.c.next_at).label("place")
+    earlier = t.deliveries.alias()
+    of_same_job = (earlier.c.endpoint_id == t.deliveries.c.endpoint_id) & (earlier.c.job_id == t.deliveries.c.job_id)
+    is_first = earlier.c.event == FIRST_ARTIFACT
+    is_behind = sa.exists().where(of_same_job & is_first & earlier.c.next_at.is_not(None))
     due = (
         sa.select(t.deliveries.c.id, t.deliveries.c.next_at, owner, place)
         .join(t.webhook_endpoints, t.webhook_endpoints.c.id == t.deliveries.c.endpoint_id)
-        .where(t.deliveries.c.next_at <= now)
+        .where((t.deliveries.c.next_at <= now) & ((t.deliveries.c.event == FIRST_ARTIFACT) | ~is_behind))
         .subquery()
     )
     with store.reading() as connection:

@@ -25,11 +25,11 @@ def make_tables(engine: sa.Engine) -> None:
             metadata.create_all(connection)
             connection.execute(schema_revision.insert().values(number=REVISION))
             return
-        found = 0
+        current = 0
         if schema_revision.name in names:
-            found = connection.execute(sa.select(schema_revision.c.number)).scalar_one()
-        if found < REVISION:
+            current = connection.execute(sa.select(schema_revision.c.number)).scalar_one()
+        if current < REVISION:
             raise SchemaError(
-                f"the database has tables of revision {found}, this program needs {REVISION}; no release had the "
+                f"the database has tables of revision {current}, this program needs {REVISION}; no release had the "
                 "earlier ones, so start with an empty database or another state folder"
             )

@@ -38,6 +38,7 @@ assets = sa.Table(
     sa.Column("parts", sa.JSON, nullable=False),
     sa.Column("prepared", sa.JSON),
     sa.Column("summary", sa.JSON, nullable=False),
+    sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
     sa.Column("created_at", sa.Double, nullable=False),
     sa.Column("expires_at", sa.Double, nullable=False, index=True),
     sa.Column("deleted_at", sa.Double),
@@ -57,6 +58,7 @@ jobs = sa.Table(
     sa.Column("queue", sa.String(32), nullable=False),
     sa.Column("priority", sa.String(16), nullable=False),
     sa.Column("webhook_id", _id),
+    sa.Column("webhook_events", sa.JSON),  # of this job, for that endpoint; null: those of its end
     sa.Column("request_id", sa.String(128)),  # of the request that made it
     sa.Column("traceparent", sa.String(64)),
     sa.Column("attempt", sa.Integer, nullable=False),
@@ -73,6 +75,8 @@ jobs = sa.Table(
     sa.Column("external_id", sa.String(128)),  # the client's own name for it
     sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
     sa.Column("cancel_at", sa.Double),
+    sa.Column("processor_s", sa.Double, nullable=False),  # of all attempts
+    sa.Column("gpu_s", sa.Double, nullable=False),
     sa.Column("created_at", sa.Double, nullable=False, index=True),
     sa.Column("started_at", sa.Double),
     sa.Column("finished_at", sa.Double, index=True),
@@ -226,4 +230,14 @@ tallies = sa.Table(
     sa.Column("name", sa.String(64), primary_key=True),
     sa.Column("label", sa.String(64), primary_key=True),
     sa.Column("value", sa.Double, nullable=False),
+)
+
+usage = sa.Table(
+    "usage",
+    metadata,
+    sa.Column("owner", _id, primary_key=True),
+    sa.Column("month", sa.String(7), primary_key=True),  # 2026-11, UTC
+    sa.Column("attempts", sa.Integer, nullable=False),
+    sa.Column("processor_s", sa.Double, nullable=False),
+    sa.Column("gpu_s", sa.Double, nullable=False),
 )

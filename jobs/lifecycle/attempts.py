@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from datetime import UTC, datetime
 
 import sqlalchemy as sa
 
+from jobs.clients.webhook_events import FIRST_ARTIFACT, announce
 from jobs.database import tables as t
 from jobs.database.counters import count, count_seconds
-from jobs.database.engine import upsert
+from jobs.database.engine import add_up, upsert
 from jobs.database.retry import patient
 from jobs.errors import FencedError
 from jobs.lifecycle.job_log import note
@@ -204,6 +206,17 @@ def hand_back(store: Store, claimed: Claim) -> None:
 
 
 @patient
+def add_usage(store: Store, claimed: Claim, *, processor_s: float, gpu_s: float) -> None:
+    """Add what an attempt took to its job and to its owner's month, however it ended."""
+    month = datetime.fromtimestamp(store.clock(), UTC).strftime("%Y-%m")
+    with store.writing() as connection:
+        spent = {"processor_s": t.jobs.c.processor_s + processor_s, "gpu_s": t.jobs.c.gpu_s + gpu_s}
+        connection.execute(t.jobs.update().where(t.jobs.c.id == claimed.job.id).values(**spent))
+        whose = {"owner": claimed.job.owner, "month": month}
+        add_up(connection, t.usage, whose, attempts=1, processor_s=processor_s, gpu_s=gpu_s)
+
+
+@patient
 def report_alive(store: Store, job_id: str) -> None:
     """Take back one counted loss: the worker of a reaped attempt is alive and was only paused, so nothing crashed."""
     with store.writing() as connection:
@@ -248,6 +261,9 @@ def _add_artifacts(
     now: float,
     retention_s: float,
 ) -> None:
+    of_job = t.artifacts.c.job_id == claimed.job.id
+    if files and connection.execute(sa.select(t.artifacts.c.id).where(of_job).limit(1)).one_or_none() is None:
+        announce(connection, claimed.job.id, FIRST_ARTIFACT, now=now)
     for file in files:
         row = {"id": new_id(), "job_id": claimed.job.id, "stage": stage}
         times = {"created_at": now, "expires_at": now + retention_s}

@@ -1,6 +1,7 @@
 """The housekeeper's changes to the store: messages to send, expired leases, deadlines, retention."""
 
 from collections import Counter
+from dataclasses import dataclass
 
 import sqlalchemy as sa
 
@@ -8,7 +9,6 @@ from jobs.database import tables as t
 from jobs.database.counters import count
 from jobs.database.engine import upsert
 from jobs.lifecycle.attempts import begin_next_attempt
-from jobs.lifecycle.messages import RunJob
 from jobs.lifecycle.rows import bury, end
 from jobs.states import CPU, GPU, JobState, queues_of
 from jobs.store import Store
@@ -23,6 +23,23 @@ REROUTE_S = 60.0
 """So long a job waits for a worker of its queue before one of another queue may take it: workers start again."""
 
 HOUSEKEEPER_LEASE = "housekeeper"
+
+
+RUN_JOB = "dynamictree.run_job"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunJob:
+    """The message that crosses the queue: one attempt of a job. Everything else is read from the store."""
+
+    job_id: str
+    attempt: int
+    queue: str
+
+    @property
+    def args(self) -> tuple[str, int]:
+        """The task's arguments."""
+        return (self.job_id, self.attempt)
 
 
 def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:

@@ -69,7 +69,7 @@ def end(
     connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
     detail = {} if error_code is None else {"code": error_code, "detail": error_message}
     note(connection, job_id, str(target), at=now, level="error" if failed else "info", **detail)
-    announce(connection, job_id, target, now=now)
+    announce(connection, job_id, f"job.{target}", now=now)
     count(connection, "jobs", str(target))
     return True
 

@@ -25,7 +25,8 @@ def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
         if insert_new(connection, t.assets, values, unique="live_fingerprint"):
             return asset, True
         same = t.assets.c.live_fingerprint == live
-        connection.execute(t.assets.update().where(same).values(expires_at=asset.expires_at))
+        changes = {"expires_at": asset.expires_at} | ({"metadata": asset.metadata} if asset.metadata else {})
+        connection.execute(t.assets.update().where(same).values(**changes))
         return _asset(connection.execute(sa.select(t.assets).where(same)).one()), False
 
 

@@ -130,8 +130,8 @@ def _read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         with gzip.open(path, "rt") as stream:
             header = json.loads(stream.readline())
             if header["format"] != FORMAT or header["revision"] > t.REVISION:
-                found = f"format {header['format']}, revision {header['revision']}"
-                raise BackupError(f"{path} is of {found}; this program restores {FORMAT}, {t.REVISION}")
+                saved_as = f"format {header['format']}, revision {header['revision']}"
+                raise BackupError(f"{path} is of {saved_as}; this program restores {FORMAT}, {t.REVISION}")
             for line in stream:
                 name, row = json.loads(line)
                 yield name, row

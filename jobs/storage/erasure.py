@@ -78,9 +78,10 @@ def _delete_rows(connection: sa.Connection, owner: str) -> dict[str, int]:
     """Rows that hang on a job or an endpoint go with it; tombstones too, so that ids of theirs mean nothing."""
     counted = {}
     tables = {"webhooks": t.webhook_endpoints, "jobs": t.jobs, "assets": t.assets, "uploads": t.uploads}
-    for name, table in (tables | {"tombstones": t.tombstones, "keys": t.api_keys}).items():
+    for name, table in (tables | {"keys": t.api_keys}).items():
         counted[name] = connection.execute(table.delete().where(table.c.owner == owner)).rowcount
-    del counted["tombstones"]
+    for table in (t.tombstones, t.usage):
+        connection.execute(table.delete().where(table.c.owner == owner))
     return counted
 
 

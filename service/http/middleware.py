@@ -14,6 +14,7 @@ from jobs.settings import Settings
 from jobs.store import new_id
 from service.http.caller import ANYONE, CALLER
 from service.http.problems import REQUEST_ID, ProblemError, problem_response, request_id_of
+from service.http.request_headers import TRACE_CONTEXT
 
 logger = logging.getLogger(__name__)
 audit = logging.getLogger("dynamictree.audit")
@@ -53,7 +54,8 @@ class RequestFrame:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        given = Headers(scope=scope).get("x-request-id", "")
+        sent = Headers(scope=scope)
+        given, traced = sent.get("x-request-id", ""), TRACE_CONTEXT.fullmatch(sent.get("traceparent", ""))
         request_id = given if _REQUEST_ID.fullmatch(given) else new_id()
         scope[REQUEST_ID] = request_id
         began = time.perf_counter()
@@ -64,6 +66,8 @@ class RequestFrame:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 _add_headers(headers, scope["path"], request_id)
+                if traced:
+                    headers["traceparent"] = traced.group()
                 status, location = message["status"], headers.get("location", "")
             await send(message)
 

@@ -21,7 +21,7 @@ REQUEST_ID = "dynamictree.request_id"
 """Where the outermost middleware leaves the request's id in its scope."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Kind:
     """What is the same for every problem of one code."""
 
@@ -32,94 +32,50 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
-    "validation-failed": Kind(
-        status=422, title="The request is not valid", suggestion="Mend the fields named in errors."
-    ),
-    "invalid-input": Kind(status=422, title="The input cannot be used", suggestion="Change what detail names."),
-    "invalid-geometry": Kind(
-        status=422,
-        title="The geometry cannot be used",
-        suggestion="Repair the mesh as detail says, and upload it again.",
-    ),
-    "archive-rejected": Kind(
-        status=422,
-        title="The archive is refused",
-        suggestion="Send a flat zip of the mesh and the files that it names.",
-    ),
-    "input-too-costly": Kind(
-        status=422, title="The input takes too much to read", suggestion="Simplify or decimate it, and upload it again."
-    ),
-    "numerics-error": Kind(
-        status=422, title="The result is not finite", suggestion="Use smaller forces or time steps."
-    ),
-    "unstable-timestep": Kind(status=422, title="The time step is not stable", suggestion="Use at most max_dt_s."),
-    "bad-request": Kind(status=400, title="The request cannot be read", suggestion="Send well-formed HTTP and JSON."),
-    "unauthorized": Kind(status=401, title="A key is needed", suggestion="Ask the operator for a key."),
-    "forbidden": Kind(status=403, title="That is not allowed", suggestion="Ask the operator, or see docs/keys.md."),
-    "not-found": Kind(status=404, title="There is no such thing", suggestion="Check the id and the path."),
-    "method-not-allowed": Kind(status=405, title="The method is not allowed here", suggestion="See the Allow header."),
-    "not-acceptable": Kind(
-        status=406, title="No such representation", suggestion="Accept a media type that detail names."
-    ),
-    "request-timeout": Kind(
-        status=408, title="The upload stood still", suggestion="Send it again on a steady line.", retryable=True
-    ),
-    "conflict": Kind(status=409, title="The state forbids it", suggestion="Look at the state, then decide again."),
-    "upload-offset-conflict": Kind(
-        status=409, title="The upload stands elsewhere", suggestion="Ask where with HEAD, and go on from there."
-    ),
-    "precondition-failed": Kind(status=412, title="The protocol is another one", suggestion="Speak tus 1.0.0."),
-    "checksum-mismatch": Kind(
-        status=460, title="The bytes are not those of the checksum", suggestion="Send them again.", retryable=True
-    ),
-    "fetch-failed": Kind(
-        status=422, title="The address could not be fetched", suggestion="Check it, or upload the file itself."
-    ),
-    "quota-exceeded": Kind(
-        status=429, title="Too much is stored", suggestion="Delete uploads, or wait until products expire."
-    ),
-    "too-many-active-jobs": Kind(
-        status=429, title="Too many of your jobs run", suggestion="Wait for one to end.", retryable=True
-    ),
-    "rate-limited": Kind(status=429, title="Too many requests", suggestion="Wait as Retry-After says.", retryable=True),
-    "idempotency-key-reused": Kind(
-        status=422, title="The key means another request", suggestion="Use a new Idempotency-Key."
-    ),
-    "expired": Kind(status=410, title="It is gone", suggestion="Make it again."),
-    "payload-too-large": Kind(status=413, title="The body is too large", suggestion="See GET /v1/limits."),
-    "unsupported-format": Kind(
-        status=415, title="The format is not supported", suggestion="See GET /v1/limits for formats."
-    ),
-    "range-not-satisfiable": Kind(status=416, title="The range is outside", suggestion="Ask for bytes below the size."),
-    "internal-error": Kind(
-        status=500,
-        title="The service failed",
-        suggestion="Try again; report the request_id if it stays.",
-        retryable=True,
-    ),
-    "model-error": Kind(status=500, title="The model cannot be used", suggestion="Tell the operator."),
-    "overloaded": Kind(status=503, title="Too much is asked at once", suggestion="Try again later.", retryable=True),
-    "queue-full": Kind(status=503, title="Too many jobs wait", suggestion="Try again later.", retryable=True),
-    "disk-full": Kind(status=503, title="The storage is full", suggestion="Try again later.", retryable=True),
-    "storage-unavailable": Kind(status=503, title="A storage is away", suggestion="Try again later.", retryable=True),
+    "validation-failed": Kind(422, "The request is not valid", "Mend the fields named in errors."),
+    "invalid-input": Kind(422, "The input cannot be used", "Change what detail names."),
+    "invalid-geometry": Kind(422, "The geometry cannot be used", "Repair the mesh as detail says; upload it again."),
+    "archive-rejected": Kind(422, "The archive is refused", "Send a flat zip of the mesh and the files that it names."),
+    "input-too-costly": Kind(422, "The input takes too much to read", "Simplify or decimate it, and upload it again."),
+    "numerics-error": Kind(422, "The result is not finite", "Use smaller forces or time steps."),
+    "unstable-timestep": Kind(422, "The time step is not stable", "Use at most max_dt_s."),
+    "bad-request": Kind(400, "The request cannot be read", "Send well-formed HTTP and JSON."),
+    "unauthorized": Kind(401, "A key is needed", "Ask the operator for a key."),
+    "forbidden": Kind(403, "That is not allowed", "Ask the operator, or see docs/keys.md."),
+    "not-found": Kind(404, "There is no such thing", "Check the id and the path."),
+    "method-not-allowed": Kind(405, "The method is not allowed here", "See the Allow header."),
+    "not-acceptable": Kind(406, "No such representation", "Accept a media type that detail names."),
+    "request-timeout": Kind(408, "The upload stood still", "Send it again on a steady line.", retryable=True),
+    "conflict": Kind(409, "The state forbids it", "Look at the state, then decide again."),
+    "upload-offset-conflict": Kind(409, "The upload stands elsewhere", "Ask where with HEAD, and go on from there."),
+    "precondition-failed": Kind(412, "The protocol is another one", "Speak tus 1.0.0."),
+    "checksum-mismatch": Kind(460, "The bytes are not those of the checksum", "Send them again.", retryable=True),
+    "fetch-failed": Kind(422, "The address could not be fetched", "Check it, or upload the file itself."),
+    "quota-exceeded": Kind(429, "Too much is stored", "Delete uploads, or wait until products expire."),
+    "too-many-active-jobs": Kind(429, "Too many of your jobs run", "Wait for one to end.", retryable=True),
+    "rate-limited": Kind(429, "Too many requests", "Wait as Retry-After says.", retryable=True),
+    "idempotency-key-reused": Kind(422, "The key means another request", "Use a new Idempotency-Key."),
+    "expired": Kind(410, "It is gone", "Make it again."),
+    "payload-too-large": Kind(413, "The body is too large", "See GET /v1/limits."),
+    "unsupported-format": Kind(415, "The format is not supported", "See GET /v1/limits for formats."),
+    "range-not-satisfiable": Kind(416, "The range is outside", "Ask for bytes below the size."),
+    "internal-error": Kind(500, "The service failed", "Try again; report the request_id if it stays.", retryable=True),
+    "model-error": Kind(500, "The model cannot be used", "Tell the operator."),
+    "overloaded": Kind(503, "Too much is asked at once", "Try again later.", retryable=True),
+    "queue-full": Kind(503, "Too many jobs wait", "Try again later.", retryable=True),
+    "disk-full": Kind(503, "The storage is full", "Try again later.", retryable=True),
+    "storage-unavailable": Kind(503, "A storage is away", "Try again later.", retryable=True),
     # failures of jobs; their status is that of a GET which shows them nowhere but in the job's `error`
-    "canceled": Kind(status=409, title="The job was canceled", suggestion="Create it again."),
-    "out-of-memory": Kind(status=500, title="Out of memory", suggestion="Simplify the input, or ask for less."),
-    "time-limit": Kind(status=500, title="The job took too long", suggestion="Simplify the input, or ask for less."),
-    "worker-lost": Kind(status=500, title="The worker was lost", suggestion="Create the job again.", retryable=True),
-    "poison-input": Kind(status=500, title="The input takes every worker down", suggestion="Simplify the input."),
-    "reconstruction-failed": Kind(
-        status=422, title="The photos do not fit together", suggestion="Take more photos, with more overlap."
-    ),
+    "canceled": Kind(409, "The job was canceled", "Create it again."),
+    "out-of-memory": Kind(500, "Out of memory", "Simplify the input, or ask for less."),
+    "time-limit": Kind(500, "The job took too long", "Simplify the input, or ask for less."),
+    "worker-lost": Kind(500, "The worker was lost", "Create the job again.", retryable=True),
+    "poison-input": Kind(500, "The input takes every worker down", "Simplify the input."),
+    "reconstruction-failed": Kind(422, "The photos do not fit together", "Take more photos, with more overlap."),
     "camera-search-failed": Kind(
-        status=500,
-        title="The search for cameras failed",
-        suggestion="Try again; report the job's id if it stays.",
-        retryable=True,
+        500, "The search for cameras failed", "Try again; report the job's id if it stays.", retryable=True
     ),
-    "start-deadline": Kind(
-        status=503, title="Not started in time", suggestion="Ask later, or with a later deadline.", retryable=True
-    ),
+    "start-deadline": Kind(503, "Not started in time", "Ask later, or with a later deadline.", retryable=True),
 }
 
 

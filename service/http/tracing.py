@@ -12,7 +12,7 @@ from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
 from opentelemetry.trace import Span
 
 from jobs.tracing import traceparent, tracer_provider
-from service.http.request_context import TRACEPARENT
+from service.http.request_headers import TRACEPARENT
 
 
 def trace_requests(app: FastAPI, endpoint: str) -> None:

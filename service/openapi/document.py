@@ -33,6 +33,7 @@ LICENSE = {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
 CONTACT = {"name": "The maintainers of DynamicTree"}
 HEADERS = {
     "X-Request-Id": "id of the request, as it was sent or made here; the log names it",
+    "traceparent": "W3C trace context of the request, where it was sent with one",
     "Retry-After": "seconds until the request may succeed",
     "RateLimit": "what is left of the rate, and until when (IETF draft)",
     "RateLimit-Policy": "the rate of the key (IETF draft)",
@@ -85,7 +86,7 @@ def _add_doors(item: Page) -> None:
 
 def _add_headers(status: str, response: Page) -> None:
     """Name the headers that every response has, and those of a refusal for now."""
-    names = ["X-Request-Id", *(["Retry-After"] if status in ("429", "503") else [])]
+    names = ["X-Request-Id", "traceparent", *(["Retry-After"] if status in ("429", "503") else [])]
     names += ["RateLimit", "RateLimit-Policy"] if status == "429" else []
     own = response.setdefault("headers", {})
     for name in names:

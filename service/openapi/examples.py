@@ -32,6 +32,9 @@ _PULL_AND_RELEASE = {
     "num_frames": 240,
 }
 
+_HOOK = {"url": "https://example.com/hook", "events": ["job.first-artifact", "job.succeeded", "job.failed"]}
+_ENDPOINT = {"all": {"summary": "Told of every job", "value": _HOOK}}
+
 REQUESTS: dict[str, dict[str, Any]] = {
     "createJob": _JOB_REQUESTS,
     "createAsset": {
@@ -42,6 +45,9 @@ REQUESTS: dict[str, dict[str, Any]] = {
         "knock": {"summary": "A knock against a branch", "value": _PUSH},
         "pull": {"summary": "Pull a branch aside, hold it, let go", "value": _PULL_AND_RELEASE},
     },
+    "createLink": {"hour": {"summary": "For an hour", "value": {"path": f"/v1/artifacts/{_FILE}", "expires_s": 3600}}},
+    "createWebhookEndpoint": _ENDPOINT,
+    "putWebhookEndpoint": _ENDPOINT,
 }
 """By operation."""
 
@@ -65,6 +71,7 @@ SCHEMAS: dict[str, Any] = {
         "kind": "mesh",
         "parts": [{"name": "tree.glb", "sha256": _SHA, "bytes": 376012}],
         "summary": {"num_vertices": 8545, "num_faces": 9846, "height_m": 10.29},
+        "metadata": {"plot": "17"},
         "created_at": _BEGAN,
         "expires_at": _GONE,
     },

@@ -9,7 +9,7 @@ from fastapi.responses import StreamingResponse
 from jobs.errors import GoneError
 from jobs.records import ArtifactRecord
 from service.http.problems import ProblemError
-from service.http.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
+from service.http.request_headers import ByteRange, UnsatisfiableRangeError, matches, parse_range
 from service.http.routing import Id, headers, refusals
 from service.services import OwnedDep
 

@@ -1,5 +1,6 @@
 """/v1/assets: upload, read and delete the inputs of jobs."""
 
+import json
 import shutil
 from contextlib import AsyncExitStack
 
@@ -54,6 +55,7 @@ _FORM = {
                             "enum": list(ASSET_KINDS),
                             "description": "by name if unset",
                         },
+                        "metadata": {"type": "string", "description": "a JSON object of your texts, returned as it is"},
                         **{
                             name: field["anyOf"][0] | {"description": field["description"]}  # a form has no null
                             for name, field in Reading.model_json_schema()["properties"].items()
@@ -119,7 +121,8 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
 
 async def _of_uploads_or_address(request: Request, response: Response, owned: Owned) -> AssetPayload | Response:
     wanted = await _read_json(request, owned)
-    fields = {name: str(value) for name in FIELDS if (value := getattr(wanted, name)) is not None}
+    given = {name: value for name in FIELDS if (value := getattr(wanted, name)) is not None}
+    fields = {name: value if isinstance(value, str) else json.dumps(value) for name, value in given.items()}
     if wanted.upload_ids is not None:
         uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
         asset, new = await make_asset(owned, uploads, fields)

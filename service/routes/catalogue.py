@@ -1,4 +1,4 @@
-"""/v1/presets and /v1/limits: available models, formats and limits."""
+"""/v1/presets, /v1/limits and /v1/usage: models, formats and limits, and what the caller has of them."""
 
 from typing import Literal
 
@@ -9,6 +9,8 @@ from dynamictree.formats import film, suffixes
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES, Quality
 from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
+from jobs.clients.keys import Limit
+from jobs.clients.usage import count_active, months, stored_bytes
 from service.http import multipart
 from service.http.problems import wrong_field
 from service.http.routing import refusals
@@ -153,4 +155,36 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         max_forces=forces.MAX_FORCES,
         max_force_groups=forces.MAX_GROUPS,
         max_displacement_bytes=interact.MAX_DISPLACEMENT_BYTES,
+    )
+
+
+class MonthPayload(Payload):
+    """What attempts of jobs took that ended in one month (UTC)."""
+
+    month: str = Field(description="2026-11")
+    attempts: int
+    processor_s: float
+    gpu_s: float = Field(description="during which a worker with a GPU was at work [s]")
+
+
+class UsagePayload(Payload):
+    """What the caller has, and may have; null where no key is asked for."""
+
+    owner: str | None
+    active_jobs: int
+    bytes: int
+    limits: dict[Limit, int] | None
+    months: list[MonthPayload] = Field(description="newest first, at most 12")
+
+
+@router.get("/usage", operation_id="getUsage", responses=refusals())
+def get_usage(owned: OwnedDep) -> UsagePayload:
+    """Jobs that have not ended, bytes stored, the limits of the key, and what jobs took by month."""
+    caller = owned.caller
+    return UsagePayload(
+        owner=caller.owner,
+        active_jobs=count_active(owned.store),
+        bytes=stored_bytes(owned.store),
+        limits=dict(caller.limits) or None,
+        months=[MonthPayload.model_validate(month) for month in months(owned.store)],
     )

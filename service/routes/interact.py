@@ -26,8 +26,8 @@ from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.response import Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
-from service.http.negotiation import JSON, SAFETENSORS, chosen
 from service.http.problems import ProblemError
+from service.http.request_headers import JSON, SAFETENSORS, chosen
 from service.http.routing import refusals
 from service.interact.forces import (
     MAX_GROUPS,

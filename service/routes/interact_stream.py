@@ -43,8 +43,8 @@ from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import with_physics
 from dynamictree.requests import SwingParams
-from service.http.open_streams import until_revoked
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
+from service.http.slots import until_revoked
 from service.http.validation_errors import field_errors, summed_up
 from service.interact.forces import ForcePayload
 from service.interact.ready_tree import ReadyTree

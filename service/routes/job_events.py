@@ -9,8 +9,8 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
-from service.http.open_streams import until_revoked
 from service.http.routing import Id, refusals
+from service.http.slots import until_revoked
 from service.job_responses import tell
 from service.services import Owned, OwnedDep
 

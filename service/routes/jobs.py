@@ -8,9 +8,7 @@ from fastapi import APIRouter, Header, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from jobs.states import JobState, JobType
-from service.http.prefer_wait import WaitS
-from service.http.ranges import matches
-from service.http.request_context import Origin
+from service.http.request_headers import Origin, WaitS, matches
 from service.http.routing import Cursor, Id, headers, refusals
 from service.job_creation import accept, accept_again, format_bytes, require_possible
 from service.job_responses import listed, look, tell

@@ -18,7 +18,7 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 
 from jobs.database.counters import SECONDS, tallies
-from jobs.lifecycle.service_statistics import Census, census
+from jobs.lifecycle.statistics import Census, census
 from jobs.states import JobState, queues_of
 from jobs.storage.artifacts import ArtifactStore
 from jobs.store import Store

@@ -10,7 +10,7 @@ from safetensors.numpy import save
 from dynamictree.modal.locality import poke_weights
 from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
-from service.http.negotiation import SAFETENSORS
+from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.stored_trees import load_spectrum
 from service.interact.tree_cache import ready_tree

@@ -8,7 +8,7 @@ from typing import Literal
 from fastapi import APIRouter, Response
 
 from jobs.database.counters import tallies
-from jobs.lifecycle.service_statistics import census
+from jobs.lifecycle.statistics import census
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import OwnedDep

@@ -10,9 +10,8 @@ from importlib import resources
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.http.negotiation import SAFETENSORS
 from service.http.problems import ProblemError
-from service.http.ranges import matches
+from service.http.request_headers import SAFETENSORS, matches
 
 router = APIRouter(include_in_schema=False)
 

@@ -7,7 +7,7 @@ from safetensors.numpy import save
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
-from service.http.negotiation import SAFETENSORS
+from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.stored_trees import load_asset_cloud
 from service.services import OwnedDep

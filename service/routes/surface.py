@@ -12,7 +12,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
-from service.http.negotiation import SAFETENSORS
+from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.ready_tree import ReadyTree, bone_ties, vertex_ties
 from service.interact.stored_trees import load_asset_mesh, load_result, load_spectrum

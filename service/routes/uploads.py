@@ -15,13 +15,13 @@ from jobs.storage.uploads import UploadRecord, change_upload, delete_upload, upl
 from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
 from service.http.multipart import MAX_NAME_CHARS, is_name
-from service.http.prefer_wait import LOOK_S, WaitS
 from service.http.problems import ProblemError, wrong_field
+from service.http.request_headers import LOOK_S, WaitS
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.append import append, stands_elsewhere
-from service.uploads.intake import FIELDS, reading_options
+from service.uploads.intake import FIELDS, metadata_of, reading_options
 from service.uploads.quota import announce, require_room
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
@@ -73,7 +73,9 @@ async def create_upload(
     upload_length: Annotated[str | None, Header(description="size of the file [bytes]")] = None,
     upload_metadata: Annotated[
         str | None,
-        Header(description="filename, kind, sha256, up_axis, unit_m, asset=auto; each a name, a space, base64"),
+        Header(
+            description="filename, kind, sha256, up_axis, unit_m, metadata, asset=auto; each a name, a space, base64"
+        ),
     ] = None,
     content_type: Annotated[str | None, Header()] = None,
 ) -> Response:
@@ -87,7 +89,7 @@ async def create_upload(
         id=new_id(),
         state="receiving",
         filename=metadata.get("filename") or metadata.get("name") or "file",
-        options={name: metadata[name] for name in FIELDS if name in metadata} | {"metadata": upload_metadata or ""},
+        options={name: metadata[name] for name in FIELDS if name in metadata} | {"sent": upload_metadata or ""},
         length=length,
         sha256=metadata.get("sha256"),
         make_asset=metadata.get("asset") == "auto",
@@ -118,8 +120,8 @@ def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Resp
     sent = _standing(record, size) | {"Cache-Control": "no-store"}
     if record.length is not None:
         sent["Upload-Length"] = str(record.length)
-    if record.options.get("metadata"):
-        sent["Upload-Metadata"] = str(record.options["metadata"])
+    if record.options.get("sent"):
+        sent["Upload-Metadata"] = str(record.options["sent"])
     return Response(headers=sent)
 
 
@@ -256,6 +258,7 @@ def _metadata(header: str | None) -> dict[str, str]:
                 f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
             ) from error
     reading_options({name: pairs[name] for name in FIELDS if name in pairs}, where="metadata")
+    metadata_of(pairs, where="metadata")
     promised = pairs.get("sha256")
     if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
         raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")

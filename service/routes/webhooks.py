@@ -7,7 +7,7 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from jobs.clients import webhooks
-from jobs.clients.webhook_events import EVENTS, DeliveryState, Event
+from jobs.clients.webhook_events import ENDS, EVENTS, DeliveryState, Event
 from jobs.states import JobState, JobType
 from service.http.routing import Cursor, Id, headers, refusals
 from service.schemas.base import Payload, Time
@@ -21,7 +21,7 @@ class EndpointRequest(Payload):
 
     url: str = Field(max_length=2048, description="https")
     events: tuple[Event, ...] = Field(
-        default=EVENTS, max_length=len(EVENTS), description="of every job; none: only of jobs that name the endpoint"
+        default=ENDS, max_length=len(EVENTS), description="of every job; none: only of jobs that name the endpoint"
     )
 
 
@@ -94,10 +94,10 @@ class JobEventPayload(Payload):
 def describe_events(app: FastAPI) -> None:
     """Name every event in the OpenAPI document, with the body that is sent to endpoints."""
     for event in EVENTS:
-        name = event.title().replace(".", "")
+        name = event.title().replace(".", "").replace("-", "")
 
         async def receive(body: JobEventPayload) -> None:
-            """A job has ended. Answer with any status of 2xx; see docs/webhooks.md for the signature."""
+            """A job has its first artifact, or has ended. Answer with any status of 2xx; see docs/webhooks.md."""
 
         app.webhooks.add_api_route(
             event,

@@ -9,7 +9,7 @@ from jobs.records import AssetRecord
 from jobs.states import AssetKind
 from jobs.storage.uploads import UploadRecord, UploadState
 from service.http.multipart import MAX_FILES
-from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, problem_of
+from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time, problem_of
 
 
 class PartPayload(Payload):
@@ -36,6 +36,7 @@ class AssetPayload(Payload):
         "`still_parts` what is not the plant and does not move: `name` and `why`, "
         "`trees` where each stands and how tall it is: `tree` (its number), `x_m`, `y_m`, `z_m` and `height_m`"
     )
+    metadata: dict[str, str]
     created_at: Time
     expires_at: Time
 
@@ -50,6 +51,7 @@ class AssetRequest(Reading):
     sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
     filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
     kind: AssetKind | None = Field(default=None, description="by name if unset")
+    metadata: Metadata | None = Field(default=None, description="texts of yours, returned as they are")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

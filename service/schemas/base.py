@@ -11,6 +11,10 @@ from service.http.problems import KINDS, problem_body
 
 ULID_PATTERN = "^[0-9A-HJKMNP-TV-Z]{26}$"
 
+Metadata = Annotated[
+    dict[Annotated[str, Field(max_length=64)], Annotated[str, Field(max_length=512)]], Field(max_length=16)
+]
+
 Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
 
 

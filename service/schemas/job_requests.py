@@ -5,8 +5,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from dynamictree.requests import AnimateParams, DiffuseParams, ModelParams, ReconstructParams, VoxelizeParams
+from jobs.clients.webhook_events import EVENTS, Event
 from jobs.states import Priority
-from service.schemas.base import ULID_PATTERN
+from service.schemas.base import ULID_PATTERN, Metadata
 
 
 class _JobRequest(ModelParams):
@@ -14,7 +15,10 @@ class _JobRequest(ModelParams):
         default="normal", description="high is begun first; with keys, one of scope high-priority"
     )
     webhook: str | None = Field(
-        default=None, pattern=ULID_PATTERN, description="id of a webhook endpoint to tell of the end"
+        default=None, pattern=ULID_PATTERN, description="id of a webhook endpoint that gets events of this job"
+    )
+    webhook_events: list[Event] | None = Field(
+        default=None, max_length=len(EVENTS), description="which of them; those of its end if unset"
     )
     asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
     external_id: str | None = Field(
@@ -23,9 +27,7 @@ class _JobRequest(ModelParams):
         max_length=128,
         description="your name for the job, by which lists can be filtered",
     )
-    metadata: dict[Annotated[str, Field(max_length=64)], Annotated[str, Field(max_length=512)]] = Field(
-        default_factory=dict, max_length=16, description="texts of yours, returned as they are"
-    )
+    metadata: Metadata = Field(default_factory=dict, description="texts of yours, returned as they are")
     cancel_after_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
         default=None, description="canceled if it has not ended by then, running or not [s]"
     )

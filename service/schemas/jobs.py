@@ -60,6 +60,8 @@ class JobPayload(Payload):
     metadata: dict[str, str]
     start_deadline_at: Time | None
     cancel_at: Time | None
+    processor_s: float = Field(description="processor time of all attempts that have ended [s]")
+    gpu_s: float = Field(description="time of theirs on a worker with a GPU [s]")
     created_at: Time
     started_at: Time | None
     finished_at: Time | None

@@ -120,8 +120,9 @@ def _clear_deleted(store: Store, parts: PartStore, upload_id: str) -> None:
 async def _write_all(
     owned: Owned, record: UploadRecord, writer: PartWriter, body: AsyncIterator[bytes], offset: int
 ) -> int:
-    """Write one batch in a thread while the next one comes in; whatever ends the body, received bytes are kept."""
+    """Write one batch in a thread while the next one comes in; whatever ends the body, received bytes stay."""
     assert record.length is not None
+    length = record.length
     batch: list[bytes] = []
     unwritten, size = 0, offset
     loop = asyncio.get_running_loop()
@@ -130,7 +131,7 @@ async def _write_all(
     async def close() -> None:
         if writing is not None:
             await writing
-        if batch and size + unwritten <= record.length:
+        if batch and size + unwritten <= length:
             await loop.run_in_executor(None, writer.write, batch)
         await loop.run_in_executor(None, writer.keep)
 
@@ -139,8 +140,8 @@ async def _write_all(
             if chunk and not (size or unwritten):
                 await run_in_threadpool(_stay, owned, record)
             unwritten += len(chunk)
-            if size + unwritten > record.length:
-                detail = f"the upload has {record.length:,} bytes as announced, and more were sent"
+            if size + unwritten > length:
+                detail = f"the upload has {length:,} bytes as announced, and more were sent"
                 raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
             batch.append(chunk)
             if unwritten < BATCH_BYTES:

@@ -7,7 +7,7 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.companions import is_system_file
@@ -34,6 +34,7 @@ from jobs.store import new_id
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import ProblemError, wrong_field
 from service.http.validation_errors import field_errors, summed_up
+from service.schemas.base import Metadata
 from service.services import Owned
 from service.uploads.archives import is_zip, unpack
 from service.uploads.exif_privacy import without_place
@@ -45,7 +46,8 @@ CAMERA_FILES = (
 )
 """What may come with photos: cameras that are known."""
 MAX_PHOTO_BYTES = 30 * 1024**2
-FIELDS = ("kind", "up_axis", "unit_m", "height_m")
+FIELDS = ("kind", "up_axis", "unit_m", "height_m", "metadata")
+_METADATA: TypeAdapter[dict[str, str]] = TypeAdapter(Metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +59,7 @@ class Upload:
     files: tuple[ReceivedFile, ...]
     reading: Reading = field(default_factory=Reading)
     unused: tuple[str, ...] = ()  # names of files that came with photos and are not stored
+    metadata: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def is_film(self) -> bool:
@@ -82,7 +85,7 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     Raises:
         ProblemError: a field or the set of files is not allowed.
     """
-    reading = reading_options(form.fields)
+    reading, metadata = reading_options(form.fields), metadata_of(form.fields)
     files = form.files
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder, require_room=partial(require_room, owned))
@@ -99,11 +102,13 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
         live = [file for file in films if PurePosixPath(_beside(file.name)).with_suffix("") in stems]
         if films and len(live) == len(films):  # each is the film of a Live Photo, beside it
             stills = [file for file in files if file not in live]
-            return Upload(kind="photos", files=_photos(stills), unused=tuple(file.name for file in live))
-        return Upload(kind="photos", files=_film(files) if films else _photos(files))
+            unused = tuple(file.name for file in live)
+            return Upload(kind="photos", files=_photos(stills), unused=unused, metadata=metadata)
+        return Upload(kind="photos", files=_film(files) if films else _photos(files), metadata=metadata)
     models = _models(files)
     beside = tuple(file for file in files if file not in models)
-    return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), reading=reading)
+    every = (*models, *beside)
+    return Upload(kind="mesh", num_models=len(models), files=every, reading=reading, metadata=metadata)
 
 
 def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Reading:
@@ -124,6 +129,19 @@ def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Readin
         return Reading.model_validate(own, strict=False)  # a form has texts only
     except ValidationError as error:
         wrong = field_errors([one | {"loc": (where, *one["loc"])} for one in error.errors()])
+        raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
+
+
+def metadata_of(fields: Mapping[str, str], *, where: str = "form") -> dict[str, str]:
+    """The texts of `metadata`, which is a JSON object.
+
+    Raises:
+        ProblemError: it is none, or has too many or too long texts.
+    """
+    try:
+        return _METADATA.validate_json(fields.get("metadata", "{}"))
+    except ValidationError as error:
+        wrong = field_errors([one | {"loc": (where, "metadata")} for one in error.errors()])
         raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
 
 
@@ -189,7 +207,9 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
     expires_at = store.clock() + owned.services.settings.asset_retention_s
     existing = await run_in_threadpool(find_asset, store, upload.fingerprint)
     if existing is not None:
-        return await run_in_threadpool(add_asset, store, replace(existing, expires_at=expires_at))
+        return await run_in_threadpool(
+            add_asset, store, replace(existing, expires_at=expires_at, metadata=upload.metadata)
+        )
     prepared = folder / "prepared"
     request = ParseRequest(
         kind=upload.kind,
@@ -240,6 +260,7 @@ def _keep(
             parts=parts,
             prepared=bundle,
             summary=summary,
+            metadata=upload.metadata,
             created_at=owned.store.clock(),
             expires_at=expires_at,
         ),

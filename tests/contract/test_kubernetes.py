@@ -10,7 +10,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from jobs.lifecycle.service_statistics import Census, QueueLength
+from jobs.lifecycle.statistics import Census, QueueLength
 from jobs.settings import Settings
 from jobs.states import queues_of
 from service.routes.metrics import store_gauges

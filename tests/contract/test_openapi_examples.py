@@ -46,9 +46,10 @@ def test_an_example_with_a_field_too_many_would_be_seen() -> None:
         validator({"$ref": "#/components/schemas/AnimateRequest"}).validate({"type": "animate", "mood": 1})
 
 
-@pytest.mark.parametrize("name", ["createJob", "interact", "createAsset"])
-def test_requests_with_a_json_body_have_examples(name: str) -> None:
-    assert OPERATIONS[name][1]["requestBody"]["content"]["application/json"]["examples"]
+def test_every_json_body_has_an_example() -> None:
+    for name, (_, operation) in OPERATIONS.items():
+        content = operation.get("requestBody", {}).get("content", {})
+        assert "application/json" not in content or content["application/json"].get("examples"), name
 
 
 @pytest.mark.parametrize("name", OPERATIONS)

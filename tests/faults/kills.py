@@ -28,7 +28,7 @@ from kombu.exceptions import OperationalError
 
 from jobs.database import tables as t
 from jobs.database.engine import open_engine
-from jobs.lifecycle.messages import RUN_JOB
+from jobs.lifecycle.maintenance import RUN_JOB
 from tests import servers
 from tests.faults.conftest import SHORT
 from tests.faults.drill import parse, tell

@@ -4,7 +4,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from jobs.records import AssetRecord
-from service.http.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
+from service.http.request_headers import ByteRange, UnsatisfiableRangeError, matches, parse_range
 from service.services import Services
 from tests.service.conftest import hold, publish
 from tests.service.test_jobs import create

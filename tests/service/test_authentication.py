@@ -13,7 +13,7 @@ from jobs.clients.keys import Limit, Scope, create_key, revoke_key
 from jobs.settings import Settings
 from jobs.storage.assets import read_asset
 from service.app import create_app
-from service.http import authentication, open_streams
+from service.http import authentication, slots
 from service.http.rate_limit import WRONG_KEYS_PER_MIN
 from service.routes import job_events
 from service.services import Services
@@ -80,7 +80,7 @@ def test_a_revoked_or_expired_key_opens_nothing(app_services: tuple[TestClient, 
 def test_a_key_that_is_revoked_ends_the_events_that_it_follows(
     app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_streams, "CHECK_S", 0.05)
+    monkeypatch.setattr(slots, "CHECK_S", 0.05)
     monkeypatch.setattr(job_events, "HEARTBEAT_S", 0.2)
     store = app_services[1].store
     record, key = create_key(store, name="test", owner="ann")

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from service.http.fair_slots import FairSlots
+from service.http.slots import FairSlots
 
 
 def test_an_owner_with_many_requests_delays_another_by_one_slot() -> None:

@@ -25,7 +25,7 @@ from jobs.settings import Settings
 from jobs.storage.assets import delete_asset
 from service.app import create_app
 from service.http.caller import ANYONE
-from service.http.negotiation import SAFETENSORS
+from service.http.request_headers import SAFETENSORS
 from service.interact.forces import MAX_FORCES
 from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
 from service.interact.tree_cache import living_tree

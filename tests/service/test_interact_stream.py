@@ -23,7 +23,7 @@ from jobs.clients.keys import create_key, revoke_key
 from jobs.database.tables import assets, jobs
 from jobs.settings import Settings
 from service.app import create_app
-from service.http import open_streams
+from service.http import slots
 from service.interact import session as interact_session
 from service.interact.forces import ForcePayload
 from service.routes import interact_stream
@@ -293,7 +293,7 @@ def test_a_page_sends_its_key_as_a_protocol(settings: Settings, services: Servic
 def test_a_key_that_is_revoked_ends_its_streams(
     settings: Settings, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_streams, "CHECK_S", 0.05)
+    monkeypatch.setattr(slots, "CHECK_S", 0.05)
     app = create_app(settings.model_copy(update={"keys": "required"}))
     with TestClient(app, "http://localhost") as client:
         store = app.state.services.store

@@ -49,6 +49,12 @@ def test_metrics_tell_of_jobs_stages_attempts_and_requests(client: TestClient, r
     assert not any(ran in str(key) for key in values)
 
 
+def test_a_trace_comes_back_with_the_answer(client: TestClient) -> None:
+    trace = "00-" + "a" * 32 + "-" + "b" * 16 + "-01"
+    assert client.get("/livez", headers={"traceparent": trace}).headers["traceparent"] == trace
+    assert "traceparent" not in client.get("/livez", headers={"traceparent": "nonsense"}).headers
+
+
 def test_a_path_that_nobody_serves_makes_no_new_series(client: TestClient) -> None:
     for number in range(5):
         client.get(f"/nothing-{number}")

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from io import BytesIO
@@ -21,12 +22,13 @@ from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.requests import AnimateParams, VoxelizeParams
 from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.clients.usage import months
 from jobs.database import tables as t
 from jobs.errors import FencedError, GoneError
 from jobs.lifecycle.attempts import hand_back, publish_stage, start_stage, succeed
 from jobs.lifecycle.maintenance import living, reap, worker_lease
 from jobs.records import AssetRecord, Claim, JobRecord, OutputFile
-from jobs.states import JobState, JobType
+from jobs.states import GPU, JobState, JobType
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
 from jobs.storage.erasure import _forget_cached
@@ -36,7 +38,7 @@ from tests.worker.conftest import add_job, hold, watch
 from worker.attempt import PARAMS, model_sha256, run_stages, stage_key
 from worker.cancellation import HandedBack
 from worker.runtime import Runtime
-from worker.tasks import end_attempt
+from worker.tasks import end_attempt, metered
 
 
 def run(runtime: Runtime, lease: Claim) -> None:
@@ -186,6 +188,25 @@ def holding_the_interpreter(seconds: float) -> None:
     while time.monotonic() < until:
         pass
     sys.setswitchinterval(before)
+
+
+def test_what_attempts_took_is_added_to_job_and_month(runtime: Runtime, asset: AssetRecord) -> None:
+    job = add_job(runtime, asset)
+    on_gpu = replace(runtime, settings=runtime.settings.model_copy(update={"queue": GPU}))
+    for resources, attempt in ((runtime, 1), (on_gpu, 2)):
+        lease = hold(runtime, job, attempt)
+        with suppress(HandedBack), metered(resources, lease):
+            until = time.process_time() + 0.2
+            while time.process_time() < until:
+                continue
+            raise HandedBack
+        hand_back(runtime.store, lease)
+    [month] = months(runtime.store)
+    assert month["attempts"] == 2
+    for spent in (runtime.store.job(job.id).processor_s, month["processor_s"]):
+        assert 0.4 <= spent < 2
+    for spent in (runtime.store.job(job.id).gpu_s, month["gpu_s"]):
+        assert 0.2 <= spent < 5
 
 
 def test_the_heartbeat_outlasts_a_kernel_that_stops_all_threads(runtime: Runtime, asset: AssetRecord) -> None:

@@ -10,7 +10,7 @@ import pytest
 from dynamictree.errors import Cancelled, FormatError, InputError
 from dynamictree.reconstruct.video_frames import write_sharp_frames
 from tests.formats.films import write_film
-from worker.confined_film import write_confined_frames
+from worker.confined_reading import write_confined_frames
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
 

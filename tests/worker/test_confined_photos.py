@@ -16,7 +16,7 @@ from dynamictree.reconstruct.photo_input import read_photos
 from dynamictree.reconstruct.photos import list_photos
 from jobs.records import AssetPart
 from tests.rows import asset_row, job_row
-from worker.confined_photos import CHILD, read_confined
+from worker.confined_reading import CHILD, read_confined
 from worker.stages import StageInput, reconstruct
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")

@@ -20,11 +20,11 @@ from jobs.clients.webhook_events import EVENTS
 from jobs.database import tables as t
 from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError, SecretKeyError, SettingsError
-from jobs.lifecycle.attempts import claim, fail, succeed
+from jobs.lifecycle.attempts import claim, fail, offer, succeed
 from jobs.settings import Settings, read_settings
 from jobs.storage.assets import add_asset
 from jobs.store import Store
-from tests.jobs.conftest import add_job, make_asset
+from tests.jobs.conftest import FILE, add_job, make_asset
 from worker.courier import Courier
 
 PLAIN = SecretBox()
@@ -72,12 +72,16 @@ class Scene:
     courier: Courier
     now: list[float]
 
-    def end_a_job(self, *, well: bool = True, webhook_id: str | None = None, owner: str | None = None) -> str:
+    def end_a_job(
+        self, *, well: bool = True, artifact: bool = False, owner: str | None = None, **values: object
+    ) -> str:
         store = self.store if owner is None else self.store.for_owner(owner)
         asset = add_asset(store, make_asset(store.clock()))[0]
-        job = add_job(store, asset, webhook_id=webhook_id, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
+        job = add_job(store, asset, **values, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
         lease = claim(self.store, job.id, 1, owner="test", lease_s=60)
         assert lease is not None
+        if artifact:
+            offer(self.store, lease, "voxelize", (FILE,), retention_s=100)
         if well:
             succeed(self.store, lease)
         else:
@@ -136,6 +140,31 @@ def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Recei
     assert webhooks.deliveries(scene.store, endpoint.id, before=None, limit=1)[0].id == again.id
     with pytest.raises(NotFoundError):
         webhooks.replay(scene.store, endpoint.id, "absent")
+
+
+def test_events_of_a_job_come_in_order(scene: Scene, receiver: Receiver) -> None:
+    """The end is due meanwhile, and waits for the event before it."""
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)
+    receiver.answers = [503]
+    scene.end_a_job(artifact=True)
+    rounds = []
+    for later in (0, 0, 5, 0, 0):
+        scene.now[0] += later
+        rounds.append(scene.courier.round())
+    assert rounds == [1, 0, 1, 1, 0]
+    events = [json.loads(body)["type"] for _, body in receiver.came]
+    assert events == ["job.first-artifact", "job.first-artifact", "job.succeeded"]
+
+
+def test_a_job_may_name_the_events_that_its_endpoint_gets(scene: Scene, receiver: Receiver) -> None:
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0]
+    scene.end_a_job(artifact=True, webhook_id=endpoint.id)
+    scene.end_a_job(artifact=True, webhook_id=endpoint.id, webhook_events=["job.first-artifact"])
+    scene.end_a_job(webhook_id=endpoint.id, webhook_events=[])
+    while scene.courier.round():
+        pass
+    events = sorted(json.loads(body)["type"] for _, body in receiver.came)
+    assert events == ["job.first-artifact", "job.succeeded"]
 
 
 def test_an_endpoint_that_answers_gone_gets_no_more(scene: Scene, receiver: Receiver) -> None:

@@ -262,6 +262,7 @@ def test_jobs_outlive_a_pause_of_the_whole_machine(keeper: Housekeeper, monkeypa
     assert keeper.store.job(job.id).attempt == 1
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 @pytest.mark.parametrize("dies", ["courier", "housekeeper"])
 def test_a_thread_that_dies_ends_the_process_s_work(
     keeper: Housekeeper, monkeypatch: pytest.MonkeyPatch, dies: str

@@ -8,8 +8,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from jobs.lifecycle.maintenance import WORKER_LEASES, living
+from jobs.lifecycle.attempts import claim
+from jobs.lifecycle.maintenance import WORKER_LEASES, living, reap
+from jobs.storage.assets import add_asset
 from jobs.store import Store
+from tests.jobs.conftest import add_job, make_asset
 from tests.servers import api, valkey, worker
 from worker.heartbeat import PRESENCE_S
 
@@ -55,21 +58,30 @@ def _lines(path: Path) -> list[dict[str, str]]:
     return [json.loads(line) for line in lines]
 
 
-def test_a_stopped_worker_does_not_say_that_it_is_there(tmp_path: Path) -> None:
+def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_path: Path) -> None:
     store = Store.open(f"sqlite:///{tmp_path / 'jobs.sqlite'}")
-    first = {"database_url": str(store.engine.url), "owner": "w", "queue": "cpu", "lease_s": 60, "heartbeat_s": 0.2}
+    asset = add_asset(store, make_asset(store.clock()))[0]
+    job = add_job(store, asset)
+    assert claim(store, job.id, 1, owner="w", lease_s=3) is not None
+    first = {"database_url": str(store.engine.url), "owner": "w", "queue": "cpu", "lease_s": 3, "heartbeat_s": 0.2}
+    lines = [(json.dumps(line) + "\n").encode() for line in (first, {"job_id": job.id, "attempt": 1})]
     parent = "import subprocess, sys\n"
-    parent += "child = subprocess.Popen([sys.executable, '-m', 'worker.heartbeat'], stdin=subprocess.PIPE)\n"
-    parent += f"child.stdin.write({(json.dumps(first) + chr(10)).encode()!r}); child.stdin.flush(); child.wait()"
+    parent += "child = subprocess.Popen([sys.executable, '-m', 'worker.heartbeat'], stdin=-1, stdout=-1)\n"
+    parent += f"child.stdin.write({lines[0]!r}); child.stdin.flush(); child.stdout.readline()\n"
+    parent += f"child.stdin.write({lines[1]!r}); child.stdin.flush(); child.wait()"
     worker_process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.DEVNULL)
     try:
         until(lambda: living(store, WORKER_LEASES))
+        time.sleep(4)
+        assert reap(store, max_lost_attempts=2) == []  # renewed for longer than it lasts
         worker_process.send_signal(signal.SIGSTOP)
         store.clock = lambda: time.time() + 3 * PRESENCE_S  # what was said before it was stopped has passed
         time.sleep(PRESENCE_S + 1)
         assert not living(store, WORKER_LEASES)
-        worker_process.send_signal(signal.SIGCONT)
         store.clock = time.time
+        assert reap(store, max_lost_attempts=2) == [(job.id, "running")]
+        assert store.job(job.id).attempt == 2
+        worker_process.send_signal(signal.SIGCONT)
         until(lambda: living(store, WORKER_LEASES))
     finally:
         worker_process.kill()

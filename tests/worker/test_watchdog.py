@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from celery import Celery
 
-from jobs.lifecycle.messages import RUN_JOB
+from jobs.lifecycle.maintenance import RUN_JOB
 from tests.servers import valkey, worker
 from worker.watchdog import Idleness
 

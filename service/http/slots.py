@@ -1,0 +1,105 @@
+"""What callers share fairly: slots for costly work, and streams that stay open."""
+
+import asyncio
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+
+import sqlalchemy as sa
+from starlette.concurrency import run_in_threadpool
+
+from jobs.clients.keys import is_valid
+from jobs.store import Store
+from service.http.caller import Caller
+from service.http.problems import ProblemError
+
+
+class FairSlots:
+    """`total` slots, of which one owner holds at most `per_owner`. For one event loop."""
+
+    def __init__(self, total: int, *, per_owner: int) -> None:
+        self.total = total
+        self.per_owner = per_owner
+        self._active: Counter[str] = Counter()
+        self._waiting: list[tuple[str, asyncio.Future[None]]] = []  # in order of arrival
+
+    @asynccontextmanager
+    async def slot(self, owner: str) -> AsyncIterator[None]:
+        """Context manager that waits for a slot and occupies it."""
+        entry = (owner, asyncio.get_running_loop().create_future())
+        self._waiting.append(entry)
+        self._grant()
+        try:
+            await entry[1]
+        except asyncio.CancelledError:
+            if entry in self._waiting:
+                self._waiting.remove(entry)
+            else:  # granted in the same moment
+                self._release(owner)
+            raise
+        try:
+            yield
+        finally:
+            self._release(owner)
+
+    def _release(self, owner: str) -> None:
+        self._active[owner] -= 1
+        self._grant()
+
+    def _grant(self) -> None:
+        while self._active.total() < self.total:
+            eligible = [entry for entry in self._waiting if self._active[entry[0]] < self.per_owner]
+            if not eligible:
+                return
+            chosen = min(eligible, key=lambda entry: self._active[entry[0]])
+            self._waiting.remove(chosen)
+            self._active[chosen[0]] += 1
+            chosen[1].set_result(None)
+
+
+CHECK_S = 5.0
+"""How often an open stream asks whether its key is still valid."""
+
+
+class OpenStreams:
+    """Streams of this process, per owner. For one event loop."""
+
+    def __init__(self, total: int) -> None:
+        self.total = total
+        self._open: Counter[str] = Counter()
+
+    @property
+    def num_open(self) -> int:
+        """Streams that are open."""
+        return self._open.total()
+
+    @contextmanager
+    def opened(self, caller: Caller) -> Iterator[None]:
+        """Context manager that counts one stream while it is open.
+
+        Raises:
+            ProblemError: the owner, or the process, has too many.
+        """
+        owner = caller.owner or ""
+        allowed = min(caller.limits.get("streams", self.total), self.total)
+        if self._open[owner] >= allowed or self._open.total() >= self.total:
+            detail = f"{self._open[owner]} of your streams are open; {allowed} are allowed: close one"
+            raise ProblemError("rate-limited", detail, headers={"Retry-After": "5"})
+        self._open[owner] += 1
+        try:
+            yield
+        finally:
+            self._open[owner] -= 1
+
+
+async def until_revoked(store: Store, caller: Caller) -> None:
+    """Return once the caller's key is revoked or has expired; never where no key is required."""
+    while True:
+        await asyncio.sleep(CHECK_S)
+        if not caller.key_id:
+            continue
+        try:
+            if not await run_in_threadpool(is_valid, store, caller.key_id):
+                return
+        except sa.exc.SQLAlchemyError:
+            continue  # the database is away; it will tell later
