@@ -79,6 +79,7 @@ class Settings(BaseSettings):
     parser_cpu_s: int = Field(default=120, ge=1)
     spectrum_cache_bytes: int = Field(default=256 * MIB, ge=0)
     max_upload_bytes: int = Field(default=4 * GIB, ge=1024)
+    presigned_links: bool = False
     upload_begin_s: float = Field(default=600.0, gt=0)
     upload_retention_s: float = Field(default=DAY_S, gt=0)
     max_fetches: int = Field(default=8, ge=1)

@@ -821,6 +821,22 @@ class TurbulentWind(Model):
     turn_rad: "Wave"
 
 
+class UploadPart(Model):
+    """One piece of an upload, to PUT to object storage."""
+
+    offset: int
+    bytes: int
+    url: str
+
+
+class UploadParts(Model):
+    """The pieces that an upload lacks."""
+
+    parts: "list[UploadPart]"
+    # RFC 3339, UTC
+    expires_at: datetime
+
+
 class Upload(Model):
     """A file that comes in pieces, or from an address."""
 

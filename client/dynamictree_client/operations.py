@@ -33,6 +33,7 @@ from dynamictree_client.models import (
     Spectrum,
     TurbulentWind,
     Upload,
+    UploadParts,
     Usage,
     VoxelizeRequest,
 )
@@ -109,6 +110,13 @@ def delete_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
         answer=None,
         headers={"Tus-Resumable": tus_resumable},
     )
+
+
+def create_upload_parts(id: str) -> Call[UploadParts]:
+    """Addresses in object storage to PUT the missing bytes to; then PATCH at the whole length, without bytes.  409
+    where the bytes lie in a folder, or the setting `presigned_links` is off.
+    """
+    return Call(method="POST", path=path_of("/v1/uploads/{id}/parts", {"id": id}), answer=UploadParts)
 
 
 def create_asset(body: dict[str, Any]) -> Call[Asset | Upload]:

@@ -15,7 +15,7 @@ import obstore
 from obstore.store import ObjectStore
 
 from jobs.errors import StorageFullError
-from jobs.storage.object_storage import REQUEST_PATIENCE_S, open_objects, reporting_refusals
+from jobs.storage.object_storage import REQUEST_PATIENCE_S, open_objects, presigned, reporting_refusals
 
 CHUNK_BYTES = 1024 * 1024
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
@@ -39,6 +39,9 @@ class ArtifactStore(Protocol):
 
     def delete(self, digest: str) -> None:
         """Delete the bytes, if any."""
+
+    def link(self, digest: str) -> str | None:
+        """Address of the bytes in object storage, without the service; None where they lie in a folder."""
 
     def free_bytes(self) -> int | None:
         """Room left [bytes]; None where that has no meaning. What is wrong with the storage passes through."""
@@ -97,6 +100,10 @@ class FolderArtifacts:
     def delete(self, digest: str) -> None:
         """Delete the bytes."""
         self._path(digest).unlink(missing_ok=True)
+
+    def link(self, digest: str) -> str | None:
+        """None: a folder has no address."""
+        return None
 
     def free_bytes(self) -> int | None:
         """Room left on the folder's disk [bytes]."""
@@ -161,6 +168,10 @@ class ObjectArtifacts:
         """Delete the bytes."""
         with reporting_refusals():
             obstore.delete(self.objects, _key(digest))
+
+    def link(self, digest: str) -> str | None:
+        """Address of the bytes in the storage."""
+        return presigned(self.objects, "GET", _key(digest))
 
     def free_bytes(self) -> int | None:
         """No bound is known; asks for an object, so that a storage that is away is noticed."""

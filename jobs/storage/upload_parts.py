@@ -11,7 +11,7 @@ import obstore
 from obstore.exceptions import AlreadyExistsError
 from obstore.store import ObjectStore
 
-from jobs.storage.object_storage import open_objects, reporting_refusals
+from jobs.storage.object_storage import open_objects, presigned, reporting_refusals
 
 PREFIX = "uploads"
 SYNC_BYTES = 64 * 1024**2
@@ -42,6 +42,9 @@ class PartStore(Protocol):
     def writer(self, upload_id: str, offset: int) -> PartWriter:
         """Continue at byte `offset`, the upload's size. Raises BlockingIOError while another writer is active."""
 
+    def link(self, upload_id: str, offset: int) -> str | None:
+        """Address in object storage to put the bytes from `offset` on to; None where they lie in a folder."""
+
     def fetch(self, upload_id: str, path: Path) -> None:
         """Make the upload readable at a path."""
 
@@ -64,6 +67,10 @@ class FolderParts:
     def writer(self, upload_id: str, offset: int) -> "FileWriter":
         """Continue at a byte offset."""
         return FileWriter(self.root / upload_id, offset)
+
+    def link(self, upload_id: str, offset: int) -> str | None:
+        """None: a folder has no address."""
+        return None
 
     def fetch(self, upload_id: str, path: Path) -> None:
         """Make the upload readable at a path: a link, no copy."""
@@ -122,7 +129,11 @@ class ObjectParts:
 
     def writer(self, upload_id: str, offset: int) -> "ObjectWriter":
         """Continue at a byte offset."""
-        return ObjectWriter(self.objects, f"{PREFIX}/{upload_id}", offset)
+        return ObjectWriter(self.objects, upload_id, offset)
+
+    def link(self, upload_id: str, offset: int) -> str | None:
+        """Address to put the bytes from `offset` on to."""
+        return presigned(self.objects, "PUT", _key(upload_id, offset))
 
     def fetch(self, upload_id: str, path: Path) -> None:
         """Make the upload readable at a path: a download."""
@@ -164,9 +175,9 @@ class ObjectWriter:
         BlockingIOError: another writer has put the object of this offset.
     """
 
-    def __init__(self, objects: ObjectStore, folder: str, offset: int) -> None:
+    def __init__(self, objects: ObjectStore, upload_id: str, offset: int) -> None:
         self._objects = objects
-        self._folder = folder
+        self._upload_id = upload_id
         self._offset = offset
         self._waiting = bytearray()
 
@@ -183,7 +194,7 @@ class ObjectWriter:
             self._put()
 
     def _put(self) -> None:
-        key = f"{self._folder}/{self._offset:020d}"
+        key = _key(self._upload_id, self._offset)
         content = bytes(self._waiting)
         self._waiting.clear()
         with reporting_refusals():
@@ -192,6 +203,10 @@ class ObjectWriter:
             except AlreadyExistsError as error:
                 raise BlockingIOError(f"another request has written the upload at {self._offset:,}") from error
         self._offset += len(content)
+
+
+def _key(upload_id: str, offset: int) -> str:
+    return f"{PREFIX}/{upload_id}/{offset:020d}"
 
 
 def open_parts(artifacts_url: str, *, credentials: Mapping[str, str] | None = None) -> PartStore:

@@ -4,7 +4,7 @@ from typing import Annotated
 from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Query, Response, status
-from fastapi.responses import StreamingResponse
+from fastapi.responses import RedirectResponse, StreamingResponse
 
 from jobs.errors import GoneError
 from jobs.records import ArtifactRecord
@@ -19,6 +19,7 @@ _BYTES = {"content": {"application/octet-stream": {"schema": {"type": "string", 
 _RESPONSES = refusals("not-found", "expired", "range-not-satisfiable") | {
     200: {"description": "The whole file", **_BYTES, **headers(ETag="sha256 of the file", Accept_Ranges="bytes")},
     206: {"description": "The range that was asked for", **_BYTES, **headers(Content_Range="bytes FIRST-LAST/SIZE")},
+    307: {"description": "Where the bytes are, with `presigned_links`", **headers(Location="in object storage")},
     304: {"description": "The ETag that was sent is the file's"},
 }
 
@@ -39,6 +40,8 @@ def get_artifact(
     part = _requested_range(artifact, range, if_range)
     if not owned.services.artifacts.exists(artifact.sha256):
         raise GoneError(f"the bytes of artefact {id} were removed; run the job again")
+    if owned.services.settings.presigned_links and (link := owned.services.artifacts.link(artifact.sha256)):
+        return RedirectResponse(link, headers={"Cache-Control": "no-store"})
     start, stop = (0, artifact.bytes) if part is None else (part.start, part.stop)
     sent = _headers(artifact, filename) | {"Content-Length": str(stop - start)}
     if part is not None:

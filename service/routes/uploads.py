@@ -10,7 +10,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
+from jobs.errors import ConflictError
 from jobs.storage.artifacts import hash_file
+from jobs.storage.object_storage import LINK_S
 from jobs.storage.uploads import UploadRecord, change_upload, delete_upload, upload
 from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
@@ -18,7 +20,7 @@ from service.http.multipart import MAX_NAME_CHARS, is_name
 from service.http.problems import ProblemError, wrong_field
 from service.http.request_headers import LOOK_S, WaitS
 from service.http.routing import Id, headers, refusals
-from service.schemas.assets import UploadPayload, upload_payload
+from service.schemas.assets import UploadPartPayload, UploadPartsPayload, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.append import append, stands_elsewhere
 from service.uploads.intake import FIELDS, metadata_of, reading_options
@@ -29,6 +31,9 @@ router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 EXTENSIONS = ("creation", "creation-with-upload", "expiration", "termination")
 CONTENT_TYPE = "application/offset+octet-stream"
 MAX_METADATA_CHARS = 8192
+PART_BYTES = 64 * 1024**2
+"""Of one address: 64 of them are an upload of 4 GiB."""
+
 _HEX = frozenset("0123456789abcdef")
 
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
@@ -176,6 +181,28 @@ async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
     if record.state == "receiving":
         size = await run_in_threadpool(owned.services.upload_parts.size, id)
     return upload_payload(record, size)
+
+
+@router.post("/{id}/parts", operation_id="createUploadParts", responses=refusals("not-found", "expired", "conflict"))
+def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
+    """Addresses in object storage to PUT the missing bytes to; then PATCH at the whole length, without bytes.
+
+    409 where the bytes lie in a folder, or the setting `presigned_links` is off.
+    """
+    record = upload(owned.store, id)
+    parts, begin = owned.services.upload_parts, owned.services.upload_parts.size(id)
+    if record.state != "receiving" or record.length is None:
+        raise ConflictError(f"upload {id} is {record.state}; nothing is missing")
+    missing = []
+    for offset in range(begin, record.length, PART_BYTES):
+        url = parts.link(id, offset) if owned.services.settings.presigned_links else None
+        if url is None:
+            raise ConflictError("this service gives no addresses of its storage; send the bytes with PATCH")
+        size = min(PART_BYTES, record.length - offset)
+        missing.append(UploadPartPayload(offset=offset, bytes=size, url=url))
+    until = owned.store.clock() + LINK_S
+    change_upload(owned.store, id, expires_at=max(record.expires_at, until))
+    return UploadPartsPayload.of(None, parts=missing, expires_at=until)
 
 
 @router.delete(

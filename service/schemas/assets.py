@@ -79,6 +79,21 @@ class UploadPayload(Payload):
     expires_at: Time
 
 
+class UploadPartPayload(Payload):
+    """One piece of an upload, to PUT to object storage."""
+
+    offset: int
+    bytes: int
+    url: str
+
+
+class UploadPartsPayload(Payload):
+    """The pieces that an upload lacks."""
+
+    parts: list[UploadPartPayload]
+    expires_at: Time
+
+
 def asset_payload(asset: AssetRecord) -> AssetPayload:
     """An asset as a response body."""
     return AssetPayload.of(asset)

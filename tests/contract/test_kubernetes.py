@@ -21,6 +21,7 @@ KUSTOMIZATION = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
 OBJECTS = [
     manifest for name in KUSTOMIZATION["resources"] for manifest in yaml.safe_load_all((FOLDER / name).read_text())
 ]
+GPU = yaml.safe_load((FOLDER / "gpu" / "scaling.yaml").read_text())
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
 SERVED = "1.31"
 
@@ -67,15 +68,18 @@ def test_variables_are_settings_of_the_service() -> None:
     assert ours <= {f"DYNAMICTREE_{field.upper()}" for field in Settings.model_fields}
 
 
-def test_workers_follow_the_number_of_unfinished_jobs() -> None:
-    spec = _named("ScaledObject", "worker")["spec"]
-    assert spec["scaleTargetRef"]["name"] == "worker"
-    assert "replicas" not in _named("Deployment", "worker")["spec"]  # two masters would undo one another
+@pytest.mark.parametrize(("scaled", "base"), [(_named("ScaledObject", "worker"), "cpu"), (GPU, "gpu")], ids=str)
+def test_workers_follow_the_number_of_unfinished_jobs(scaled: Any, base: str) -> None:
+    spec = scaled["spec"]
+    deployment = _named("Deployment", spec["scaleTargetRef"]["name"])
+    assert ",".join(queues_of(base)) in deployment["spec"]["template"]["spec"]["containers"][0]["args"]
+    assert deployment["spec"].get("replicas", 0) == 0  # two masters would undo one another
+    assert spec["minReplicaCount"] == 1
     keys = {"scaleTargetRef", "minReplicaCount", "maxReplicaCount", "pollingInterval", "cooldownPeriod", "advanced"}
     assert set(spec) == keys | {"triggers", "fallback"}
     modifiers = spec["advanced"]["scalingModifiers"]
     assert modifiers["metricType"] == "AverageValue"
-    counted = {trigger["name"]: _value_of(trigger, dict.fromkeys(queues_of("cpu"), 2)) for trigger in spec["triggers"]}
+    counted = {trigger["name"]: _value_of(trigger, dict.fromkeys(queues_of(base), 2)) for trigger in spec["triggers"]}
     assert sum(counted[name] for name in modifiers["formula"].split(" + ")) == 3 * (2 + 1)
 
 
@@ -99,6 +103,13 @@ def _value_of(trigger: Any, waiting: Mapping[str, int]) -> float:
         if (sample.name, sample.labels.get("queue")) == (name, label)
     ]
     return float(value)
+
+
+@pytest.mark.parametrize("name", ["api", "worker"])
+def test_a_drained_node_does_not_take_all_pods_at_once(name: str) -> None:
+    budget = _named("PodDisruptionBudget", name)["spec"]
+    assert budget["maxUnavailable"] == 1
+    assert budget["selector"]["matchLabels"] == _named("Deployment", name)["spec"]["selector"]["matchLabels"]
 
 
 def test_a_worker_with_a_gpu_serves_its_queue() -> None:

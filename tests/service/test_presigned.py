@@ -1,0 +1,77 @@
+"""Large bytes pass the API by where the operator says so: addresses of a real S3 server in, and out."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+from fastapi.testclient import TestClient
+
+from jobs.settings import Settings
+from service.app import create_app
+from service.routes import uploads
+from tests.rows import stored_part
+from tests.servers import object_storage
+from tests.service.conftest import hold, publish
+from tests.service.test_assets import OBJ
+from tests.service.tus import TUS, append, begin
+
+
+@pytest.fixture
+def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
+    server, environment = object_storage(tmp_path)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    server.start()
+    settings = Settings(state_dir=tmp_path / "state", presigned_links=True)
+    with TestClient(create_app(settings), "http://localhost") as opened:
+        yield opened
+    server.stop()
+
+
+def test_bytes_go_to_object_storage_and_come_from_it(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uploads, "PART_BYTES", 50)
+    url = begin(client, len(OBJ), filename="tree.obj")
+    append(client, url, 0, OBJ[:20])  # what has come is not asked for again
+    parts = client.post(f"{url}/parts").json()["parts"]
+    assert [part["offset"] for part in parts] == list(range(20, len(OBJ), 50))
+    for part in parts:
+        put = httpx.put(part["url"], content=OBJ[part["offset"] : part["offset"] + part["bytes"]])
+        assert put.status_code == 200, put.text
+    assert append(client, url, len(OBJ), b"").status_code == 204
+    assert client.get(url).json()["state"] == "received"
+    asset = client.post("/v1/assets", json={"upload_ids": [url.rpartition("/")[2]]}).json()
+    assert asset["parts"][0]["bytes"] == len(OBJ)
+
+    services = client.app.state.services  # type: ignore[attr-defined]
+    job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset["id"]}).json()
+    publish(services, hold(services, job["id"]), "voxelize", "tree.voxels.safetensors", b"voxels")
+    listed = client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"][0]
+    redirect = client.get(listed["url"], follow_redirects=False)
+    assert (redirect.status_code, redirect.headers["Cache-Control"]) == (307, "no-store")
+    where = redirect.headers["Location"]
+    assert httpx.get(where).content == b"voxels"
+    assert httpx.get(where, headers={"Range": "bytes=1-3"}).content == b"oxe"
+    assert httpx.get(urlsplit(where)._replace(query="").geturl()).is_client_error  # without the signature
+    etag = client.head(listed["url"]).headers["ETag"]
+    assert client.get(listed["url"], headers={"If-None-Match": etag}).status_code == 304
+
+
+def test_a_piece_that_is_not_as_long_as_announced_makes_no_upload(client: TestClient) -> None:
+    url = begin(client, len(OBJ), filename="tree.obj")
+    [part] = client.post(f"{url}/parts").json()["parts"]
+    assert httpx.put(part["url"], content=OBJ + b"more").status_code == 200
+    refused = append(client, url, len(OBJ), b"")
+    assert (refused.status_code, refused.headers["Upload-Offset"]) == (409, str(len(OBJ) + 4))
+    assert client.delete(url, headers=TUS).status_code == 204
+
+
+def test_a_folder_gives_no_addresses(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path / "state", presigned_links=True)
+    with TestClient(create_app(settings), "http://localhost") as client:
+        refused = client.post(f"{begin(client, 10)}/parts")
+        assert (refused.status_code, refused.json()["code"]) == (409, "conflict")
+        services = client.app.state.services  # type: ignore[attr-defined]
+        (tmp_path / "file").write_bytes(b"x")
+        assert services.artifacts.link(stored_part(services.artifacts, tmp_path / "file").sha256) is None
