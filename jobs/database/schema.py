@@ -23,6 +23,7 @@ def make_tables(engine: sa.Engine) -> None:
         names = set(sa.inspect(connection).get_table_names())
         if not names & metadata.tables.keys():
             metadata.create_all(connection)
+            schema_revision.create(connection)
             connection.execute(schema_revision.insert().values(number=REVISION))
             return
         current = 0

@@ -9,7 +9,8 @@ metadata = sa.MetaData()
 _id = sa.String(64)
 _hash = sa.String(64)
 
-schema_revision = sa.Table("schema_revision", metadata, sa.Column("number", sa.Integer, primary_key=True))
+schema_revision = sa.Table("schema_revision", sa.MetaData(), sa.Column("number", sa.Integer, primary_key=True))
+"""Of the database; not among the tables that are saved and restored."""
 
 api_keys = sa.Table(
     "api_keys",

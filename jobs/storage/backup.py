@@ -28,8 +28,8 @@ BACKUP_LEASE = "backup"
 LEASE_S = 600.0
 FORMAT = 2
 DATABASE, BLOBS = "database.jsonl.gz", "blobs"
-NOT_SAVED = frozenset({"leases", "schema_revision"})
-"""Who holds what now says nothing to another day's processes; the tables that are restored into have a revision."""
+NOT_SAVED = frozenset({"leases"})
+"""Who holds what now, which says nothing to another day's processes."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from jobs.database.tables import metadata, schema_revision
+from jobs.database.tables import metadata
 from jobs.errors import StorageAwayError
 from jobs.lifecycle import attempts
 from jobs.records import AssetPart, AssetRecord, Claim, JobRecord, OutputFile
@@ -60,8 +60,7 @@ def store(request: pytest.FixtureRequest, tmp_path: Path, clock: Clock) -> Itera
     yield opened
     with opened.engine.begin() as connection:
         for table in reversed(metadata.sorted_tables):
-            if table is not schema_revision:
-                connection.execute(table.delete())
+            connection.execute(table.delete())
     opened.close()
 
 
