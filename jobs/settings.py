@@ -5,16 +5,14 @@ from base64 import b64decode
 from hashlib import sha256
 from pathlib import Path
 from tempfile import gettempdir
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from jobs.errors import SettingsError
 from jobs.states import AUTO, CPU, GPU
-
-if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
 
 MIB = 1024**2
 GIB = 1024**3
@@ -212,7 +210,7 @@ def read_settings(**overrides: object) -> Settings:
         raise SettingsError(f"{problems}; see docs/settings.md") from error
 
 
-def _quoted(error: "ErrorDetails") -> str:
+def _quoted(error: ErrorDetails) -> str:
     return "not a key" if error["loc"] == ("secret_key",) else repr(error["input"])
 
 

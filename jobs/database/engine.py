@@ -5,14 +5,11 @@ import sqlite3
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.engine import make_url
-
-if TYPE_CHECKING:
-    from sqlalchemy.dialects import postgresql, sqlite
 
 BUSY_TIMEOUT_S = 10.0
 
@@ -86,14 +83,14 @@ def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, 
     return _touched_a_row(connection, table, statement)
 
 
-def _touched_a_row(connection: sa.Connection, table: sa.Table, statement: "postgresql.Insert | sqlite.Insert") -> bool:
+def _touched_a_row(connection: sa.Connection, table: sa.Table, statement: Any) -> bool:
     # rowcount tells nothing of an INSERT on PostgreSQL
     returned = connection.execute(statement.returning(*table.primary_key.columns))
     return returned.one_or_none() is not None
 
 
-def _insert(connection: sa.Connection, table: sa.Table) -> "postgresql.Insert | sqlite.Insert":
-    # each dialect comes in with its engine; to import both would cost every start 0.05 s
+def _insert(connection: sa.Connection, table: sa.Table) -> Any:
+    # Both dialects have ON CONFLICT, in statements of their own. Each comes in with its engine: both cost 0.05 s.
     if connection.dialect.name == "postgresql":
         from sqlalchemy.dialects import postgresql
 

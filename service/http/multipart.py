@@ -8,7 +8,7 @@ from email.errors import HeaderParseError
 from email.header import decode_header, make_header
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import Any, BinaryIO
 from urllib.parse import unquote_to_bytes
 
 from python_multipart.exceptions import FormParserError
@@ -16,9 +16,6 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 
 from dynamictree.photo_requests import MAX_PHOTOS
 from service.http.problems import ProblemError
-
-if TYPE_CHECKING:
-    from python_multipart.multipart import MultipartCallbacks
 
 BATCH_BYTES = 1024**2
 MAX_FILES = 2 * MAX_PHOTOS + 40
@@ -112,7 +109,7 @@ class _Receiver:
         self._stream: BinaryIO | None = None
         self._digest = sha256()
 
-    def callbacks(self) -> "MultipartCallbacks":
+    def callbacks(self) -> Any:  # a TypedDict that the library has for type checkers only
         return {
             "on_part_begin": self._begin,
             "on_header_field": self._on_header_name,

@@ -5,6 +5,7 @@ from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response, status
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from jobs.states import JobState, JobType
@@ -79,24 +80,29 @@ def retry_job(id: Id, response: Response, owned: OwnedDep, origin: Origin) -> Jo
     return accept_again(owned, owned.store.job(id), origin, response)
 
 
+class JobFilter(BaseModel):
+    """Which jobs to list, and which page of them."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    state: JobState | None = Field(None, description="only jobs in this state")
+    type: JobType | None = Field(None, description="only jobs of this type")
+    asset_id: str | None = Field(None, max_length=64, description="only jobs of this asset")
+    external_id: str | None = Field(None, max_length=128, description="only jobs that you named so")
+    since: datetime | None = Field(None, description="only jobs created at this time or later")
+    cursor: Cursor = None
+    limit: int = Field(20, ge=1, le=MAX_PAGE, description="jobs a page")
+
+
 @router.get("", operation_id="listJobs", responses=refusals())
 def list_jobs(
-    request: Request,
-    response: Response,
-    owned: OwnedDep,
-    state: Annotated[JobState | None, Query(description="only jobs in this state")] = None,
-    type: Annotated[JobType | None, Query(description="only jobs of this type")] = None,
-    asset_id: Annotated[str | None, Query(max_length=64, description="only jobs of this asset")] = None,
-    external_id: Annotated[str | None, Query(max_length=128, description="only jobs that you named so")] = None,
-    since: Annotated[datetime | None, Query(description="only jobs created at this time or later")] = None,
-    cursor: Cursor = None,
-    limit: Annotated[int, Query(ge=1, le=MAX_PAGE, description="jobs a page")] = 20,
+    request: Request, response: Response, owned: OwnedDep, wanted: Annotated[JobFilter, Query()]
 ) -> JobListPayload:
     """Jobs, newest first."""
-    since_s = None if since is None else since.timestamp() - 1e-6  # times are sent rounded to microseconds
-    chosen = {"state": state, "type": type, "asset_id": asset_id, "external_id": external_id}
-    records = owned.store.jobs(chosen, since=since_s, before=cursor, limit=limit + 1)
-    page, more = records[:limit], len(records) > limit
+    since_s = None if wanted.since is None else wanted.since.timestamp() - 1e-6  # times are sent in microseconds
+    chosen = wanted.model_dump(include={"state", "type", "asset_id", "external_id"})
+    records = owned.store.jobs(chosen, since=since_s, before=wanted.cursor, limit=wanted.limit + 1)
+    page, more = records[: wanted.limit], len(records) > wanted.limit
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:
         query = request.url.include_query_params(cursor=next_cursor).query

@@ -5,7 +5,6 @@ import logging
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 import sqlalchemy as sa
@@ -24,9 +23,6 @@ from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.services import Owned, Services
 from service.uploads.intake import FIELDS, admit, sort_out
 from service.uploads.quota import require_bytes, require_room
-
-if TYPE_CHECKING:
-    import httpx  # slow to import; a fetch brings it
 
 logger = logging.getLogger(__name__)
 
@@ -194,7 +190,7 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
         async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
-            await run_in_threadpool(_require_place, owned, _announced_bytes(response))
+            await run_in_threadpool(_require_place, owned, _bytes_of(response.headers.get("content-length", "0")))
             async for chunk in response.aiter_raw(CHUNK_BYTES):
                 size, unwritten = size + len(chunk), unwritten + len(chunk)
                 if size > settings.max_upload_bytes:
@@ -216,8 +212,7 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     )
 
 
-def _announced_bytes(response: "httpx.Response") -> int:
-    length = response.headers.get("content-length", "0")
+def _bytes_of(length: str) -> int:
     return int(length) if length.isascii() and length.isdecimal() and len(length) <= 18 else 0
 
 
