@@ -284,7 +284,7 @@ def test_a_thread_that_dies_ends_the_process_s_work(
     assert stopped.is_set()
 
 
-def broken(*_: object) -> None:
+def broken(*_: object, **__: object) -> None:
     raise AssertionError("a bug")
 
 
