@@ -6,11 +6,14 @@ object of each one's last line as `benchmarks/results/NAME.json`, and writes bot
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from benchmarks._machine import machine
 
@@ -45,18 +48,33 @@ def record(name: str) -> None:
 
 
 def rendered(template: str) -> str:
-    """Fill a template: each `{name[key]…:format}` is a value of the recorded result of that name."""
+    """Fill a template: each `{name[key]…:format}` is a value of the recorded result of that name.
+
+    Lines that need a result which was not recorded are left out, and `{weights}` says which.
+    """
     results = {path.stem: json.loads(path.read_text()) for path in sorted(FOLDER.glob("*.json"))}
-    older = [name for name in OF_THE_WEIGHTS if results[name]["weights"] != weights_hash()]
-    weights = f"Of earlier weights: {', '.join(older)}." if older else "All are of the shipped weights."
-    text = (FOLDER / template).read_text()
-    return text.format(
-        weights=weights,
-        wind_rows="\n".join(_wind_row(row) for row in results["wind_condition"]["value"]),
-        storm_rows="\n".join(_storm_row(name, row) for name, row in results["storm_stretch"]["trees"].items()),
-        num_kinds=len(results["plant_verdicts"]["kinds"]),
-        **results,
-    )
+    values = results | {"weights": _state(results)} | _tables(results)
+    lines = (FOLDER / template).read_text().splitlines(keepends=True)
+    return "".join(line for line in lines if set(re.findall(r"\{(\w+)", line)) <= set(values)).format(**values)
+
+
+def _state(results: Mapping[str, Any]) -> str:
+    older = [name for name in OF_THE_WEIGHTS if name in results and results[name]["weights"] != weights_hash()]
+    missing = [name for name in COMMANDS if name not in results]
+    of_weights = f"Of earlier weights: {', '.join(older)}." if older else "All are of the shipped weights."
+    return of_weights + (f" Not measured yet: {', '.join(missing)}." if missing else "")
+
+
+def _tables(results: Mapping[str, Any]) -> dict[str, object]:
+    """Values that are more than one number of a result."""
+    values: dict[str, object] = {}
+    if "wind_condition" in results:
+        values["wind_rows"] = "\n".join(map(_wind_row, results["wind_condition"]["value"]))
+    if "storm_stretch" in results:
+        values["storm_rows"] = "\n".join(_storm_row(*item) for item in results["storm_stretch"]["trees"].items())
+    if "plant_verdicts" in results:
+        values["num_kinds"] = len(results["plant_verdicts"]["kinds"])
+    return values
 
 
 def readme() -> str:
