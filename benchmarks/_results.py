@@ -50,12 +50,17 @@ def record(name: str) -> None:
 def rendered(template: str) -> str:
     """Fill a template: each `{name[key]…:format}` is a value of the recorded result of that name.
 
-    Lines that need a result which was not recorded are left out, and `{weights}` says which.
+    Lines that need a result which was not recorded are left out, with tables and sections that are then empty;
+    `{weights}` says which.
     """
     results = {path.stem: json.loads(path.read_text()) for path in sorted(FOLDER.glob("*.json"))}
     values = results | {"weights": _state(results)} | _tables(results)
     lines = (FOLDER / template).read_text().splitlines(keepends=True)
-    return "".join(line for line in lines if set(re.findall(r"\{(\w+)", line)) <= set(values)).format(**values)
+    text = "".join(line for line in lines if set(re.findall(r"\{(\w+)", line)) <= set(values)).format(**values)
+    text = re.sub(r"^\|.*\n\|[-|]+\n(?!\|)", "", text, flags=re.MULTILINE)  # tables without a row
+    return re.sub(
+        r"^## .*\n\s*(?=## )", "", re.sub(r"\n{3,}", "\n\n", text), flags=re.MULTILINE
+    )  # sections without text
 
 
 def _state(results: Mapping[str, Any]) -> str:
