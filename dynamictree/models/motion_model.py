@@ -4,18 +4,16 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from jaxtyping import Complex64
 
 from dynamictree.errors import InputError
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
-
-if TYPE_CHECKING:
-    import torch
 
 OnStep = Callable[[int, int], None]
 """Called after each sampler step with the steps done and their total; an exception that it raises cancels the run."""
@@ -48,7 +46,7 @@ MAX_STEPS = 1000
 class Sampling:
     """How one motion is drawn: where its noise comes from, steps, first bin, and who hears of it."""
 
-    generator: "torch.Generator"
+    generator: torch.Generator
     num_steps: int
     lowest_bin: int
     on_step: OnStep | None
@@ -101,8 +99,6 @@ class MotionModel(ABC):
         Raises:
             InputError: a resolution, voxel count, wind or number of steps outside of what the model accepts.
         """
-        import torch
-
         from dynamictree.models.threads import one_thread
 
         _check_request(wind, num_steps)

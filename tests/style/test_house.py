@@ -14,8 +14,12 @@ def test_numbers_at_module_level_count_and_others_do_not() -> None:
 
 
 def test_a_wide_function_has_seven_arguments() -> None:
-    """`self` does not count, keywords do."""
-    narrow = "def f(a, b, c, *, d, e, f): ...\nclass C:\n    def g(self, a, b, c, d, e, f): ...\n"
+    """`self` does not count, keywords do, and a kernel is none."""
+    narrow = (
+        "def f(a, b, c, *, d, e, f): ...\n"
+        "class C:\n    def g(self, a, b, c, d, e, f): ...\n"
+        "@compiled\ndef k(a, b, c, d, e, f, g): ...\n"
+    )
     assert wide_functions_in(narrow) == 0
     assert wide_functions_in(narrow + "def h(a, b, c, d, *, e, f, g): ...\n") == 1
 
