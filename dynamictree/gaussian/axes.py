@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import turn_sh
-from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products
+from dynamictree.rotation import matrix_quaternions, quaternion_products
 from dynamictree.up_axis import up_rotation
 
 

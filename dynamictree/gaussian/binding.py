@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import nearest_faces
-from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
+from dynamictree.rotation import quaternion_matrices
 
 STILL = -1
 FLOATER_SHARE = 0.06

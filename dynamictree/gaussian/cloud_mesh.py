@@ -14,9 +14,9 @@ from scipy.spatial import KDTree
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import MeshLook, TriangleMesh, joined
 from dynamictree.parallel import compiled, in_bands
+from dynamictree.rotation import quaternion_matrices
 
 CELLS_ALONG = 256
 """Grid cells along the largest extent: two a voxel of the paper's 128³ grid."""

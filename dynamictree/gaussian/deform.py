@@ -16,15 +16,15 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.deform_kernel import BLOCK, COLLAPSED, MAX_STRETCH, turn_faces, turn_gaussians
-from dynamictree.gaussian.rotation import (
+from dynamictree.gaussian.turn import turn_sh_fast
+from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES, LANES
+from dynamictree.parallel import in_bands
+from dynamictree.rotation import (
     matrix_quaternions,
     polar_rotations,
     quaternion_matrices,
     quaternion_products,
 )
-from dynamictree.gaussian.turn import turn_sh_fast
-from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES, LANES
-from dynamictree.parallel import in_bands
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,10 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import Binding, bind_to_faces, solid_faces
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import albedo_at, alpha_at, appearance_of
+from dynamictree.rotation import matrix_quaternions
 
 PER_FACE = 5  # GaMeS section 4
 AT_LEAST = 100_000

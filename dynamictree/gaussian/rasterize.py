@@ -28,9 +28,9 @@ from dynamictree.gaussian.rasterize_kernel import (
     list_tiles,
     project,
 )
-from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
+from dynamictree.rotation import quaternion_matrices
 
 MAX_PIXELS = 16_777_216  # 4096²
 

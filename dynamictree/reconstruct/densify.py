@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.spatial import cKDTree
 
-from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.reconstruct.adam import AdamState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION
+from dynamictree.rotation import quaternion_matrices
 
 _SMALLER = np.float32(np.log(1.6))  # φ of Kerbl et al.: halves of a split Gaussian are narrower by it
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import FormatError
-from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.rotation import quaternion_matrices
 
 TRANSFORMS, LLFF = "transforms.json", "poses_bounds.npy"
 COLMAP = ("cameras.bin", "images.bin"), ("cameras.txt", "images.txt")

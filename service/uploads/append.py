@@ -82,10 +82,8 @@ async def _while_ours(store: Store, parts: PartStore, upload_id: str, token: str
 
     async def watch() -> None:
         nonlocal taken_over
-        while True:
+        while await run_in_threadpool(_is_ours, store, upload_id, token):
             await asyncio.sleep(LOOK_S)
-            if not await run_in_threadpool(_is_ours, store, upload_id, token):
-                break
         taken_over = True
         block.cancel()
 

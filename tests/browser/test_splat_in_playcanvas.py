@@ -12,7 +12,7 @@ from playwright.sync_api import Browser
 
 from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
 from dynamictree.gaussian.harmonics import harmonics
-from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.rotation import quaternion_matrices
 from dynamictree.up_axis import up_rotation
 from tests.formats.test_cloud_round_trips import covariances, make_cloud
 

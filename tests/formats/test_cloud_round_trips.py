@@ -20,7 +20,7 @@ from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0, harmonics
-from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.rotation import quaternion_matrices
 from tests.formats.ksplat_bytes import ksplat_bytes
 
 Write = Callable[[GaussianCloud, BinaryIO], None]

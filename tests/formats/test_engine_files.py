@@ -16,8 +16,8 @@ from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.usd_skin import write_skinned_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, iter_vertex_texture_zip, texture_layout
-from dynamictree.gaussian.rotation import quaternion_matrices, unit_quaternions
 from dynamictree.mesh import TriangleMesh
+from dynamictree.rotation import quaternion_matrices, unit_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from tests.formats.meshes import trunk_and_crown
 

@@ -15,8 +15,8 @@ from dynamictree.gaussian.cloud_mesh import mesh_of_cloud, opacity_grid
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import PER_FACE, face_shapes, splats_of_mesh
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
+from dynamictree.rotation import quaternion_matrices
 
 
 def sphere_cloud(rng: np.random.Generator, *, opacity: float = 0.9) -> GaussianCloud:

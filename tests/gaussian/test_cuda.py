@@ -7,8 +7,8 @@ from benchmarks.render_frame import crown
 from dynamictree.gaussian.cuda import gsplat_is_there
 from dynamictree.gaussian.deform import Pose
 from dynamictree.gaussian.rasterize import render_cloud, render_on_cpu
-from dynamictree.gaussian.rotation import quaternion_products
 from dynamictree.render.camera import Camera
+from dynamictree.rotation import quaternion_products
 
 
 @pytest.mark.gpu

@@ -23,10 +23,10 @@ from dynamictree.gaussian.deform import Deformer, Pose, deform_slowly, posed, sh
 from dynamictree.gaussian.deform_kernel import MAX_STRETCH
 from dynamictree.gaussian.harmonics import harmonics, turn_sh
 from dynamictree.gaussian.nearest import nearest_faces
-from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.gaussian.turn import harmonic_values, turn_sh_fast
 from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES
 from dynamictree.mesh import TriangleMesh
+from dynamictree.rotation import quaternion_matrices
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.deform import Pose, posed
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_cloud, render_slowly
-from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products
 from dynamictree.render.camera import Camera
+from dynamictree.rotation import matrix_quaternions, quaternion_products
 
 
 @pytest.fixture(scope="module")

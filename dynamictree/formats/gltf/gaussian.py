@@ -16,7 +16,7 @@ from dynamictree.formats.splat.activations import scales_from_log
 from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.gaussian.rotation import polar_rotations, unit_quaternions
+from dynamictree.rotation import polar_rotations, unit_quaternions
 from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Y"

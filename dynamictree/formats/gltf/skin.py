@@ -12,8 +12,8 @@ from jaxtyping import Int32
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
-from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
+from dynamictree.rotation import matrix_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from dynamictree.up_axis import up_rotation
 

@@ -12,8 +12,8 @@ import numpy as np
 from dynamictree.formats.gltf.skin import joint_name, relative_to_parents, steady
 from dynamictree.formats.motion.usd import define_looks, define_surface, new_stage, texture_files
 from dynamictree.formats.motion.usdz import pack_usdz
-from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
+from dynamictree.rotation import matrix_quaternions
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin
 
 _ROOT, _SKELETON, _SWAY = "/Tree", "/Tree/Skeleton", "/Tree/Skeleton/Sway"

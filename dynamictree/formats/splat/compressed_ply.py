@@ -10,7 +10,7 @@ from dynamictree.formats.splat.activations import harmonic_from_color, scales_fr
 from dynamictree.formats.splat.ply import UP_AXIS, rest_names
 from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 
 _CHUNK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")

@@ -15,7 +15,7 @@ from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import harmonic_from_color
 from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, joined, validate_cloud
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
 _HEADER = struct.Struct("<BBxxIIIIHxx12xff")

@@ -20,7 +20,7 @@ from dynamictree.formats.splat.activations import (
 )
 from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
 """A scene reconstructed from photos has y downward, as its first camera had."""

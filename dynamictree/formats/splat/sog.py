@@ -31,7 +31,7 @@ from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
 from dynamictree.formats.suffixes import SOG_FOLDER_FILE
 from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 from dynamictree.up_axis import up_rotation
 
 META = SOG_FOLDER_FILE

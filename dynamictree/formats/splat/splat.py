@@ -8,7 +8,7 @@ from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import color_from_harmonic, harmonic_from_color
 from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])

@@ -22,7 +22,7 @@ from dynamictree.formats.splat.activations import (
 from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Y"

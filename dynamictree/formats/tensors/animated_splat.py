@@ -15,7 +15,7 @@ from dynamictree.formats.tensors.container import MAX_FRAMES, integer, number, r
 from dynamictree.gaussian.animate import AnimatedSplat, without_idle_vertices
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
-from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.rotation import unit_quaternions
 from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
 

@@ -7,7 +7,7 @@ from scipy.special import sph_harm_y
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.harmonics import harmonics, turn_sh
-from dynamictree.gaussian.rotation import (
+from dynamictree.rotation import (
     matrix_quaternions,
     polar_rotations,
     quaternion_matrices,
