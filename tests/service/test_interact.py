@@ -150,12 +150,6 @@ def test_an_unknown_spectrum_is_not_found(client: TestClient, poke: dict) -> Non
     refusal(post(client, "01ARZ3NDEKTSV4RRFFQ69G5FAV", poke), 404, "not-found")
 
 
-def test_what_is_no_spectrum_is_not_found(client: TestClient, spectrum_id: str, services: Services, poke: dict) -> None:
-    job = services.store.artifact(spectrum_id).job_id
-    voxels = next(a.id for a in services.store.artifacts_of(job) if a.stage == "voxelize")
-    refusal(post(client, voxels, poke), 404, "not-found")
-
-
 def test_an_unstable_step_is_refused_with_the_longest_stable_one(
     client: TestClient, spectrum_id: str, poke: dict
 ) -> None:

@@ -149,10 +149,6 @@ def test_a_reach_that_is_none_is_refused(client: TestClient, spectrum_id: str, q
     assert (response.status_code, response.json()["code"]) == (422, code)
 
 
-def test_modes_of_what_is_no_spectrum_are_not_found(client: TestClient) -> None:
-    assert client.get("/v1/spectra/01ARZ3NDEKTSV4RRFFQ69G5FAV/modes").status_code == 404
-
-
 @pytest.fixture
 def drag(poke: dict) -> dict:
     """A pull at the top, across it."""
