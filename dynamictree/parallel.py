@@ -55,14 +55,15 @@ def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -
     if num_rows == 1 or getattr(_this_thread, "has_a_call", False):
         kernel(0, num_rows, *arguments)
         return
-    edges = np.linspace(0, num_rows, min(_BANDS, num_rows) + 1).astype(int).tolist()
-    bands = iter(list(pairwise(edges)))
+    num_bands = min(_BANDS, num_rows)
+    bands = iter(list(pairwise(np.linspace(0, num_rows, num_bands + 1).astype(int).tolist())))
 
     def take_bands() -> None:
         for first, end in bands:
             kernel(first, end, *arguments)
 
-    others = num_cores() - 1  # the calling thread takes bands too: starting threads is a tenth of a fast kernel's time
+    # The calling thread takes bands too: starting threads is a tenth of a fast kernel's time.
+    others = min(num_cores(), num_bands) - 1
     with ThreadPoolExecutor(max(others, 1)) as pool:
         calls = [pool.submit(take_bands) for _ in range(others)]
         take_bands()

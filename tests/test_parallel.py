@@ -2,6 +2,7 @@ import threading
 
 import pytest
 
+from dynamictree import parallel
 from dynamictree.parallel import in_bands, on_cores
 
 
@@ -21,3 +22,18 @@ def test_bands_cover_every_row_once(num_rows: int) -> None:
     rows: list[int] = []
     in_bands(lambda first, end: rows.extend(range(first, end)), num_rows)
     assert sorted(rows) == list(range(num_rows))
+
+
+def test_there_are_no_more_threads_than_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a machine of 64 cores, three rows start two threads beside the caller's."""
+    monkeypatch.setattr(parallel, "num_cores", lambda: 64)
+    together, threads = threading.Barrier(3, timeout=20), set[int]()
+    before = threading.active_count()
+
+    def kernel(first: int, end: int) -> None:
+        together.wait()
+        threads.add(threading.get_ident())
+        assert threading.active_count() - before <= 2
+
+    in_bands(kernel, 3)
+    assert len(threads) == 3
