@@ -105,6 +105,24 @@ def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
     assert not output.exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--fps", "500"], "--fps is 500.0: it should be less than or equal to 240"),
+        (["--wind-speed", "31"], "--wind-speed is 31.0: it should be less than or equal to 30"),
+        (["--format", "gif"], "--format is 'gif': it should be 'ply', 'glb'"),
+        (["--box", "1,2"], "--box is '1,2': six numbers are needed"),
+        (["--resolution", "32"], "--resolution is 32: it should be 128, 256 or 512"),
+        (["--up-axis", "up"], "--up-axis is 'up'"),
+    ],
+)
+def test_a_value_out_of_range_is_one_line_that_names_the_option(run: Run, arguments: list[str], message: str) -> None:
+    answer = run("animate", "no-such.obj", "-o", "no-such-folder", *arguments)
+    assert answer.returncode == 2
+    assert len(answer.stderr.strip().splitlines()) == 1
+    assert message in answer.stderr
+
+
 def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(run: Run, tree: Path, tmp_path: Path) -> None:
     answer = run("animate", tree, "-o", tmp_path / "out", "--frames", "90")
     assert answer.returncode == 2

@@ -68,27 +68,6 @@ def test_a_command_has_one_option_per_field(command: str, models: tuple[type[Req
             assert options[name].default == field["default"], name
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--fps", "500"], "--fps is 500.0: it should be less than or equal to 240"),
-        (["--wind-speed", "31"], "--wind-speed is 31.0: it should be less than or equal to 30"),
-        (["--format", "gif"], "--format is 'gif': it should be 'ply', 'glb'"),
-        (["--box", "1,2"], "--box is '1,2': six numbers are needed"),
-        (["--resolution", "32"], "--resolution is 32: it should be 128, 256 or 512"),
-        (["--up-axis", "up"], "--up-axis is 'up'"),
-    ],
-)
-def test_a_value_out_of_range_is_one_line_that_names_the_option(arguments: list[str], message: str) -> None:
-    words = ["animate", "no-such.obj", "-o", "no-such-folder", *arguments]
-    answer = subprocess.run(
-        [sys.executable, "-m", "dynamictree.cli", *words], capture_output=True, text=True, check=False
-    )
-    assert answer.returncode == 2
-    assert len(answer.stderr.strip().splitlines()) == 1
-    assert message in answer.stderr
-
-
 def test_the_help_of_an_option_has_its_unit_and_range() -> None:
     options = {parameter.name: parameter for parameter in Commands()["animate"].params}
     for name, unit, allowed in [
@@ -182,18 +161,13 @@ def test_a_format_that_cannot_hold_a_turbulent_motion_is_refused(name: Format, n
 
 
 def test_requests_need_pydantic_alone() -> None:
-    program = "import sys, dynamictree.requests; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
-    assert not {"numpy", "torch", "numba", "fastapi", "typer"} & set(loaded)
-    assert (
-        "pydantic"
-        not in subprocess.run(
-            [sys.executable, "-c", "import sys, dynamictree; print(*sys.modules)"],
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
+    program = (
+        "import sys, dynamictree; print('pydantic' in sys.modules); import dynamictree.requests; print(*sys.modules)"
     )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    before, *loaded = answer.split()
+    assert before == "False"
+    assert not {"numpy", "torch", "numba", "fastapi", "typer"} & set(loaded)
 
 
 def test_every_parameter_is_described() -> None:
