@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynamictree.commands.source import load_mesh
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.mesh import TriangleMesh, edges_of
 from lab.dataset.sample import make_sample
 

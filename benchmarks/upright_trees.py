@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks._machine import machine
 from dynamictree.axis_names import AXES
-from dynamictree.commands.source import load_mesh
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading

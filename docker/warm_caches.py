@@ -43,7 +43,7 @@ def main(tree: Path) -> None:
 def _write_scan(tree: Path, scan: Path) -> None:
     import numpy as np
 
-    from dynamictree.commands.source import load_mesh
+    from dynamictree.commands.input_files import load_mesh
 
     np.savetxt(scan, load_mesh(tree).vertices, fmt="%.4f")
 

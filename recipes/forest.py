@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree import method
-from dynamictree.commands.source import load_mesh
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from recipes.forest_glb import TravellingGusts, plant_forest, write_forest_glb
 from recipes.forest_usd import write_forest_usdz

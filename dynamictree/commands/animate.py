@@ -6,9 +6,9 @@ from typing import Annotated, Any
 import typer
 
 from dynamictree import method
+from dynamictree.commands.input_files import file_sha256, read_source, say_foliage
 from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import file_sha256, read_source, say_foliage
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.size import splat_bytes

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh, say_how_read
 from dynamictree.commands.options import SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import is_cloud, load_capture, load_mesh, say_how_read
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published

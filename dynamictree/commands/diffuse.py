@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from dynamictree import method
+from dynamictree.commands.input_files import file_sha256, is_tensor_file, read_source, say_foliage
 from dynamictree.commands.options import OutputFile, shape_file
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import file_sha256, is_tensor_file, read_source, say_foliage
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import opened, published
 from dynamictree.formats.tensors.spectrum import write_spectrum

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from dynamictree.commands.input_files import is_cloud, is_tensor_file, load_capture, load_mesh
 from dynamictree.commands.options import shape_file
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import is_cloud, is_tensor_file, load_capture, load_mesh
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import opened
 from dynamictree.formats.description import describe_capture, describe_grid, describe_mesh, describe_spectrum

@@ -9,9 +9,9 @@ import typer
 from jaxtyping import Float32
 from safetensors.numpy import save
 
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import load_mesh
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError

@@ -1,9 +1,9 @@
 """`dynamictree voxelize`: convert a shape to its occupied voxels."""
 
 from dynamictree import method
+from dynamictree.commands.input_files import file_sha256, read_source
 from dynamictree.commands.options import OutputFile, SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import file_sha256, read_source
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import published
 from dynamictree.formats.tensors.voxels import write_voxels

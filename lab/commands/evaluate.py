@@ -149,8 +149,8 @@ def _embedders(clip: Path | None, *, effnet: bool) -> "Sequence[ImageEmbedder]":
 
 
 def _laws_of(path: Path, reading: Reading, model: str, seed: int) -> dict[str, Any]:
+    from dynamictree.commands.input_files import read_source
     from dynamictree.commands.options import shape_file
-    from dynamictree.commands.source import read_source
     from lab.evaluation.laws import judged, measure_generated
 
     path = shape_file(path)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.commands.source import load_capture, load_mesh
+from dynamictree.commands.input_files import load_capture, load_mesh
 from dynamictree.requests import Reading
 
 TEXTURED = b"mtllib t.mtl\nv 0 0 0\nv 0.5 0 0\nv 0 0 2\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl bark\nf 1/1 2/2 3/3\n"

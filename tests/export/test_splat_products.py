@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdVol
 
-from dynamictree.commands.source import load_capture
+from dynamictree.commands.input_files import load_capture
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.size import splat_bytes
 from dynamictree.export.splat_scene import SplatScene

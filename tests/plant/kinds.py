@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from dynamictree.commands.source import is_cloud, load_capture, load_mesh
+from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh
 from dynamictree.errors import DynamicTreeError
 from dynamictree.formats.description import describe_capture, describe_mesh
 from dynamictree.formats.splat.ply import write_gaussian_ply

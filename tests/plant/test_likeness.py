@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dynamictree.commands.source import load_mesh
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.plant.likeness import doubt_mesh
 from dynamictree.requests import Reading

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.commands.source import is_cloud, load_capture, load_mesh
+from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.plant.trees.of_mesh import dense_points, only_tree_of, with_trees

@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom
 
 from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree import method
-from dynamictree.commands.source import load_mesh
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.motion import loop_parts, loop_weights, write_motion_glb
 from dynamictree.formats.gltf.writer import write_glb
