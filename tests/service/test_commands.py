@@ -2,6 +2,7 @@
 
 import json
 import socket
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,18 @@ def test_the_doctor_tells_what_is_not(tmp_path: Path, name: str, changes: dict[s
     finding = next(result for result in examine(settings) if result.name == name)
     assert finding.verdict == "error"
     assert "secret" not in finding.detail.replace("***", "")
+
+
+def test_a_state_of_an_earlier_revision_is_one_line(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "jobs.sqlite") as earlier:
+        earlier.execute("CREATE TABLE jobs (id TEXT)")
+    earlier.close()
+    done = CliRunner().invoke(app, ["serve", "--state-dir", str(tmp_path)])
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert "another state folder" in done.stderr
+    examined = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path)])
+    assert examined.exit_code == 1
+    assert "another state folder" in examined.stdout
 
 
 def test_the_doctor_exits_with_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
