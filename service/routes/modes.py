@@ -10,6 +10,7 @@ from safetensors.numpy import save
 from dynamictree.modal.locality import poke_weights
 from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
+from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.stored_trees import load_spectrum
@@ -33,7 +34,7 @@ def get_modes(id: Id, owned: OwnedDep) -> Response:
     lean = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
     tensors = mode_tensors(tree.system, tree.bones) | {"lean_m": lean}
     content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
-    return Response(content, 200, CACHED, SAFETENSORS)
+    return PackedResponse(content, 200, CACHED, SAFETENSORS)
 
 
 @router.get(

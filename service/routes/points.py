@@ -7,6 +7,7 @@ from safetensors.numpy import save
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
+from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.stored_trees import load_asset_cloud
@@ -30,7 +31,7 @@ FAINTEST = 0.1
 def get_asset_points(id: Id, owned: OwnedDep) -> Response:
     """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
     content = save(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})
-    return Response(content, 200, CACHED, SAFETENSORS)
+    return PackedResponse(content, 200, CACHED, SAFETENSORS)
 
 
 def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:

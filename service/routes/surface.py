@@ -12,6 +12,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
+from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.ready_tree import ReadyTree, bone_ties, vertex_ties
@@ -189,4 +190,4 @@ def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:
     metadata = {"format": "tree-surface", "version": "1", "unit": "m", "up_axis": "+Z"}
     metadata["materials"] = json.dumps(materials)
     content = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata)
-    return Response(content, 200, CACHED, SAFETENSORS)
+    return PackedResponse(content, 200, CACHED, SAFETENSORS)

@@ -290,6 +290,18 @@ def test_a_large_surface_hangs_on_the_voxels(
     assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
 
 
+@pytest.mark.parametrize("kind", ["surface", "modes"])
+def test_what_a_viewer_loads_is_packed_for_whoever_takes_it(client: TestClient, spectrum_id: str, kind: str) -> None:
+    path = f"/v1/spectra/{spectrum_id}/{kind}"
+    plain = client.get(path, headers={"Accept-Encoding": "identity"})
+    packed = client.get(path, headers={"Accept-Encoding": "br, gzip"})
+    assert "content-encoding" not in plain.headers
+    assert packed.headers["content-encoding"] == "gzip"
+    assert plain.headers["vary"] == packed.headers["vary"] == "Accept-Encoding"
+    assert int(packed.headers["content-length"]) < int(plain.headers["content-length"]) == len(plain.content)
+    assert packed.content == plain.content
+
+
 def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
     tensors = load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)
     np.testing.assert_array_equal(tensors["lean_m"], spectrum.coefficients[:, 0].real)

