@@ -5,14 +5,16 @@ from collections.abc import Callable
 
 import httpx
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from tests.browser.conftest import Viewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
-def test_the_api_page_lists_every_operation_and_runs_one(url: str, view: Callable[..., Viewer]) -> None:
+def test_the_api_page_lists_every_operation_and_runs_one(
+    url: str, view: Callable[..., Viewer], axe: Callable[[Page], list[str]]
+) -> None:
     viewer = view(1280, 900)
     page = viewer.page
     document = httpx.get(f"{url}/openapi.json").json()
@@ -26,5 +28,8 @@ def test_the_api_page_lists_every_operation_and_runs_one(url: str, view: Callabl
     answer = block.locator(".live-responses-table .response-col_description .microlight").first
     expect(answer).to_contain_text("small")
     assert json.loads(answer.inner_text())["data"] == httpx.get(f"{url}/v1/presets").json()["data"]
+    page.locator("[id$=createJob] .opblock-summary-control").click()
+    expect(page.locator("[id$=createJob] pre.microlight").first).to_be_visible()
+    assert axe(page) == []
     viewer.picture()
     assert viewer.complaints == []  # nothing was stopped by the content policy
