@@ -45,6 +45,43 @@ def test_a_tree_sways_and_answers_a_pull_before_any_upload(
     assert viewer.complaints == []
 
 
+GAPS = """async () => {
+    const { hand, stage } = await (await import("/web/page/early.js")).page;
+    const { gripNow } = await import("/web/motion/grip.js");
+    return hand.pulls.filter(({ grip }) => grip).map(({ grip: { place, target } }) => {
+        const [at, wanted] = [gripNow(hand.tree, place), target].map((point) => stage.onScreen(point));
+        return Math.hypot(at.x - wanted.x, at.y - wanted.y);
+    });
+}"""
+
+
+def test_with_shift_a_place_stays_and_another_is_pulled(view: Open, url: str) -> None:
+    viewer = view(1100, 720)
+    page = viewer.page
+    viewer.open(url)
+    page.wait_for_selector(LIVE, state="attached")
+    page.keyboard.press("Space")  # no wind from here on
+    for share, (right, down) in ((0.45, (10, 30)), (0.55, (-20, 20))):
+        x, y = place_on_the_tree(viewer, share)
+        page.mouse.down()
+        page.mouse.move(x + right / 2, y + down / 2)
+        page.mouse.move(x + right, y + down)
+        viewer.wait_frames(6)
+        if share < 0.5:
+            page.keyboard.down("Shift")
+            page.mouse.up()
+            page.keyboard.up("Shift")
+    expect(page.locator(".grip:visible")).to_have_count(2)
+    page.wait_for_timeout(1500)
+    viewer.picture()
+    gaps = page.evaluate(GAPS)
+    assert len(gaps) == 2
+    assert max(gaps) < 1, "px"
+    page.mouse.up()
+    expect(page.locator(".grip:visible")).to_have_count(0)
+    assert viewer.complaints == []
+
+
 def test_the_tree_is_there_again_after_another(view: Open, url: str) -> None:
     viewer = view(900, 620)
     viewer.open(f"{url}/#job=01ARZ3NDEKTSV4RRFFQ69G5FAV")
@@ -69,10 +106,10 @@ def free_part(viewer: Viewer) -> dict[str, float]:
     return {"x": left, "y": 60, "width": size["width"] - left, "height": bottom - 60}
 
 
-def place_on_the_tree(viewer: Viewer) -> tuple[float, float]:
+def place_on_the_tree(viewer: Viewer, share: float = 0.5) -> tuple[float, float]:
     """The first place on the way down where the pointer says that it can take hold."""
     part = free_part(viewer)
-    x = part["x"] + 0.5 * part["width"]
+    x = part["x"] + share * part["width"]
     for y in range(int(part["y"]), int(part["y"] + part["height"]), 8):
         viewer.page.mouse.move(x, y)
         if "over" in (viewer.page.locator("#canvas").get_attribute("class") or ""):

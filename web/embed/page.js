@@ -7,7 +7,7 @@ import { fetchExample } from "../page/example.js";
 import { runFrames } from "../page/frames.js";
 import { Hand } from "../page/hand.js";
 import { watchKeys } from "../page/keyboard.js";
-import { showGrip, showHint } from "../page/layout.js";
+import { showGrips, showHint } from "../page/layout.js";
 import { fetchFolder, fetchParts, partsIn, partsOf, standParts } from "../page/parts.js";
 import { Player } from "../page/player.js";
 import { Scene } from "../page/scene.js";
@@ -31,7 +31,7 @@ begin().catch((problem) => {
 
 async function begin() {
   const stage = new Stage($("canvas"));
-  const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer) });
+  const hand = new Hand(stage, { onGrab: (places) => showGrips(stage, places) });
   const player = new Player(hand);
   const scene = new Scene(stage);
   stage.surroundings.groundVisible = !options.has("transparent");

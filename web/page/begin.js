@@ -6,7 +6,7 @@ import { $ } from "./dom.js";
 import { linkedJob } from "./example.js";
 import { runFrames } from "./frames.js";
 import { Hand } from "./hand.js";
-import { layOut, showGrip } from "./layout.js";
+import { layOut, showGrips } from "./layout.js";
 import { LiveTree } from "./live.js";
 import { Player } from "./player.js";
 import { showProblem } from "./problem.js";
@@ -21,8 +21,7 @@ export async function begin(files) {
   translate();
   applyTheme();
   const stage = newStage();
-  const onGrab = (point, pointer) => showGrip(stage, point, pointer);
-  const hand = new Hand(stage, { onGrab, onProblem: showProblem });
+  const hand = new Hand(stage, { onGrab: (places) => showGrips(stage, places), onProblem: showProblem });
   const player = new Player(hand);
   const scene = new Scene(stage);
   const live = new LiveTree(scene, files, {

@@ -33,17 +33,21 @@ export function showHint() {
   setTimeout(() => hint.classList.add("going"), HINT_MS);
 }
 
-/** A ring at the pulled point, and a line to the pointer. */
-export function showGrip(stage, point, pointer) {
-  const grip = $("grip");
-  grip.hidden = !point;
-  $("stage").classList.toggle("holding", Boolean(point));
-  if (!point) return;
-  $("hint").classList.add("going");
-  const { x, y } = stage.onScreen(point);
-  grip.style.transform = `translate(${x}px, ${y}px)`;
+/** A ring at each pulled point, and a line to where it is pulled. */
+export function showGrips(stage, places) {
+  const held = places.some(Boolean);
+  document.querySelectorAll(".grip").forEach((ring, i) => {
+    ring.hidden = !places[i];
+    if (places[i]) showRing(ring, ...[places[i].point, places[i].target].map((place) => stage.onScreen(place)));
+  });
+  $("stage").classList.toggle("holding", held);
+  if (held) $("hint").classList.add("going");
+}
+
+function showRing(ring, { x, y }, pointer) {
+  ring.style.transform = `translate(${x}px, ${y}px)`;
   const [dx, dy] = [pointer.x - x, pointer.y - y];
-  const line = grip.firstElementChild;
+  const line = ring.firstElementChild;
   line.style.width = `${Math.max(Math.hypot(dx, dy) - RING_PX, 0)}px`;
   line.style.transform = `rotate(${Math.atan2(dy, dx)}rad) translateX(${RING_PX}px)`;
 }
