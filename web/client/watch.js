@@ -36,29 +36,25 @@ async function* readEvents(client, id, signal) {
   signal?.throwIfAborted();
   const stream = new AbortController();
   const timer = setTimeout(() => stream.abort(new Error("no event came")), FIRST_EVENT_MS);
-  const abort = () => stream.abort(signal.reason);
-  signal?.addEventListener("abort", abort);
   try {
     const headers = { Accept: "text/event-stream" };
-    const options = { headers, signal: stream.signal, again: false };
-    const response = await client.send("GET", `/v1/jobs/${id}/events`, options);
-    const decoder = new TextDecoder();
+    const both = AbortSignal.any([stream.signal, ...(signal ? [signal] : [])]);
+    const response = await client.send("GET", `/v1/jobs/${id}/events`, { headers, signal: both, again: false });
     let text = "";
-    for (const reader = response.body.getReader(); ; ) {
+    for (const reader = response.body.pipeThrough(new TextDecoderStream()).getReader(); ; ) {
       const { value, done } = await reader.read();
       if (done) return;
-      text += decoder.decode(value, { stream: true });
-      for (let end; (end = text.indexOf("\n\n")) >= 0; text = text.slice(end + 2)) {
-        const lines = text.slice(0, end).split("\n");
-        const data = lines.filter((line) => line.startsWith("data:")).map((line) => line.slice(5));
+      const events = (text + value).split("\n\n");
+      text = events.pop();
+      for (const event of events) {
+        const data = event.split("\n").filter((line) => line.startsWith("data:"));
         if (!data.length) continue;
         clearTimeout(timer);
-        yield JSON.parse(data.join("\n"));
+        yield JSON.parse(data.map((line) => line.slice(5)).join("\n"));
       }
     }
   } finally {
     clearTimeout(timer);
-    signal?.removeEventListener("abort", abort);
     stream.abort(); // releases the connection where the reader stopped early
   }
 }
