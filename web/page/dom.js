@@ -1,5 +1,6 @@
 // Elements of the page.
 
+/** @type {(id: string) => any} */
 export const $ = (id) => document.getElementById(id);
 
 /** Set a text only where it differs, so that selections and screen readers are left alone. */
@@ -37,20 +38,12 @@ export function describe(input, readout, words) {
   paintRange(input);
 }
 
-/** Ask one question in a dialog; null where it was cancelled. */
+/** Ask one question in a dialog whose form closes it with "ok"; null where it was cancelled. */
 export function ask(dialog, input) {
+  input.value = dialog.returnValue = "";
+  dialog.showModal();
   return new Promise((resolve) => {
-    const finish = (value) => {
-      dialog.close();
-      resolve(value);
-    };
-    dialog.querySelector("form").onsubmit = (event) => {
-      event.preventDefault();
-      finish(event.submitter?.value === "cancel" ? null : input.value.trim());
-    };
-    dialog.oncancel = () => resolve(null);
-    input.value = "";
-    dialog.showModal();
+    dialog.onclose = () => resolve(dialog.returnValue === "ok" ? input.value.trim() : null);
   });
 }
 

@@ -2,6 +2,7 @@
 
 import { hasEnded } from "../client.js";
 import { $, button, element, keyedChildren, saveBlob } from "./dom.js";
+import { filesOf } from "./kits.js";
 import { fileName, nameTag } from "./names.js";
 import { store, stored } from "./storage.js";
 import { bytes, percent, text, textOrNull } from "./texts.js";
@@ -120,7 +121,6 @@ export class Files {
   async _make(format, chip) {
     const label = chip.textContent;
     const owner = this.job;
-    const { asset_id, preset, seed, params } = owner;
     const onJob = (job) => {
       chip.style.setProperty("--share", percent(job.progress));
       chip.textContent = `${label} · ${job.state === "queued" ? text("title.queued") : percent(job.progress)}`;
@@ -128,10 +128,7 @@ export class Files {
     };
     chip.disabled = true;
     try {
-      const request = { type: "animate", asset_id, preset, seed, params: { ...params, formats: [format] } };
-      const job = await this.client.createJob(request);
-      await this.client.wait(job.id, { onJob });
-      this.made(job, owner.id);
+      await filesOf(this.client, owner, [format], { onJob, onMade: (job) => this.made(job, owner.id) });
     } catch (error) {
       if (this.job === owner) this.onProblem(error);
     }

@@ -18,7 +18,6 @@ export class JobList {
     this.dialog = $("jobs");
     this.names = new Map(); // of assets
     this.pictures = new Map(); // address of a job's preview, or null
-    this.dialog.querySelector(".close").onclick = () => this.dialog.close();
     $("more-jobs").onclick = () => this._loadEarlier();
     $("job-filter").onchange = () => this._restart();
   }

@@ -13,7 +13,6 @@ export class KitDialog {
   constructor(client, { tree, onMade, onProblem }) {
     Object.assign(this, { client, tree, onMade, onProblem });
     $("download").onclick = () => this.show();
-    $("kits").querySelector(".close").onclick = () => $("kits").close();
   }
 
   show() {
@@ -34,9 +33,9 @@ export class KitDialog {
     node.disabled = true;
     try {
       const { name, kind, job } = this.tree();
-      const onShare = (share) => fill(words, text("kit.making", { share: percent(share) }));
-      const files =
-        program === "web" ? await this._page(job) : await this._files(job, formatsOf(program, kind), onShare);
+      const onJob = ({ progress }) => fill(words, text("kit.making", { share: percent(progress) }));
+      onJob({ progress: 0 });
+      const files = program === "web" ? await this._page(job) : await this._files(job, formatsOf(program, kind), onJob);
       const readme = { name: "README.txt", bytes: new TextEncoder().encode(KITS[program].readme(name)) };
       saveBlob(fileName(name, `-${program}.zip`), zipped([readme, ...files]));
     } catch (error) {
@@ -47,23 +46,8 @@ export class KitDialog {
     fill(words, before);
   }
 
-  /** The formats' files; those that the job has not are made. */
-  async _files({ id, asset_id, preset, seed, params }, formats, onShare) {
-    onShare(0);
-    const missing = formats.filter((format) => !params.formats.includes(format));
-    let from = [id];
-    if (missing.length) {
-      const request = { type: "animate", asset_id, preset, seed, params: { ...params, formats: missing } };
-      const job = await this.client.createJob(request);
-      await this.client.wait(job.id, { onJob: ({ progress }) => onShare(progress) });
-      this.onMade(job);
-      from = missing.length < formats.length ? [id, job.id] : [job.id];
-    }
-    const { products } = await this.client.json("GET", "/v1/limits");
-    const names = products.filter(({ format }) => formats.includes(format)).map((product) => product.file_name);
-    const lists = await Promise.all(from.map((one) => this.client.artifacts(one)));
-    const wanted = new Map(lists.flat().map((file) => [file.name, file]));
-    const files = names.map((name) => wanted.get(name)).filter(Boolean);
+  async _files(job, formats, onJob) {
+    const files = await filesOf(this.client, job, formats, { onJob, onMade: this.onMade });
     return Promise.all(
       files.map(async ({ name, url }) => ({ name, bytes: new Uint8Array(await this.client.bytes(url)) })),
     );
@@ -75,6 +59,24 @@ export class KitDialog {
     const contents = await Promise.all(parts.map(async ([part, path]) => [part, await read(path)]));
     return webFolder(Object.fromEntries(contents), (path) => read(`/${path}`));
   }
+}
+
+/** The artifacts of a job's formats. Those that it has not are made by another, which `onJob` follows and `onMade` gets. */
+export async function filesOf(client, { id, asset_id, preset, seed, params }, formats, { onJob, onMade }) {
+  const missing = formats.filter((format) => !params.formats.includes(format));
+  const from = missing.length < formats.length ? [id] : [];
+  if (missing.length) {
+    const request = { type: "animate", asset_id, preset, seed, params: { ...params, formats: missing } };
+    const job = await client.createJob(request);
+    await client.wait(job.id, { onJob });
+    onMade(job);
+    from.push(job.id);
+  }
+  const { products } = await client.json("GET", "/v1/limits");
+  const names = products.filter(({ format }) => formats.includes(format)).map((product) => product.file_name);
+  const lists = await Promise.all(from.map((one) => client.artifacts(one)));
+  const wanted = new Map(lists.flat().map((file) => [file.name, file]));
+  return names.map((name) => wanted.get(name)).filter(Boolean);
 }
 
 /** Formats for a program, of a mesh or of a cloud; null where it takes none. */

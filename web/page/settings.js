@@ -12,7 +12,6 @@ export function buildSettings() {
   $("language").value = language;
   $("unit").value = lengthUnit;
   $("open-settings").onclick = () => $("settings").showModal();
-  $("settings").querySelector(".close").onclick = () => $("settings").close();
   $("language").onchange = () => {
     store("language", $("language").value);
     location.reload();

@@ -12,7 +12,6 @@ export class ShareDialog {
   constructor(client, { tree, onProblem }) {
     Object.assign(this, { client, tree });
     $("share").onclick = () => this.show().catch(onProblem);
-    $("share-dialog").querySelector(".close").onclick = () => $("share-dialog").close();
     for (const [button, field] of [
       ["copy-link", "share-link"],
       ["copy-embed", "share-embed"],

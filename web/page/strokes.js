@@ -91,7 +91,6 @@ class Marking {
       };
       $("strokes-cut").onclick = () => finish(this.strokes.params);
       $("strokes-whole").onclick = () => finish({ scribbles: null, only_plant: false });
-      dialog.querySelector(".close").onclick = () => finish(null);
       dialog.onclose = () => finish(null);
     });
   }
