@@ -11,9 +11,10 @@ import { watchDrops } from "./page/drop.js";
 import { linkedJob, setAddress } from "./page/example.js";
 import { Files } from "./page/files.js";
 import { checkContent } from "./page/first_bytes.js";
+import { Immersion } from "./page/immersion.js";
 import { JobList } from "./page/jobs.js";
 import { watchKeys } from "./page/keyboard.js";
-import { KitDialog } from "./page/kits.js";
+import { filesOf, KitDialog } from "./page/kits.js";
 import { layOut, showHint } from "./page/layout.js";
 import { LightPanel } from "./page/light.js";
 import { Machine } from "./page/machine.js";
@@ -26,6 +27,7 @@ import { watchRoom } from "./page/room.js";
 import { Session } from "./page/session.js";
 import { buildSettings } from "./page/settings.js";
 import { ShareDialog } from "./page/share.js";
+import { buildSound } from "./page/sound.js";
 import { length, number, text } from "./page/texts.js";
 import { currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
 import { TreeForm } from "./page/tree_form.js";
@@ -73,9 +75,17 @@ export class App {
     this.form = new TreeForm(stage, { onApply: (wanted) => this.remake(wanted), tree: () => scene.tree });
     this.doubt = new SizeDoubt({ onHeight: (height_m) => this.form.makeHigh(height_m) });
     new ShareDialog(this.client, { tree: () => ({ job: this.machine.facts.job, name: name() }), onProblem });
+    const onMade = (job) => this.files.made(job);
     new KitDialog(this.client, {
       tree: () => ({ job: this.machine.facts.job, name: name(), kind: this.machine.facts.asset?.kind }),
-      onMade: (job) => this.files.made(job),
+      onMade,
+      onProblem,
+    });
+    new Immersion(this.client, {
+      stage,
+      player,
+      name,
+      filesOf: (format, onJob) => filesOf(this.client, this.machine.facts.job, [format], { onJob, onMade }),
       onProblem,
     });
     new LightPanel(stage);
@@ -85,6 +95,7 @@ export class App {
     paintRanges();
     this.look();
     this.onState("welcome", {}, null);
+    buildSound(() => player.motion);
     parts.onDraw = () => this.company.place();
     this.route();
     document.body.dataset.ready = "true";

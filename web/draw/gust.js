@@ -38,6 +38,13 @@ export class Gust {
     return this.seconds > CROSSING_S + LASTS_S || !this.strength;
   }
 
+  /** The factor on the motion in the middle of the crown. */
+  get inMiddle() {
+    const late = this.seconds - CROSSING_S / 2;
+    const swell = Math.max(late, 0) / SWELL_S;
+    return (late < 0 ? this.calm : 1) + this.strength * swell * Math.exp(1 - swell);
+  }
+
   /** Values of the shader's uniforms, some seconds later. */
   after(seconds) {
     this.seconds += seconds;

@@ -30,9 +30,12 @@ export class Pass {
 
   render(renderer) {
     const before = renderer.getRenderTarget();
+    const { enabled } = renderer.xr;
+    renderer.xr.enabled = false; // or its eyes would look at the square
     renderer.setRenderTarget(this.target);
     renderer.render(this.square, this.camera);
     renderer.setRenderTarget(before);
+    renderer.xr.enabled = enabled;
   }
 
   dispose() {

@@ -182,6 +182,7 @@ export class Stage {
   }
 
   _setSize(width, height, scale) {
+    if (this.immersed) return;
     const ratio = Math.min(globalThis.devicePixelRatio, 2) * scale;
     const size = this.renderer.getSize(new THREE.Vector2());
     if (size.x === width && size.y === height && this.renderer.getPixelRatio() === ratio) return;
@@ -195,6 +196,13 @@ export class Stage {
     return new THREE.Vector2(x, 1 - ((event.clientY - box.top) / box.height) * 2);
   }
 
+  /** The pointer's place in a plane [m]; null where it looks along it. */
+  onPlane(event, plane) {
+    const caster = new THREE.Raycaster();
+    caster.setFromCamera(this.pointer(event), this.camera);
+    return caster.ray.intersectPlane(plane, new THREE.Vector3());
+  }
+
   /** Pixels of a point in the window. */
   onScreen(point) {
     const at = new THREE.Vector3(...point).project(this.camera);
@@ -204,8 +212,17 @@ export class Stage {
 
   // ---- drawing
 
+  /** Whether a headset or a phone's camera shows it: it has a camera and pixels of its own. */
+  get immersed() {
+    return this.renderer.xr.isPresenting;
+  }
+
   /** Draw if something has changed. Whether anything was drawn. */
   draw(now) {
+    if (this.immersed) {
+      this._render(1, true);
+      return true;
+    }
     const full = !this.stale && this.resolution.settles(now);
     if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) {
       this.resolution.pause();

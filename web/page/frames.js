@@ -11,7 +11,7 @@ export function runFrames(parts) {
   const next = (now) => {
     const seconds = Math.min((now - last) / 1000, LONGEST_S);
     last = now;
-    stage.controls.update();
+    if (!stage.immersed) stage.controls.update();
     player.advance(seconds);
     if (stage.draw(now)) {
       dataset.frames = Number(dataset.frames ?? 0) + 1;
@@ -19,7 +19,6 @@ export function runFrames(parts) {
     }
     dataset.sharp = stage.resolution.sharp && !stage.stale;
     hand.tick();
-    requestAnimationFrame(next);
   };
-  requestAnimationFrame(next);
+  stage.renderer.setAnimationLoop(next);
 }

@@ -62,6 +62,11 @@ export class Player {
     this.gust = new Gust({ angle, middle, radius, speed_m_s: this.speed, first });
   }
 
+  /** How far the tree moves, 1 in the wind that its motion was made for. */
+  get motion() {
+    return this.tree?.moves && this.playing && this.gains ? this.gains[1] * (this.gust?.inMiddle ?? 1) : 0;
+  }
+
   /** What is pulled, paused or recorded shows the wind alone. */
   _gustNow(seconds) {
     if (!this.gust) return false;

@@ -68,6 +68,9 @@ export default {
   "time.play": "Abspielen",
   "time.pause": "Anhalten",
 
+  "immersion.ar": "Bei mir im Raum",
+  "immersion.vr": "In der VR-Brille",
+  "wind.sound": "Rauschen der Blätter",
   "wind.title": "Wind",
   "wind.calm": "Still",
   "wind.breeze": "Brise",

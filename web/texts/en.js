@@ -67,6 +67,9 @@ export default {
   "time.play": "Play",
   "time.pause": "Pause",
 
+  "immersion.ar": "In my room",
+  "immersion.vr": "In a headset",
+  "wind.sound": "Sound of leaves",
   "wind.title": "Wind",
   "wind.calm": "Calm",
   "wind.breeze": "Breeze",
