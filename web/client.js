@@ -15,7 +15,7 @@ import { watchJob } from "./client/watch.js";
 
 export { isAway, Problem, seconds } from "./client/problem.js";
 export { Push } from "./client/push.js";
-export { hasEnded } from "./client/states.js";
+export { hasEnded, hasStill } from "./client/states.js";
 export { patiently } from "./client/wait.js";
 
 const RETRIES = 4;
@@ -112,6 +112,11 @@ export class Client {
 
   async artifacts(jobId) {
     return (await this.json("GET", `/v1/jobs/${jobId}/artifacts`)).artifacts;
+  }
+
+  /** A small picture of the job's tree (WebP), once there is one. */
+  still(jobId, options) {
+    return this.bytes(`/v1/jobs/${jobId}/still`, options);
   }
 
   /** Async iterator over the job's changes until it has ended; see client/watch.js. */

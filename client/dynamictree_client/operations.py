@@ -304,6 +304,11 @@ def get_asset_points(id: str) -> Call[bytes]:
     return Call(method="GET", path=path_of("/v1/assets/{id}/points", {"id": id}), answer=bytes)
 
 
+def get_still(id: str) -> Call[bytes]:
+    """The first frame of a job's preview, once it is written."""
+    return Call(method="GET", path=path_of("/v1/jobs/{id}/still", {"id": id}), answer=bytes)
+
+
 def get_asset_surface(id: str) -> Call[bytes]:
     """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
     return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)

@@ -2,4 +2,7 @@
 
 const ENDED = new Set(["succeeded", "failed", "canceled", "aborted"]);
 
+/** Whether there is a small picture of its tree. */
+export const hasStill = ({ type, state }) => type === "animate" && state === "succeeded";
+
 export const hasEnded = (job) => ENDED.has(job.state);

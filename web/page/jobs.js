@@ -1,10 +1,9 @@
 // The list of jobs: live, without rebuilding what has not changed.
 
-import { hasEnded } from "../client.js";
+import { hasEnded, hasStill } from "../client.js";
 import { isBehind } from "./all_winds.js";
 import { $, button, element, fill, keyedChildren } from "./dom.js";
 import { nameOf, nameTag } from "./names.js";
-import { PREVIEW, stillOf } from "./still.js";
 import { date, duration, number, percent, speed, text } from "./texts.js";
 
 const REFRESH_MS = 2000;
@@ -17,7 +16,6 @@ export class JobList {
     Object.assign(this, { client, onOpen, onDeleted, onProblem });
     this.dialog = $("jobs");
     this.names = new Map(); // of assets
-    this.pictures = new Map(); // address of a job's preview, or null
     $("more-jobs").onclick = () => this._loadEarlier();
     $("job-filter").onchange = () => this._restart();
   }
@@ -121,18 +119,14 @@ export class JobList {
     item.querySelector(".cancel").hidden = ended;
     item.querySelector(".delete").hidden = !ended;
     item.querySelector(".retry").hidden = !ended || job.state === "succeeded";
-    if (ended && job.result) this._showPicture(job.id, item.querySelector("img"));
+    if (hasStill(job)) this._showPicture(job.id, item.querySelector("img"));
   }
 
-  /** The job's preview picture, once it is written. */
   async _showPicture(id, picture) {
-    if (this.pictures.has(id)) return;
-    this.pictures.set(id, null);
-    const artifacts = await this.client.artifacts(id).catch(() => []);
-    const preview = artifacts.find(({ name }) => name === PREVIEW);
-    if (!preview) return;
-    const blob = await this.client.bytes(preview.url).catch(() => null);
-    if (blob) picture.src = await stillOf(blob);
+    if (picture.dataset.of) return;
+    picture.dataset.of = id;
+    const still = await this.client.still(id).catch(() => null);
+    if (still) picture.src = URL.createObjectURL(new Blob([still]));
   }
 
   /** The first press asks, the second deletes. */

@@ -1,5 +1,6 @@
 // What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
 
+import { hasStill } from "../client/states.js";
 import { fieldOf } from "../draw/bone_field.js";
 import { Person } from "../draw/person.js";
 import { readSurface } from "../draw/surface.js";
@@ -7,7 +8,6 @@ import { Tree } from "../draw/tree.js";
 import { Modes } from "../motion/modes.js";
 import { readTensors } from "../motion/tensors.js";
 import { $, element } from "./dom.js";
-import { PREVIEW, stillOf } from "./still.js";
 
 const MOST_PHOTOS = 24;
 const TALLEST_M = 120; // of trees
@@ -57,11 +57,10 @@ export class Scene {
 
   /** The still of a job that has ended, until its tree is drawn. */
   async poster(job, signal) {
-    const still = (await this.client.artifacts(job.id)).find(({ name }) => name === PREVIEW);
-    if (!still || this.tree || signal.aborted) return;
-    const address = await stillOf(await this.client.bytes(still.url, { signal }));
-    if (this.tree || signal.aborted) return URL.revokeObjectURL(address);
-    this.still = $("poster").src = address;
+    if (!hasStill(job)) return;
+    const still = new Blob([await this.client.still(job.id, { signal })]);
+    if (this.tree || signal.aborted) return;
+    this.still = $("poster").src = URL.createObjectURL(still);
     $("poster").hidden = false;
   }
 
