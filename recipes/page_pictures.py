@@ -22,7 +22,7 @@ EXAMPLES = ROOT / "web" / "examples"
 EXAMPLE = "round-broadleaf"
 PICTURES = ROOT / "docs" / "pictures"
 DESKTOP, PHONE, SQUARE = (1280, 800), (390, 760), (1000, 760)
-THUMBNAIL_PX, MARGIN = 256, 0.04
+THUMBNAIL_PX, THUMBNAIL_QUALITY, MARGIN = 192, 76, 0.04
 PHASE = 0.48
 """Of the loop, at which both trees of the first picture are far from rest."""
 LONGEST_MS = 300_000
@@ -108,7 +108,9 @@ def _take_example(page: Page, name: str) -> None:
     side = round((1 + 2 * MARGIN) * max(tree.size))
     square = Image.new("RGBA", (side, side))
     square.paste(tree, ((side - tree.width) // 2, side - tree.height - round(MARGIN * side)))
-    square.resize((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.LANCZOS).save(path, quality=WEBP_QUALITY, method=6)
+    square.resize((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.LANCZOS).save(
+        path, quality=THUMBNAIL_QUALITY, method=6
+    )
     print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     page.context.close()
 

@@ -3,8 +3,9 @@
     python -m recipes.welcome_tree
 
 Runs a service of its own on one of the page's examples, with the shipped model. The files are thinned for a download:
-every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by a pixel left out, and
-the modes of the vertices, which bones carry; and shapes in steps of 8 bits, which gzip halves.
+every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by two pixels left out,
+the modes of the vertices, which bones carry, and those of the bones of a push, which the page bends by itself; places
+to 2 mm, and shapes in fewer steps, which gzip packs.
 """
 
 import argparse
@@ -22,9 +23,12 @@ from recipes.demo import checked, served
 EXAMPLES = Path(__file__).parents[1] / "web" / "examples"
 LONGEST_S = 600.0
 EVERY_VOXEL = 8
-STEP = 256
+STEPS = {"turn_shapes": 1024, "shapes": 8192}
+"""Of 16 bits, which stay: 32 either way of a bone's turn, 4 of a voxel's motion, which is 7 pixels at most."""
+PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "lean_m": 2**-8, "bone_reach_m": 2**-9}
+"""Steps of places [m] and directions, of which float32 then has zeros at its end."""
 BINS = 10
-"""Bins that stay, 0 to 2.2 Hz: on a screen the tree is 600 pixels high, and the next moves no point by 0.5."""
+"""Bins that stay, 0 to 1.08 Hz: on a screen the tree is 600 pixels high, and the last moves no point by 1.5."""
 SHAPES = {"shapes", "bone_shapes", "turn_shapes"}
 PER_BIN = {"scale_m", "turn_scale_rad", "frequencies_hz"}
 PER_VOXEL = ("coords", "shapes", "bone_of_voxel", "lean_m")
@@ -62,7 +66,7 @@ def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
 
 
 def thinned(path: Path) -> bytes:
-    """Every eighth voxel of a modes file, and 16-bit shapes rounded to 8 bits."""
+    """A surface or modes file of a tenth of its size."""
     with safe_open(path, "np") as file:
         metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if "turn_shapes" in tensors:
@@ -73,9 +77,13 @@ def thinned(path: Path) -> bytes:
         tensors[name] = np.ascontiguousarray(tensors[name][:, :BINS])
     for name in tensors.keys() & PER_BIN:
         tensors[name] = tensors[name][:BINS].copy()
-    for name in tensors.keys() & SHAPES:
-        largest = 32767 // STEP
-        tensors[name] = (np.clip(np.rint(tensors[name] / STEP), -largest, largest) * STEP).astype(np.int16)
+    if "bone_shapes" in tensors:
+        tensors["bone_shapes"][:] = 0
+    for name in tensors.keys() & STEPS:
+        step, largest = STEPS[name], 32767 // STEPS[name]
+        tensors[name] = (np.clip(np.rint(tensors[name] / step), -largest, largest) * step).astype(np.int16)
+    for name in tensors.keys() & PLACES:
+        tensors[name] = np.float32(np.rint(tensors[name] / PLACES[name]) * PLACES[name])
     return save(tensors, metadata)
 
 

@@ -10,7 +10,7 @@ from importlib import resources
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.http.packing import LEVEL, takes_gzip
+from service.http.packing import takes_gzip
 from service.http.problems import ProblemError
 from service.http.request_headers import SAFETENSORS, matches
 
@@ -27,8 +27,8 @@ MEDIA_TYPES = {
     "safetensors": SAFETENSORS,
     "wasm": "application/wasm",
 }
-TEXT_LEVEL = 6
-"""Of gzip."""
+LEVEL = 6
+"""Of gzip, once a start."""
 
 VENDORED = "public, max-age=31536000, immutable"
 """Cache-Control of vendored libraries: their paths hold the version."""
@@ -160,6 +160,6 @@ def pack_page(path: str) -> Page | None:
     if media_type is None or not file.is_file():
         return None
     content = file.read_bytes()
-    packed = gzip.compress(content, LEVEL if path.endswith(".safetensors") else TEXT_LEVEL, mtime=0)
+    packed = gzip.compress(content, LEVEL, mtime=0)
     etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
     return Page(media_type=media_type, content=content, packed=min(content, packed, key=len), etag=etag)
