@@ -27,13 +27,18 @@ export class TreeForm {
     };
     $("apply-tree").onclick = () => this._apply(this._reading());
     $("tree-details").ontoggle = () => this._showPerson();
+    $("tree-details").addEventListener("input", () => {
+      this.touched = true;
+    });
   }
 
   /** Take what is known of the tree; `files` allow to read them anew. */
   set({ asset, job, files }) {
     if (!asset || (this.asset === asset && this.job?.id === job?.id)) return;
+    const known = this.asset === asset;
     Object.assign(this, { asset, job, files });
     this.request = { seed: job?.seed ?? 0 };
+    if (known && this.touched) return; // something was chosen before the first job was there
     const { extent_m: extent, source_up_axis: up } = asset.summary;
     this.height = extent ? extent[2] : (job?.params.height_m ?? 1);
     $("tree-height").value = toUnit(this.height).toFixed(2);
@@ -61,6 +66,7 @@ export class TreeForm {
 
   clear() {
     this.asset = this.job = null;
+    this.touched = false;
     this._dropHelpers();
   }
 
