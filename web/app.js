@@ -4,6 +4,7 @@ import { Client, Problem } from "./client.js";
 import { remoteSource } from "./motion/remote.js";
 import { bandsOf } from "./page/all_winds.js";
 import { isPhotos, relativePaths, treesAmong } from "./page/bundles.js";
+import { showCameras } from "./page/camera_circle.js";
 import { CompanyPanel, makeOther } from "./page/company.js";
 import { $, ask, fill, paintRanges } from "./page/dom.js";
 import { SizeDoubt } from "./page/doubt.js";
@@ -165,6 +166,7 @@ export class App {
   /** All files are there: the service is free to compute what the slider of the wind says. */
   async onComplete(job, signal) {
     this.showViews();
+    if (this.machine.facts.asset?.kind === "photos") showCameras(this.client, job, signal).catch(() => {}); // a hint only
     if (this.player.hasBands) return;
     const bands = await bandsOf(this.client, job, signal).catch(() => null); // the power law serves as well
     if (bands && !signal.aborted) this.wind.takeBands(bands);

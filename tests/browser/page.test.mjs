@@ -14,6 +14,7 @@ import { Modes } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
 import { vertexInWind } from "../../web/motion/vertex.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
+import { widestGap } from "../../web/page/camera_circle.js";
 import { proposals } from "../../web/page/doubt.js";
 import { readDrop } from "../../web/page/drop.js";
 import { checkContent } from "../../web/page/first_bytes.js";
@@ -486,6 +487,14 @@ test("a vertex of a large mesh moves with the mean of its voxels, and stands sti
   assert.ok(distance(mean, [0, 0, 0]) > 1);
   assert.ok(distance(vertexInWind({ surface, modes }, 0, q, turn), mean) < 1e-9);
   assert.deepEqual(vertexInWind({ surface, modes }, 1, q, turn), [0, 0, 0]);
+});
+
+test("the side that no photo shows is the widest gap of the circle, across its beginning too", () => {
+  assert.equal(widestGap([0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]), null);
+  assert.deepEqual(widestGap([20, 50, 140, 170, 200, 230, 260, 290, 320, 350]), { from: 50, to: 140 });
+  assert.deepEqual(widestGap([60, 100, 130]), { from: 130, to: 420 });
+  assert.deepEqual(widestGap([60]), { from: 60, to: 420 });
+  assert.equal(widestGap([]), null);
 });
 
 // ---- names, sizes, first bytes, gusts

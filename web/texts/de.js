@@ -151,6 +151,8 @@ export default {
   "crop.z-low": "Unten",
   "crop.z-high": "Oben",
 
+  "cameras.title": "Von wo die Fotos gemacht wurden",
+  "cameras.gap": "Kein Foto in {angle} des Kreises, zwischen {first} und {second}: was dort ist, ist erraten.",
   "strokes.section": "Was die Pflanze ist",
   "strokes.why": "Bewegt sich auch ein Topf, ein Tisch oder der Boden? Auf einem Foto zeigen, was die Pflanze ist.",
   "strokes.open": "Die Pflanze auf einem Foto zeigen",

@@ -149,6 +149,8 @@ export default {
   "crop.z-low": "Bottom",
   "crop.z-high": "Top",
 
+  "cameras.title": "From where the photos were taken",
+  "cameras.gap": "No photo in {angle} of the circle, between {first} and {second}: what is there is guessed.",
   "strokes.section": "What is the plant",
   "strokes.why": "Does a pot, a table or the ground move as well? Say on a photo what is the plant.",
   "strokes.open": "Mark the plant on a photo",
