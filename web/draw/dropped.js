@@ -161,7 +161,7 @@ function namedUp(head) {
 
 async function readSplat([{ name, content }], { stage }) {
   const { sparkRenderer } = await import("./splat.js");
-  const spark = await import("spark");
+  const spark = await import("@sparkjsdev/spark");
   const object = new spark.SplatMesh({ fileBytes: new Uint8Array(await content.arrayBuffer()), fileName: name });
   await object.initialized;
   const renderer = sparkRenderer(spark, stage);

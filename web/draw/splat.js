@@ -43,7 +43,7 @@ export function sparkRenderer(spark, stage) {
 export class SplatView {
   /** `ride` is that of draw/ride.js or `ownRide`; `poses` and `bent` are the tree's uniforms. */
   static async make(stage, splat, ride, uniforms) {
-    const spark = await import("spark");
+    const spark = await import("@sparkjsdev/spark");
     const view = new SplatView();
     view.stage = stage;
     Object.assign(view, { ride, field: ride.field, uniforms });

@@ -7,7 +7,7 @@ const LINKED = /(?:href|src)="\.\/([^"]+)"/g;
 export async function webFolder(parts, read) {
   const html = new TextDecoder().decode(await read("embed"));
   const map = JSON.parse(/<script type="importmap">(.*?)<\/script>/s.exec(html)[1]).imports;
-  const left = parts.splat ? [] : ["spark"]; // the largest of all, and for splats only
+  const left = parts.splat ? [] : ["@sparkjsdev/spark"]; // the largest of all, and for splats only
   const found = new Map();
   const take = async (path) => {
     if (found.has(path)) return;

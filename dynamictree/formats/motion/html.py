@@ -30,7 +30,7 @@ _MESH = {
 }
 _SPLAT = {
     "three/addons/postprocessing/Pass.js": f"vendor/{_THREE.target('addons/postprocessing/Pass.js')}",
-    "spark": f"vendor/{_SPARK.target('spark.module.min.js')}",
+    "@sparkjsdev/spark": f"vendor/{_SPARK.target('spark.module.min.js')}",
     "tensors": "motion/tensors.js",
     "vectors": "motion/vectors.js",
     "modes": "motion/modes.js",
