@@ -122,8 +122,9 @@ $(JS_TOOLS)/.ready: tests/js/package.json
 	@cd $(JS_TOOLS) && npm install --no-audit --no-fund --no-package-lock --ignore-scripts --loglevel=error
 	@touch $@
 
-web-check: $(JS_TOOLS)/.ready  ## format and lint of web/ and its tests (Biome)
+web-check: $(JS_TOOLS)/.ready  ## format and lint of web/ and its tests (Biome), types of web/ (TypeScript)
 	@$(JS_TOOLS)/node_modules/.bin/biome check --error-on-warnings .
+	@$(JS_TOOLS)/node_modules/.bin/tsc -p tests/js/jsconfig.json
 
 web-format: $(JS_TOOLS)/.ready  ## rewrite web/ as `web-check` wants it
 	@$(JS_TOOLS)/node_modules/.bin/biome check --write .

@@ -3,7 +3,7 @@
     python -m recipes.page_film
 
 Needs playwright and a Chromium, as `recipes.page_pictures`. The page's time is stepped frame by frame, so the film is
-smooth however slowly the machine draws; only the job runs in its own time, of which every second picture is kept.
+smooth however slowly the machine draws; only the job runs in its own time, of which two pictures a second are shown.
 """
 
 import argparse
@@ -131,7 +131,7 @@ def shot(page: Page) -> list[Image.Image]:
 
 
 def _drop(film: Film) -> None:
-    """Give the page a tree; two pictures of each second of its job are kept, eight a second shown."""
+    """Give the page a tree; two pictures of each second of its job, shown eight a second."""
     page = film.page
     page.locator("#veil").evaluate("(veil) => { veil.hidden = false; }")
     film.run(0.75)

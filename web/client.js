@@ -23,7 +23,9 @@ const LONGEST_WAIT_S = 60;
 
 export class Client {
   /** `key` is sent as a bearer token; `storage` (localStorage) remembers uploads that were cut off. */
-  constructor({ base = "", key = null, storage = null, fetch, WebSocket = globalThis.WebSocket } = {}) {
+  constructor(
+    { base = "", key = null, storage = null, fetch, WebSocket = globalThis.WebSocket } = /** @type {any} */ ({}),
+  ) {
     const sender = fetch ?? globalThis.fetch.bind(globalThis);
     Object.assign(this, { base: base.replace(/\/$/, ""), key, storage, WebSocket, _fetch: sender });
   }
@@ -35,9 +37,12 @@ export class Client {
   // ---- requests
 
   /** A successful response, or a thrown Problem. Requests that are safe to repeat are repeated while it is away. */
-  async send(method, path, { body, headers = {}, signal, again = method === "GET" || method === "HEAD" } = {}) {
-    const sent = { ...headers };
-    if (this.key) sent.Authorization = `Bearer ${this.key}`;
+  async send(
+    method,
+    path,
+    { body, headers = {}, signal, again = method === "GET" || method === "HEAD" } = /** @type {any} */ ({}),
+  ) {
+    const sent = { ...headers, ...(this.key && { Authorization: `Bearer ${this.key}` }) };
     for (let attempt = 0; ; attempt++) {
       let waitS = Math.min(2 ** attempt / 2, 8);
       try {
@@ -82,7 +87,7 @@ export class Client {
   // ---- jobs
 
   /** The key makes a request that is sent twice one job. */
-  createJob(request, { key = randomKey(), signal, again = true } = {}) {
+  createJob(request, { key = randomKey(), signal, again = true } = /** @type {any} */ ({})) {
     return this.json("POST", "/v1/jobs", request, { headers: { "Idempotency-Key": key }, again, signal });
   }
 
@@ -105,7 +110,7 @@ export class Client {
   }
 
   /** One page: `{ data, next_cursor }`, newest first. */
-  jobs({ limit = 20, cursor, state, type } = {}) {
+  jobs({ limit = 20, cursor, state, type } = /** @type {any} */ ({})) {
     const query = Object.entries({ limit, cursor, state, type }).filter(([, value]) => value !== undefined);
     return this.json("GET", `/v1/jobs?${new URLSearchParams(query)}`);
   }
@@ -125,7 +130,7 @@ export class Client {
   }
 
   /** The job once it has succeeded; a thrown Problem (with `job`) where it ended otherwise. */
-  async wait(id, { signal, onJob = () => {}, events } = {}) {
+  async wait(id, { signal, onJob = () => {}, events } = /** @type {any} */ ({})) {
     let job = null;
     for await (job of this.watch(id, { signal, events })) onJob(job);
     if (job.state === "succeeded") return job;

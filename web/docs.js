@@ -1,6 +1,6 @@
 // The page /docs: every operation of openapi.json, to read and to try. Swagger UI draws it.
 
-const { SwaggerUIBundle } = globalThis;
+const { SwaggerUIBundle } = /** @type {any} */ (globalThis);
 
 const REGIONS = { ".information-container": "About", ".scheme-container": "Server and key" };
 const LEVELS = { "h3.opblock-tag": 2, h4: 3, h5: 4 };

@@ -247,16 +247,16 @@ def test_one_of_several_trees_is_chosen(view: Open, url: str, tmp_path: Path) ->
     viewer = view(1000, 700)
     page = viewer.page
     viewer.open(url)
-    held: list[Route] = []
-    page.route("**/v1/jobs", lambda route: held.append(route) if route.request.method == "POST" else route.continue_())
+    waiting: list[Route] = []
+    page.route("**/v1/jobs", lambda route: waiting.append(route) if route.request.method == "POST" else route.continue_())
     page.set_input_files("#files", str(tmp_path / "pair.ply"))
     page.locator("#tree-details summary").click()
     expect(page.locator("#which-tree option")).to_have_text(["All 2", "Tree 1, 5.9 m", "Tree 2, 5.9 m"])
     page.locator("#which-tree").select_option("2")
-    while not held:
+    while not waiting:
         page.wait_for_timeout(100)
     page.unroute("**/v1/jobs")
-    held[0].continue_()  # its job comes once the choice is made
+    waiting[0].continue_()  # its job comes once the choice is made
     page.wait_for_url("**/#job=*")
     expect(page.locator("#which-tree")).to_have_value("2")
     viewer.picture()

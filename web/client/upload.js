@@ -12,7 +12,11 @@ const TUS = { "Tus-Resumable": "1.0.0" };
  * Create an asset of files: `File`s, or `{ name, content: Blob }`. A name may be a relative path with forward slashes,
  * by which a glTF or OBJ file names its companions.
  */
-export async function uploadFiles(client, files, { kind, upAxis, unitM, signal, onProgress = () => {} } = {}) {
+export async function uploadFiles(
+  client,
+  files,
+  { kind, upAxis, unitM, signal, onProgress = () => {} } = /** @type {any} */ ({}),
+) {
   const fields = Object.entries({ kind, up_axis: upAxis, unit_m: unitM }).filter(([, value]) => value !== undefined);
   const parts = files.map((file) => ({
     name: file.path ?? file.name,

@@ -21,7 +21,7 @@ export function sleep(ms, signal) {
  * Run `task` until the service can be reached. `onAway(problem)` is called after each break, `onAway(null)` once the
  * service answers again. Other errors are thrown.
  */
-export async function patiently(task, { signal, onAway = () => {} } = {}) {
+export async function patiently(task, { signal, onAway = () => {} } = /** @type {any} */ ({})) {
   for (let attempt = 0; ; attempt++) {
     try {
       const result = await task();

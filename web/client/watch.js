@@ -11,7 +11,7 @@ const LONGEST_WAIT_S = 60;
  * Yield the job whenever it changes, until it has ended. With `again` set to false, a request that does not get through
  * throws at once.
  */
-export async function* watchJob(client, id, { signal, events = true, again = true } = {}) {
+export async function* watchJob(client, id, { signal, events = true, again = true } = /** @type {any} */ ({})) {
   let job = null;
   if (events) {
     try {

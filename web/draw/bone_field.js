@@ -29,7 +29,7 @@ export class BoneField extends Field {
     const { scale_m, turn_parent, N } = surface;
     const rows = Math.ceil((2 * turn_parent.length) / WIDTH);
     const swings = texture(floats(rows * copies));
-    const motion = MOTION.replaceAll("BONE_ROWS", rows);
+    const motion = MOTION.replaceAll("BONE_ROWS", String(rows));
     const uniforms = { feet: { value: own.feet }, swings: { value: swings } };
     super(own.shapes, scale_m, N, copies, { motion, uniforms, places: own.places });
     Object.assign(this, { surface, own, swings, boneRows: rows, isCopy: Boolean(textures) });

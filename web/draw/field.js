@@ -152,7 +152,7 @@ export const voxelFieldOf = ({ shapes, scale_m: scale, V, centres }) =>
   Object.assign(new Field(shapes, scale, V, 1, { places: placesTexture(centres) }), { byVoxel: true });
 
 /** Places [P, 3] as a texture; `fourth(row)` goes to alpha. */
-export function placesTexture(places, fourth = () => 0) {
+export function placesTexture(places, fourth = (_row) => 0) {
   const P = places.length / 3;
   const texels = new Float32Array(4 * WIDTH * Math.ceil(P / WIDTH));
   for (let row = 0; row < P; row++) {

@@ -21,7 +21,7 @@ export async function readLooks(read) {
   return looks.some(Boolean) ? looks : null;
 }
 
-async function readLook({ pbrMetallicRoughness: surface = {}, normalTexture }, picture) {
+async function readLook({ pbrMetallicRoughness: surface = /** @type {any} */ ({}), normalTexture }, picture) {
   const { metallicFactor: metalness = 1, roughnessFactor: roughness = 1 } = surface;
   const base = surface.baseColorTexture;
   const own = (reference) => reference && samePlace(reference, base) && picture(reference);

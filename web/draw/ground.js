@@ -45,6 +45,6 @@ export class Ground extends THREE.Mesh {
   /** Its colour, and how dark a full shadow is in [0, 1]. */
   look({ ground, shadow }) {
     this.tint.set(ground).convertLinearToSRGB();
-    this.material.opacity = shadow;
+    /** @type {THREE.Material} */ (this.material).opacity = shadow;
   }
 }

@@ -5,14 +5,16 @@ import * as THREE from "three";
 const AWAY = 0.9; // of the tree's height and width, from its middle
 const NEAREST_M = 1.2;
 
+const modeOf = (kind) => (kind === "ar" ? "immersive-ar" : "immersive-vr");
+
 /** Whether the browser can show "vr" or "ar". */
 export const canShow = async (kind) =>
-  Boolean(await globalThis.navigator.xr?.isSessionSupported(`immersive-${kind}`).catch(() => false));
+  Boolean(await globalThis.navigator.xr?.isSessionSupported(modeOf(kind)).catch(() => false));
 
 /** Show the stage until the session ends; `onSelect()` is called where a hand, a trigger or a finger selects. */
 export async function immerse(stage, kind, { onSelect = () => {} } = {}) {
   const { renderer, camera, scene, box, surroundings } = stage;
-  const session = await navigator.xr.requestSession(`immersive-${kind}`, { optionalFeatures: ["local-floor"] });
+  const session = await navigator.xr.requestSession(modeOf(kind), { optionalFeatures: ["local-floor"] });
   const seen = camera.clone();
   const ground = surroundings.ground.visible;
   const floor = new THREE.Group(); // a session's +Y is up, and its wearer looks along -Z

@@ -46,7 +46,13 @@ export async function readLas([{ content }]) {
   if (brightest) {
     const unit = brightest > 255 ? 65535 : 255; // many programs write bytes
     const color = new THREE.Color();
-    const linear = colors.flatMap((rgb) => color.setRGB(...rgb.map((value) => value / unit), "srgb").toArray());
+    const linear = colors.flatMap((rgb) =>
+      color
+        .fromArray(rgb)
+        .multiplyScalar(1 / unit)
+        .convertSRGBToLinear()
+        .toArray(),
+    );
     geometry.setAttribute("color", new THREE.Float32BufferAttribute(linear, 3));
   }
   return { object: pointsOf(geometry) };

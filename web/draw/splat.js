@@ -13,7 +13,7 @@ const SAME_PLACE = 1e-6; // of the tree's size: a camera that has moved less sta
 export function readSplat(buffer) {
   const { tensors, shape, metadata } = readTensors(buffer, { halves: ["sh"] });
   return {
-    ...tensors,
+    .../** @type {any} */ (tensors),
     G: shape.means[0],
     N: shape.vertices[0],
     K: shape.coefficients[1],

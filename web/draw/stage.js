@@ -16,7 +16,7 @@ turnSamplesTogether();
 
 export class Stage {
   /** `onContext(lost)` is called when the graphics context is lost and when it is back. */
-  constructor(first, { onContext = () => {} } = {}) {
+  constructor(first, { onContext = () => {} } = /** @type {any} */ ({})) {
     const { canvas, context, soft } = contextOf(first);
     this.canvas = canvas;
     if (!context) throw new Error("this browser has no WebGL 2");
@@ -36,7 +36,7 @@ export class Stage {
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
     this.swift = false; // something moves so fast that its last shadow would fall on itself
-    this.prepare = () => {}; // (renderer), before each draw
+    this.prepare = (_renderer) => {}; // before each draw
     this._setControls();
     this.frame({ min: new THREE.Vector3(-3, -3, 0), max: new THREE.Vector3(3, 3, 9) });
     canvas.addEventListener("webglcontextlost", () => onContext(true));

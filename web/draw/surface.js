@@ -10,10 +10,10 @@ const BESIDE = 0.4; // of the plant's size
 /** `{ geometry, materials, box, ... }` of the body of …/surface. */
 export async function readSurface(buffer) {
   const { tensors, shape, metadata } = readTensors(buffer);
-  const surface = { ...tensors, N: shape.vertices[0], F: shape.faces[0], materials: JSON.parse(metadata.materials) };
-  surface.textures = await Promise.all(surface.materials.map((_, index) => readTexture(tensors[`texture_${index}`])));
-  surface.geometry = buildGeometry(surface);
-  return surface;
+  const materials = JSON.parse(metadata.materials);
+  const textures = await Promise.all(materials.map((_, index) => readTexture(tensors[`texture_${index}`])));
+  const surface = { ...tensors, N: shape.vertices[0], F: shape.faces[0], materials, textures };
+  return Object.assign(surface, { geometry: buildGeometry(surface) });
 }
 
 async function readTexture(bytes) {
@@ -37,7 +37,7 @@ function buildGeometry(surface) {
   setBones(geometry, surface);
   const { index, groups } = byMaterial(surface);
   geometry.setIndex(new THREE.BufferAttribute(index, 1));
-  for (const group of groups) geometry.addGroup(...group);
+  for (const [start, count, material] of groups) geometry.addGroup(start, count, material);
   geometry.computeVertexNormals();
   geometry.computeBoundingBox();
   surface.box = seenBox(surface, geometry.boundingBox);

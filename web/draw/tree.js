@@ -165,7 +165,7 @@ export class Tree {
     if (this.cubes) this.cubes.visible = cubes;
     if (this.mesh) {
       this.mesh.visible = !cubes;
-      for (const material of [this.mesh.material].flat()) material.wireframe = view === "wire";
+      for (const material of [this.mesh.material].flat()) Object.assign(material, { wireframe: view === "wire" });
     }
     if (this.copies) this.copies.mesh.visible = view === "surface";
     this._showOne();

@@ -18,7 +18,7 @@ export const AXES = Object.keys(TO_Z_UP);
 
 /** The rotation of a file whose `axis`, or direction such as "0.17,-0.97,0.17", is up. */
 export function toZUp(axis) {
-  if (axis in TO_Z_UP) return new THREE.Matrix3().set(...TO_Z_UP[axis]);
+  if (axis in TO_Z_UP) return new THREE.Matrix3().fromArray(TO_Z_UP[axis]).transpose();
   const up = new THREE.Vector3(...axis.split(",").map(Number)).normalize();
   const along = (name) => "XYZ".indexOf(name[1]);
   const share = (name) => (name[0] === "+" ? 1 : -1) * up.getComponent(along(name));

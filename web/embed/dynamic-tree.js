@@ -42,7 +42,7 @@ export class DynamicTree extends HTMLElement {
   get address() {
     const address = new URL(
       this.getAttribute("src") ?? "/embed",
-      this.hasAttribute("src") ? location : import.meta.url,
+      this.hasAttribute("src") ? location.href : import.meta.url,
     );
     const fragment = new URLSearchParams(address.hash.slice(1));
     for (const name of OPTIONS) if (this.hasAttribute(name)) fragment.set(name, this.getAttribute(name) || "1");

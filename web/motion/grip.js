@@ -12,7 +12,8 @@ export function gripAt({ modes, surface, hidden, splat }, voxel) {
 }
 
 /** Where the wind alone has a place that is pulled [m]. */
-export function gripInWind(tree, { voxel, vertex, gaussian, rest }, q, turn) {
+export function gripInWind(tree, place, q, turn) {
+  const { voxel, vertex, gaussian, rest } = place;
   if (gaussian !== undefined) return gaussianInWind(tree.splat.ride, gaussian, q, turn);
   if (vertex === undefined) return tree.modes.voxelInWind(voxel, q, turn);
   return plus(rest, vertexInWind(tree, vertex, q, turn));
@@ -78,7 +79,8 @@ export function carriedPoint(poses, { bones, weights }, point) {
 }
 
 /** Row of the nearest of points [3N], among those that `isOne(row)`. */
-function nearest(points, [x, y, z], isOne = () => true) {
+function nearest(points, to, isOne = (_row) => true) {
+  const [x, y, z] = to;
   let [best, least] = [null, Infinity];
   for (let i = 0; i < points.length / 3; i++) {
     const distance = (points[3 * i] - x) ** 2 + (points[3 * i + 1] - y) ** 2 + (points[3 * i + 2] - z) ** 2;

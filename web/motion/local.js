@@ -14,8 +14,14 @@ export const localSource = (modes) => ({
 });
 
 class LocalPush {
-  constructor(modes, { damping_ratio: damping = DAMPING, onFrame = () => {}, onRest = () => {} } = {}) {
-    Object.assign(this, { modes, damping, onFrame, onRest });
+  constructor(
+    modes,
+    { damping_ratio: damping = DAMPING, onFrame = () => {}, onRest = () => {} } = /** @type {any} */ ({}),
+  ) {
+    this.modes = modes;
+    this.damping = damping;
+    this.onFrame = onFrame;
+    this.onRest = onRest;
     this.frame = 0;
   }
 

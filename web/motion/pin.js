@@ -113,7 +113,8 @@ function compliance(arms, give, tolerance) {
 }
 
 /** Cramer's rule for a symmetric matrix. */
-function solved([a, b, c], right) {
+function solved(rows, right) {
+  const [a, b, c] = rows;
   const bc = cross(b, c);
   const det = dot(a, bc);
   return [dot(right, bc) / det, dot(right, cross(c, a)) / det, dot(right, cross(a, b)) / det];

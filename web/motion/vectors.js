@@ -17,7 +17,8 @@ export function frameOf(along, other) {
 }
 
 /** About the vertical axis. */
-export function turnedUpright([x, y, z], angle) {
+export function turnedUpright(v, angle) {
+  const [x, y, z] = v;
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
   return [c * x - s * y, s * x + c * y, z];
 }

@@ -28,7 +28,7 @@ export async function begin(files) {
     onMotion: ({ tree, source, spectrum }) => {
       hand.take(tree, source);
       player.start(tree, spectrum, { atRest: false });
-      document.body.dataset.live = true;
+      document.body.dataset.live = "true";
     },
   });
   const parts = { stage, hand, player, scene, live };

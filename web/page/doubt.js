@@ -12,8 +12,8 @@ const TIMES = [10, 100, 1000]; // what was made too small was converted once too
 /** Heights of a tree of `height_m` that was read with `scale` metres a unit, were it of other units: `{ unit, height_m }`. */
 export function proposals(height_m, scale) {
   const others = Object.entries(UNITS_M).filter(([, metres]) => Math.abs(metres / scale - 1) > 1e-6);
-  return [...others, ...TIMES.map((times) => [`× ${times}`, times * scale])]
-    .map(([unit, metres]) => ({ unit, height_m: (height_m / scale) * metres }))
+  const read = ([unit, metres]) => ({ unit, height_m: (height_m / scale) * metres });
+  return [...others.map(read), ...TIMES.map((times) => read([`× ${times}`, times * scale]))]
     .filter(({ height_m: high }) => high >= USUAL_M[0] && high <= USUAL_M[1] && Math.abs(high / height_m - 1) > 1e-6)
     .filter(({ unit }, _, all) => unit in UNITS_M || all.every((one) => !(one.unit in UNITS_M)));
 }

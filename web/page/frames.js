@@ -14,10 +14,10 @@ export function runFrames(parts) {
     if (!stage.immersed) stage.controls.update();
     player.advance(seconds);
     if (stage.draw(now)) {
-      dataset.frames = Number(dataset.frames ?? 0) + 1;
+      dataset.frames = String(Number(dataset.frames ?? 0) + 1);
       parts.onDraw?.();
     }
-    dataset.sharp = stage.resolution.sharp && !stage.stale;
+    dataset.sharp = String(stage.resolution.sharp && !stage.stale);
     hand.tick();
   };
   stage.renderer.setAnimationLoop(next);

@@ -11,10 +11,10 @@ const KNOCK = { share: 0.06, seconds: 0.3 }; // of the height, and how long it l
 
 export class Hand {
   /** `onGrab(places)` once a frame: what is pulled, `{ point, target }` [m] or null each; `onProblem(problem)`. */
-  constructor(stage, { onGrab = () => {}, onProblem = () => {} } = {}) {
+  constructor(stage, { onGrab = () => {}, onProblem = () => {} } = /** @type {any} */ ({})) {
     Object.assign(this, { stage, onGrab, onProblem, pulls: [] });
     this.tree = null;
-    this.onFling = () => {}; // with the direction [rad] in which the mouse was flung past the tree
+    this.onFling = (_angle) => {}; // with the direction [rad] in which the mouse was flung past the tree
     this.flung = { px: 0, at: 0 };
     this.damping = undefined; // until it is set, the service takes that of real trees
     const place = stage.canvas.parentElement; // before OrbitControls, which listens at the canvas
@@ -80,7 +80,7 @@ export class Hand {
     this._show();
   }
 
-  /** The groups to draw under the wind's coordinates: those of the source, and the bends that pin what is held. */
+  /** The groups to draw under the wind's coordinates: those of the source, and the bends that pin what is pulled. */
   groupsIn(q, turn, seconds) {
     const beside = (pull) => this.pulls.filter((other) => other !== pull).flatMap(({ drawn }) => drawn);
     return this.pulls.flatMap((pull) => pull.groupsIn(q, turn, seconds, beside(pull)));

@@ -30,7 +30,7 @@ export function watchKeys({ stage, hand, player }) {
     if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") return hand.grip ? hand.letGo() : hideProblem();
     const action = (event.shiftKey && shifted[event.key]) || actions[event.key];
-    if (event.target.matches?.("input, button, summary, a, select, textarea") || !action) return;
+    if (/** @type {any} */ (event.target).matches?.("input, button, summary, a, select, textarea") || !action) return;
     event.preventDefault();
     action();
   });

@@ -35,13 +35,13 @@ export function showHint() {
 
 /** A ring at each pulled point, and a line to where it is pulled. */
 export function showGrips(stage, places) {
-  const held = places.some(Boolean);
-  document.querySelectorAll(".grip").forEach((ring, i) => {
+  const pulling = places.some(Boolean);
+  /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".grip")).forEach((ring, i) => {
     ring.hidden = !places[i];
     if (places[i]) showRing(ring, ...[places[i].point, places[i].target].map((place) => stage.onScreen(place)));
   });
-  $("stage").classList.toggle("holding", held);
-  if (held) $("hint").classList.add("going");
+  $("stage").classList.toggle("holding", pulling);
+  if (pulling) $("hint").classList.add("going");
 }
 
 function showRing(ring, { x, y }, pointer) {

@@ -14,7 +14,7 @@ export const TRANSITIONS = {
 /** One state, and the facts that belong to it: name, files, asset, job, share, away, problem. */
 export class Machine {
   /** `onChange(state, facts, before)` is called after each event and each update. */
-  constructor(onChange = () => {}) {
+  constructor(onChange = (_state, _facts, _before) => {}) {
     this.state = "welcome";
     this.facts = {};
     this.onChange = onChange;

@@ -36,7 +36,7 @@ export class Player {
   }
 
   /** Begin with a tree's motion; `wind` is the one that it was made for. `atRest` begins where the tree stands still. */
-  start(tree, { period_s: period, wind, wind_bands: bands = null }, { atRest = true } = {}) {
+  start(tree, { period_s: period, wind = null, wind_bands: bands = null }, { atRest = true } = {}) {
     const made = wind ?? { speed_m_s: 5, direction_deg: 0 };
     const windSpeed = atRest ? 0 : made.speed_m_s;
     Object.assign(this, { tree, period, made, windSpeed, speed: made.speed_m_s, phase: 0 });

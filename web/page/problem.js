@@ -42,13 +42,15 @@ export const hideProblem = () => {
   $("problem").hidden = true;
 };
 
+let timer = null; // of the notice
+
 /** A line that goes away by itself. */
 export function showNotice(words) {
   const notice = $("notice");
   notice.hidden = false;
   fill(notice, words);
-  clearTimeout(showNotice.timer);
-  showNotice.timer = setTimeout(() => {
+  clearTimeout(timer);
+  timer = setTimeout(() => {
     notice.hidden = true;
   }, 6000);
 }

@@ -10,7 +10,7 @@ export class Pull {
   /** `hand` has the tree, the source of pushes, their damping, and the weights of groups by locality. */
   constructor(hand) {
     Object.assign(this, { hand, groups: [], frame: 0 });
-    this.grip = null; // { place, pointer, plane, target, beside }; pointer is null where it is held without a hand
+    this.grip = null; // { place, pointer, plane, target, beside }; pointer is null where it stays without a hand
     this.pin = null; // keeps the grip at its target; after the release it fades
     this.push = hand.source.push({
       damping_ratio: hand.damping,

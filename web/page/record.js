@@ -94,7 +94,8 @@ export class Recorder {
       pen.clearRect(0, 0, canvas.width, canvas.height);
       pen.fillStyle = sky;
       if (!this._isTransparent) pen.fillRect(0, 0, canvas.width, canvas.height);
-      pen.drawImage(source, ...part.map((length) => length * scale), 0, 0, canvas.width, canvas.height);
+      const [x, y, width, height] = part.map((length) => length * scale);
+      pen.drawImage(source, x, y, width, height, 0, 0, canvas.width, canvas.height);
     };
     return Object.assign(copy, { canvas });
   }
@@ -103,7 +104,10 @@ export class Recorder {
 /** Frames of one size to a WebM file. */
 class Encoder {
   constructor({ width, height }) {
-    Object.assign(this, { width, height, frames: [], problem: null });
+    this.width = width;
+    this.height = height;
+    this.frames = [];
+    this.problem = null;
     this.encoder = new VideoEncoder({
       output: (chunk) => {
         const bytes = new Uint8Array(chunk.byteLength);

@@ -149,7 +149,7 @@ export class Session {
 
   /** Follow a job to its end; show its motion as soon as there is a spectrum, its files once they are written. */
   async _follow(jobId, run) {
-    let job = null;
+    let job = /** @type {any} */ (null);
     let motion = null;
     this.onJob(jobId);
     const watch = async () => {

@@ -45,7 +45,9 @@ async function loadPhotos(client, job) {
 
 class Marking {
   constructor(photos, strokes) {
-    Object.assign(this, { photos, strokes, cross: null });
+    this.photos = photos;
+    this.strokes = strokes;
+    this.picture = this.cross = null;
     this.canvas = $("strokes-photo");
     this.canvas.onpointerdown = (event) => this._down(event);
     this.canvas.onpointermove = (event) => this._move(event);

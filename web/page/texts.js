@@ -32,7 +32,7 @@ export function text(key, values = {}) {
 export const textOrNull = (key, values) => (key in en ? text(key, values) : null);
 
 /** Put texts into the elements that name them: `data-text` for content, `data-label` for the accessible name. */
-export function translate(root = document) {
+export function translate(root = /** @type {any} */ (document)) {
   document.documentElement.lang = language;
   for (const node of root.querySelectorAll("[data-text]")) node.textContent = text(node.dataset.text);
   for (const node of root.querySelectorAll("[data-label]")) node.setAttribute("aria-label", text(node.dataset.label));

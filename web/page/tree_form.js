@@ -79,7 +79,7 @@ export class TreeForm {
     const axis = $("up-axis").value;
     const turned = this._turnedHeight(axis);
     if (this.asset.kind === "photos") return wanted === this.height ? {} : { height_m: wanted };
-    const reading = {};
+    const reading = /** @type {any} */ ({});
     if (axis !== (up ?? axis)) reading.upAxis = axis;
     if (Math.abs(wanted - this.height) > 0.005 * this.height) reading.unitM = (scale * wanted) / turned;
     if (Object.keys(reading).length) reading.upAxis = axis;
@@ -118,7 +118,7 @@ export class TreeForm {
     return toZUp(axis).multiply(toZUp(this.asset.summary.source_up_axis ?? "+Z").transpose());
   }
 
-  _apply({ height_m: height, ...reading }) {
+  _apply(/** @type {any} */ { height_m: height, ...reading }) {
     const { wind = {}, formats: _, ...params } = this.job?.params ?? {};
     const request = {
       seed: this.request.seed,

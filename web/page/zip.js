@@ -38,4 +38,5 @@ export function zipped(files) {
 
 const short = (value) => [value & 255, value >>> 8];
 const long = (value) => [value & 255, (value >>> 8) & 255, (value >>> 16) & 255, value >>> 24];
-const record = (signature, fields, label = []) => Uint8Array.from([...long(signature), ...fields.flat(), ...label]);
+const record = (signature, fields, label = new Uint8Array()) =>
+  Uint8Array.from([...long(signature), ...fields.flat(), ...label]);
