@@ -18,7 +18,8 @@ def test_the_api_page_lists_every_operation_and_runs_one(
     viewer = view(1280, 900)
     page = viewer.page
     document = httpx.get(f"{url}/openapi.json").json()
-    operations = [operation for path in document["paths"].values() for operation in path.values()]
+    paths = [*document["paths"].values(), *document["webhooks"].values()]
+    operations = [operation for path in paths for operation in path.values()]
     page.goto(f"{url}/docs")
     expect(page.locator(".opblock")).to_have_count(sum(len(operation.get("tags", [""])) for operation in operations))
     block = page.locator("[id$=listPresets]")

@@ -198,17 +198,3 @@ def test_the_whole_person_is_seen_beside_a_plant_of_one_metre(
     left, right = viewer.page.evaluate(PERSON_PX)
     assert 0 < left < right < width
     assert 0 < viewer.page.evaluate(TOP_PX) < height
-
-
-def test_a_height_that_no_tree_has_is_doubted(view: Open, url: str, tmp_path: Path) -> None:
-    mesh = make_sample(3, "sapling").mesh
-    with (tmp_path / "millimetres.glb").open("wb") as stream:
-        write_glb(mesh.with_vertices(1000 * mesh.vertices), stream)
-    viewer = view(900, 620)
-    viewer.open(url)
-    viewer.page.set_input_files("#files", str(tmp_path / "millimetres.glb"))
-    expect(viewer.page.locator("#size-doubt")).to_contain_text("The file’s unit is doubtful")
-    expect(viewer.page.locator("#tree-height")).to_be_visible()
-    viewer.picture()
-    viewer.page.locator("#cancel").click()
-    assert viewer.complaints == []

@@ -49,7 +49,7 @@ PLAY = """async ({ files, decoder, times }) => {
 def test_three_plays_the_compressed_files_as_the_plain_ones(browser: Browser, tmp_path: Path) -> None:
     if not DECODER.exists():
         pytest.skip("meshoptimizer is not there: make js-tools, with node and npm")
-    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=4.0, direction_deg=160.0, gust=0.42))
     spectrum = voxel_spectrum(sample, 32)[1]
     written = {}
     for compression in ("none", "meshopt"):
