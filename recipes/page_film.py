@@ -38,14 +38,11 @@ CLOCK = """(() => {
     window.step = (ms) => { now += ms; for (const next of waiting.splice(0)) next(now); };
 })();
 addEventListener("DOMContentLoaded", () => {
-    const arrow = document.createElement("div");
-    Object.assign(arrow.style, { position: "fixed", zIndex: 9999, pointerEvents: "none", width: "22px", height: "30px",
-        background: "#fff", clipPath: "polygon(0 0, 0 75%, 25% 58%, 43% 95%, 58% 88%, 42% 53%, 72% 50%)",
-        filter: "drop-shadow(0 0 1px #000)", left: "900px", top: "500px" });
-    const edge = document.createElement("div");
-    edge.append(arrow);
-    edge.style.filter = "drop-shadow(0 0 1px #000) drop-shadow(0 0 1px #000)";
-    document.body.append(edge);
+    const arrow = document.body.appendChild(document.createElement("div"));
+    const shape = "<path d='M2 2v22l6-5 4 9 4-2-4-9h8z' fill='white' stroke='black' stroke-width='2'/>";
+    const picture = `<svg xmlns='http://www.w3.org/2000/svg' width='30' height='34'>${shape}</svg>`;
+    Object.assign(arrow.style, { position: "fixed", zIndex: 9999, pointerEvents: "none", width: "30px", height: "34px",
+        background: `url("data:image/svg+xml,${encodeURIComponent(picture)}")` });
     addEventListener("pointermove", ({ clientX: x, clientY: y }) => {
         Object.assign(arrow.style, { left: `${x}px`, top: `${y}px` });
     }, true);

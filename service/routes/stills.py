@@ -14,6 +14,9 @@ from service.services import OwnedDep
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 PREVIEW = "preview.png"
+SIZE_PX = (160, 232)
+"""Of the frames side by side at the preview's foot."""
+
 WEBP = "image/webp"
 QUALITY = 80
 
@@ -26,15 +29,13 @@ QUALITY = 80
 )
 def get_still(id: Id, owned: OwnedDep) -> Response:
     """The first frame of a job's preview, once it is written."""
-    from dynamictree.render.sheet import STRIP_PX  # not at start: it brings the renderer
-
     written = {artifact.name: artifact for artifact in owned.store.artifacts_of(owned.store.job(id).id)}
     preview = written.get(PREVIEW)
     if preview is None:
         raise ProblemError("not-found", f"the job {id} has no {PREVIEW}; it writes one where formats has png")
     if not owned.services.artifacts.exists(preview.sha256):
         raise GoneError(f"the bytes of {PREVIEW} were removed; run the job again")
-    width, height = STRIP_PX
+    width, height = SIZE_PX
     still = io.BytesIO()
     with Image.open(io.BytesIO(b"".join(owned.services.artifacts.read(preview.sha256)))) as sheet:
         sheet.crop((0, sheet.height - height, width, sheet.height)).save(still, "WEBP", quality=QUALITY)

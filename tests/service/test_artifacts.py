@@ -6,6 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 from PIL import Image
 
+from dynamictree.render.sheet import STRIP_PX
 from jobs.records import AssetRecord
 from service.http.request_headers import ByteRange, UnsatisfiableRangeError, matches, parse_range
 from service.services import Services
@@ -109,5 +110,5 @@ def test_a_job_has_a_small_still_of_its_preview(client: TestClient, asset: Asset
     still = client.get(url)
     assert (still.status_code, still.headers["content-type"]) == (200, "image/webp")
     with Image.open(io.BytesIO(still.content)) as picture:
-        assert picture.size == (160, 232)
+        assert picture.size == STRIP_PX == (160, 232)
         assert np.abs(np.asarray(picture.convert("RGB"), int) - (40, 120, 60)).max() < 8
