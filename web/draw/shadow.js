@@ -22,7 +22,10 @@ export function turnSamplesTogether() {
     const radius = Math.sqrt((i + 0.5) / SAMPLES);
     return [Math.cos(i * GOLDEN_ANGLE), Math.sin(i * GOLDEN_ANGLE)].map((share) => (radius * share).toFixed(8));
   };
-  THREE.ShaderChunk.shadowmap_pars_fragment = before
+  const together = before
     .replace(/(float phi = .*);/, "$1; mat2 turned = mat2(cos(phi), sin(phi), -sin(phi), cos(phi));")
     .replace(/vogelDiskSample\( (\d), 5, phi \)/g, (_, i) => `turned * vec2(${place(Number(i))})`);
+  if (together.split("turned").length !== SAMPLES + 2)
+    throw new Error("three.js samples a shadow's edge otherwise now");
+  THREE.ShaderChunk.shadowmap_pars_fragment = together;
 }
