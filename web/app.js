@@ -15,7 +15,7 @@ import { checkContent } from "./page/first_bytes.js";
 import { Immersion } from "./page/immersion.js";
 import { JobList } from "./page/jobs.js";
 import { watchKeys } from "./page/keyboard.js";
-import { filesOf, KitDialog } from "./page/kits.js";
+import { KitDialog } from "./page/kits.js";
 import { layOut, showHint } from "./page/layout.js";
 import { LightPanel } from "./page/light.js";
 import { Machine } from "./page/machine.js";
@@ -68,27 +68,20 @@ export class App {
       onProblem,
     });
     this.wind = new WindPanel(stage, player, {
-      onMake: (wind) => this.makeForWind(wind),
+      onMake: (wind) => this.session.animateIn(wind),
       onEndless: () => this.company.takeWind(),
       onProblem,
     });
     this.views = new ViewPanel(stage, player);
-    this.form = new TreeForm(stage, { onApply: (wanted) => this.remake(wanted), tree: () => scene.tree });
+    this.form = new TreeForm(stage, { onApply: (wanted) => this.session.remake(wanted), tree: () => scene.tree });
     this.doubt = new SizeDoubt({ onHeight: (height_m) => this.form.makeHigh(height_m) });
     new ShareDialog(this.client, { tree: () => ({ job: this.machine.facts.job, name: name() }), onProblem });
-    const onMade = (job) => this.files.made(job);
-    new KitDialog(this.client, {
+    const kits = new KitDialog(this.client, {
       tree: () => ({ job: this.machine.facts.job, name: name(), kind: this.machine.facts.asset?.kind }),
-      onMade,
+      onMade: (job) => this.files.made(job),
       onProblem,
     });
-    new Immersion(this.client, {
-      stage,
-      player,
-      name,
-      filesOf: (format, onJob) => filesOf(this.client, this.machine.facts.job, [format], { onJob, onMade }),
-      onProblem,
-    });
+    new Immersion(this.client, { stage, player, kits, name, onProblem });
     new LightPanel(stage);
     new Recorder(stage, player, { name, onProblem });
     buildPushPanel(parts.hand);
@@ -233,19 +226,6 @@ export class App {
   open(jobId) {
     setAddress(`#job=${jobId}`, true);
     this.session.open(jobId);
-  }
-
-  makeForWind(value) {
-    const { job } = this.machine.facts;
-    const params = { ...job.params, wind: { ...job.params.wind, ...value } };
-    this.session.animate({ seed: job.seed, preset: job.preset, params });
-  }
-
-  remake({ reading, request, newUpload }) {
-    const { files: given, name, reading: before, job } = this.machine.facts;
-    if (job) this.client.cancel(job.id).catch(() => {}); // it may have ended
-    if (newUpload) this.session.upload(given, { name, reading: { ...before, ...reading }, request });
-    else this.session.animate(request);
   }
 
   // ---- addresses: #job=… opens a job, Back leads to the page before

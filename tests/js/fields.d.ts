@@ -101,7 +101,7 @@ declare module "../../web/page/hand.js" {
 
 declare module "../../web/page/immersion.js" {
   interface Immersion {
-    client: any; filesOf: any; name: any;
+    client: any; kits: any; name: any;
   }
 }
 

@@ -50,12 +50,8 @@ export class Stage {
 
   _setControls() {
     this.controls = new OrbitControls(this.camera, this.canvas);
-    this.controls.enableDamping = true;
-    this.controls.dampingFactor = 0.12;
-    this.controls.maxPolarAngle = Math.PI * 0.495;
-    this.controls.rotateSpeed = 0.7;
-    this.controls.screenSpacePanning = true;
-    this.controls.autoRotateSpeed = 1.5;
+    Object.assign(this.controls, { enableDamping: true, dampingFactor: 0.12, rotateSpeed: 0.7, autoRotateSpeed: 1.5 });
+    Object.assign(this.controls, { maxPolarAngle: Math.PI * 0.495, screenSpacePanning: true });
     this.controls.addEventListener("change", () => {
       this.stale = true;
     });

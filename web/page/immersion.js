@@ -9,9 +9,9 @@ const PACKAGE = "com.google.android.googlequicksearchbox";
 const HOUR_S = 3600;
 
 export class Immersion {
-  /** `filesOf(format, onJob)` gives the job's artifacts of a format, which is made where it is missing. */
-  constructor(client, { stage, player, filesOf, name, onProblem }) {
-    Object.assign(this, { client, filesOf, name });
+  /** `kits` makes files where they are missing; `name()` is that of the tree. */
+  constructor(client, { stage, player, kits, name, onProblem }) {
+    Object.assign(this, { client, kits, name });
     for (const kind of ["vr", "ar"]) {
       const show = () => immerse(stage, kind, { onSelect: () => player.blow() }).catch(onProblem);
       canShow(kind).then((can) => {
@@ -28,7 +28,7 @@ export class Immersion {
   /** Give a phone's own viewer the tree: it must be able to read the address without a key. */
   async _openFile(format) {
     const words = $("show-ar").textContent;
-    const [{ url }] = await this.filesOf(format, ({ progress }) => fill($("show-ar"), percent(progress)));
+    const [{ url }] = await this.kits.artifacts([format], ({ progress }) => fill($("show-ar"), percent(progress)));
     fill($("show-ar"), words);
     const open = this.client.key ? (await this.client.link(url, HOUR_S)).url : url;
     element(

@@ -35,7 +35,7 @@ export class KitDialog {
       const { name, kind, job } = this.tree();
       const onJob = ({ progress }) => fill(words, text("kit.making", { share: percent(progress) }));
       onJob({ progress: 0 });
-      const files = program === "web" ? await this._page(job) : await this._files(job, formatsOf(program, kind), onJob);
+      const files = program === "web" ? await this._page(job) : await this._files(formatsOf(program, kind), onJob);
       const readme = { name: "README.txt", bytes: new TextEncoder().encode(KITS[program].readme(name)) };
       saveBlob(fileName(name, `-${program}.zip`), zipped([readme, ...files]));
     } catch (error) {
@@ -46,8 +46,13 @@ export class KitDialog {
     fill(words, before);
   }
 
-  async _files(job, formats, onJob) {
-    const files = await filesOf(this.client, job, formats, { onJob, onMade: this.onMade });
+  /** The artifacts of formats of the tree on the stage. */
+  artifacts(formats, onJob) {
+    return filesOf(this.client, this.tree().job, formats, { onJob, onMade: this.onMade });
+  }
+
+  async _files(formats, onJob) {
+    const files = await this.artifacts(formats, onJob);
     return Promise.all(
       files.map(async ({ name, url }) => ({ name, bytes: new Uint8Array(await this.client.bytes(url)) })),
     );

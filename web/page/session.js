@@ -75,6 +75,21 @@ export class Session {
     );
   }
 
+  /** Make the motion of the same tree in another wind. */
+  animateIn(wind) {
+    const { seed, preset, params } = this.machine.facts.job;
+    return this.animate({ seed, preset, params: { ...params, wind: { ...params.wind, ...wind } } });
+  }
+
+  /** Make the tree again as its form says: the files read otherwise, or another motion of what was read. */
+  remake({ reading, request, newUpload }) {
+    const { files, name, reading: before, job } = this.machine.facts;
+    if (job) this.client.cancel(job.id).catch(() => {}); // it may have ended
+    return newUpload
+      ? this.upload(files, { name, reading: { ...before, ...reading }, request })
+      : this.animate(request);
+  }
+
   /** After a failure: run the job that has ended again, or do what was refused again. */
   retry() {
     const { job, problem } = this.machine.facts;
