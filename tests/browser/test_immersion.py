@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 Open = Callable[..., Viewer]
 EMULATOR = AXE.parents[1] / "iwer/build/iwer.min.js"
-HEADSET = "new IWER.XRDevice(IWER.metaQuest3).installRuntime({ polyfillLayers: false });"
+HEADSET = "new IWER.XRDevice(IWER.metaQuest3).installRuntime({ polyfillLayers: false, forceInstall: true });"
 SEEN = """async () => {
     const { stage, scene } = await (await import("/web/page/early.js")).page;
     const { Vector3 } = await import("three");

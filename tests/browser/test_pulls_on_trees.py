@@ -102,7 +102,7 @@ WATCH = """async () => {
             const { x, y } = grasp ? stage.onScreen(at) : {};
             if (grasp) rows.push({
                 seconds: performance.now() / 1000, at: [x, y], pointer: [pointer.x, pointer.y], pulling: Boolean(grip),
-                within: !this.missing, shadow: shadow || !tree.groups.length,
+                within: !this.pulls[0]?.missing, shadow: shadow || !tree.groups.length,
                 feet: Math.max(...feet.map((v) => away(tree, v))),
             });
         }
@@ -126,7 +126,9 @@ SORTED = """async () => {
     while (!window.hand?.tree?.splat?.drawn) await new Promise(requestAnimationFrame);
 }"""
 
-REST_CROSSES = "() => { window.hand.push.onRest({ type: 'rest', frame: 0 }); return Boolean(window.hand.grip); }"
+REST_CROSSES = (
+    "() => { window.hand.pulls[0].push.onRest({ type: 'rest', frame: 0 }); return Boolean(window.hand.grip); }"
+)
 
 
 @pytest.mark.parametrize("name", [*GROWN, *REAL, DRAWN_AS_GAUSSIANS])
