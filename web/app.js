@@ -74,7 +74,10 @@ export class App {
     });
     this.views = new ViewPanel(stage, player);
     this.form = new TreeForm(stage, { onApply: (wanted) => this.session.remake(wanted), tree: () => scene.tree });
-    this.doubt = new SizeDoubt({ onHeight: (height_m) => this.form.makeHigh(height_m) });
+    this.doubt = new SizeDoubt({
+      onHeight: (height_m) => this.form.makeHigh(height_m),
+      onChange: () => layOut(stage, this.machine.state),
+    });
     new ShareDialog(this.client, { tree: () => ({ job: this.machine.facts.job, name: name() }), onProblem });
     const kits = new KitDialog(this.client, {
       tree: () => ({ job: this.machine.facts.job, name: name(), kind: this.machine.facts.asset?.kind }),

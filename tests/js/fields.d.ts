@@ -83,7 +83,7 @@ declare module "../../web/page/company.js" {
 
 declare module "../../web/page/doubt.js" {
   interface SizeDoubt {
-    onHeight: any;
+    onChange: any; onHeight: any;
   }
 }
 

@@ -106,7 +106,7 @@ def test_a_job_has_a_small_still_of_its_preview(client: TestClient, asset: Asset
     sheet[-232:, :160] = (40, 120, 60)  # the first frame of the row at the sheet's foot
     png = io.BytesIO()
     Image.fromarray(sheet).save(png, "PNG")
-    publish(services, hold(services, str(job["id"])), "export", "preview.png", png.getvalue())
+    publish(services, hold(services, str(job["id"])), "voxelize", "preview.png", png.getvalue())
     still = client.get(url)
     assert (still.status_code, still.headers["content-type"]) == (200, "image/webp")
     with Image.open(io.BytesIO(still.content)) as picture:

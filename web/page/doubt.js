@@ -19,9 +19,9 @@ export function proposals(height_m, scale) {
 }
 
 export class SizeDoubt {
-  /** `onHeight(height_m)` makes the tree again with another height. */
-  constructor({ onHeight }) {
-    Object.assign(this, { onHeight, asset: null, dismissed: null });
+  /** `onHeight(height_m)` makes the tree again with another height; `onChange()` once the card comes or goes. */
+  constructor({ onHeight, onChange }) {
+    Object.assign(this, { onHeight, onChange, asset: null, dismissed: null });
   }
 
   /** Show it where the service doubts the size of `asset`; without `files` it can only be said. */
@@ -30,17 +30,19 @@ export class SizeDoubt {
     this.asset = asset;
     const doubted = asset?.summary.warnings?.some(({ code }) => code === "size-doubtful");
     $("doubt").hidden = !doubted || this.dismissed === asset.id;
-    if ($("doubt").hidden) return;
+    if ($("doubt").hidden) return this.onChange();
     const { height_m, extent_m, source_scale: scale = 1 } = asset.summary;
     const high = height_m ?? extent_m[2];
     fill($("doubt-words"), text(files ? "doubt.words" : "doubt.reread", { height: length(high) }));
     const keep = button(text("doubt.keep", { height: length(high) }), () => {
       this.dismissed = asset.id;
       $("doubt").hidden = true;
+      this.onChange();
     });
     const chips = (files ? proposals(high, scale) : []).map(({ unit, height_m: other }) =>
       button(`${unit}: ${length(other)}`, () => this.onHeight(other)),
     );
     $("doubt-chips").replaceChildren(...[...chips, keep].map((chip) => element("li", {}, chip)));
+    this.onChange();
   }
 }

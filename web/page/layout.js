@@ -13,8 +13,9 @@ export function layOut(stage, state) {
   const panel = $("panel").getBoundingClientRect();
   const beside = panel.width > 0 && panel.top < innerHeight / 3;
   const card = $("progress").getBoundingClientRect(); // 0 high while it is hidden
+  const doubt = $("doubt").getBoundingClientRect(); // likewise
   const bottom = state === "moving" ? PLAYER_PX : card.height && card.height + 40;
-  stage.clear({ right: beside ? innerWidth - panel.left : 0, top: 56, bottom });
+  stage.clear({ right: beside ? innerWidth - panel.left : 0, top: Math.max(56, doubt.bottom + 8), bottom });
 }
 
 /** The live tree stands beside the welcome, or above it where the window is narrow. */
