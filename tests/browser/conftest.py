@@ -3,8 +3,13 @@
 import io
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
 import httpx
 import numpy as np
@@ -33,17 +38,41 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield url
 
 
-def animated(url: str, mesh: Path, *, key: str | None = None, formats: tuple[str, ...] = ("glb",)) -> str:
-    """Make a tree move in few steps; gives the id of the job, which has ended."""
+def job_of(
+    url: str, *paths: Path, key: str | None = None, reading: dict[str, str] | None = None, **params: Any
+) -> dict[str, Any]:
+    """A job in few steps on files, read as said, which has ended."""
     headers = {"Authorization": f"Bearer {key}"} if key else {}
     with httpx.Client(base_url=url, timeout=60, headers=headers) as client:
-        asset = client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}).json()
-        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": formats, "num_steps": 1}}
-        job = client.post("/v1/jobs", json=request).json()
+        files = [("file", (path.name, path.read_bytes())) for path in paths]
+        asset = client.post("/v1/assets", files=files, data=reading or {}).json()
+        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"], "num_steps": 1} | params}
+        job: dict[str, Any] = client.post("/v1/jobs", json=request).json()
         while job["state"] in {"queued", "running"}:
             job = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()
     assert job["state"] == "succeeded", job["error"]
-    return str(job["id"])
+    return job
+
+
+def animated(url: str, mesh: Path, **options: Any) -> str:
+    """The id of a job of a tree that moves, see `job_of`."""
+    return str(job_of(url, mesh, **options)["id"])
+
+
+class Silent(SimpleHTTPRequestHandler):
+    """A plain file server that prints nothing."""
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def web_server(folder: Path) -> Iterator[str]:
+    """Serve a folder as any web server does; gives its address."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(folder))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
 
 
 @pytest.fixture(scope="session")

@@ -4,17 +4,14 @@ import io
 import re
 import zipfile
 from collections.abc import Callable
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
 from playwright.sync_api import expect
 
 from dynamictree.formats.mesh.ply_writer import write_ply
-from tests.browser.conftest import JOB_MS, MOVING, Viewer
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, web_server
 from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -165,19 +162,10 @@ def test_a_kit_for_the_web_stands_on_any_server(view: Open, url: str, job_id: st
     assert web.value.suggested_filename == "sapling-web.zip"
     with zipfile.ZipFile(web.value.path()) as archive:
         archive.extractall(tmp_path / "any" / "folder")
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(tmp_path / "any"))) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
+    with web_server(tmp_path / "any") as origin:
         alone = view(700, 500)
-        alone.page.goto(f"http://127.0.0.1:{server.server_port}/folder/")
+        alone.page.goto(f"{origin}/folder/")
         alone.page.wait_for_selector(MOVING, state="attached")
         alone.wait_frames(4)
         alone.picture()
-        server.shutdown()
     assert viewer.complaints == alone.complaints == []
-
-
-class Silent(SimpleHTTPRequestHandler):
-    """A plain file server that prints nothing."""
-
-    def log_message(self, *_: object) -> None:
-        pass

@@ -5,15 +5,12 @@ import shutil
 import subprocess
 import tarfile
 from collections.abc import Callable
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 
 import httpx
 import pytest
 
-from tests.browser.conftest import Viewer
+from tests.browser.conftest import Viewer, web_server
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -42,22 +39,13 @@ def test_the_packed_viewer_shows_a_tree(view: Callable[..., Viewer], url: str, j
         path = tmp_path / f"site/v1/spectra/{spectrum}/{kind}"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(httpx.get(f"{url}/v1/spectra/{spectrum}/{kind}").content)
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(tmp_path / "site"))) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
+    with web_server(tmp_path / "site") as origin:
         viewer = view(700, 520)
-        viewer.page.goto(f"http://127.0.0.1:{server.server_port}/pages/?service=&spectrum={spectrum}")
+        viewer.page.goto(f"{origin}/pages/?service=&spectrum={spectrum}")
         viewer.page.wait_for_selector("body[data-moving=true]")
         viewer.page.wait_for_timeout(1000)
         before = viewer.page.locator("#tree").screenshot()
         viewer.page.wait_for_timeout(1500)
         viewer.picture()
         assert viewer.page.locator("#tree").screenshot() != before, "nothing moves"
-        server.shutdown()
     assert [line for line in viewer.complaints if "favicon" not in line and "404" not in line] == []
-
-
-class Silent(SimpleHTTPRequestHandler):
-    """A plain file server that prints nothing."""
-
-    def log_message(self, *_: object) -> None:
-        pass

@@ -4,10 +4,8 @@ import base64
 import io
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from dataclasses import dataclass
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -17,13 +15,11 @@ from playwright.sync_api import Browser, Page, expect
 from jobs.clients.keys import create_key
 from jobs.store import Store
 from recipes.demo import served
-from tests.browser.conftest import PICTURES, Viewer, animated
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, web_server
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 Open = Callable[..., Viewer]
-MOVING = "body[data-state=moving]"
-JOB_MS = 300_000.0
 FRAMES = """async ([base64, times]) => {
     const bytes = Uint8Array.from(atob(base64), (sign) => sign.charCodeAt(0));
     const video = Object.assign(document.createElement("video"), { muted: true });
@@ -42,15 +38,12 @@ FRAMES = """async ([base64, times]) => {
 }"""
 
 
+@dataclass(frozen=True, kw_only=True)
 class Site:
     """A page of another origin."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-        self.origin = f"http://127.0.0.1:{self.server.server_port}"
-        Thread(target=self.server.serve_forever, daemon=True).start()
+    folder: Path
+    origin: str
 
     def write(self, body: str) -> str:
         """Put a page there; gives its address."""
@@ -60,10 +53,9 @@ class Site:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    site = Site(tmp_path_factory.mktemp("site"))
-    yield site
-    site.server.shutdown()
-    site.server.server_close()
+    folder = tmp_path_factory.mktemp("site")
+    with web_server(folder) as origin:
+        yield Site(folder=folder, origin=origin)
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material
 from lab.dataset.sample import make_sample
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, picture_of, scrub
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, job_of, picture_of, scrub
 from tests.devoxelize.test_interpolation import merged, tube
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -62,18 +60,6 @@ FRAMED = """async ([asset, spectrum]) => {
     tree.setSurface(await readSurface(await client.surface(spectrum)), { hidden: true });
     return [tree.surface.box.max.x, stage.box.max.x];
 }"""
-
-
-def animated(url: str, path: Path, fields: dict[str, str], params: dict[str, Any]) -> dict[str, Any]:
-    """The job of a file, which has ended."""
-    with httpx.Client(base_url=url, timeout=60) as client:
-        asset = client.post("/v1/assets", files={"file": (path.name, path.read_bytes())}, data=fields).json()
-        request = {"type": "animate", "asset_id": asset["id"], "params": params | {"num_steps": 1}}
-        job: dict[str, Any] = client.post("/v1/jobs", json=request).json()
-        while job["state"] in {"queued", "running"}:
-            job = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()
-    assert job["state"] == "succeeded", job["error"]
-    return job
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +134,7 @@ def stands_still(viewer: Viewer) -> None:
 
 
 def test_the_pot_of_a_mesh_does_not_move(view: Open, url: str, potted: Path) -> None:
-    job = animated(url, potted, {}, {"formats": ["glb"]})
+    job = job_of(url, potted)
     viewer = view(900, 620)
     viewer.open(f"{url}/#job={job['id']}")
     viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
@@ -162,7 +148,8 @@ def test_the_pot_of_a_mesh_does_not_move(view: Open, url: str, potted: Path) -> 
 
 def test_still_gaussians_stand_still_in_the_splat_shader(view: Open, url: str, splat: Path) -> None:
     box = [[0.6, -0.5, -0.1], [1.5, 0.5, 0.7]]
-    job = animated(url, splat, {"up_axis": "+Z", "unit_m": "1"}, {"formats": ["splat"], "still_box_m": box})
+    reading = {"up_axis": "+Z", "unit_m": "1"}
+    job = job_of(url, splat, reading=reading, formats=["splat"], still_box_m=box)
     viewer = view(900, 620)
     viewer.open(f"{url}/#job={job['id']}")
     viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, press
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, job_of, press
 from tests.reconstruct.conftest import photographed
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
@@ -22,14 +22,7 @@ PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 100, "height_m": 
 def photos_job(url: str, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A job that has reconstructed a stump in a blue pot from fourteen small photos, and given it motion."""
     orbit = photographed(tmp_path_factory.mktemp("photos"), potted=True)
-    with httpx.Client(base_url=url, timeout=60) as client:
-        files = [("file", (path.name, path.read_bytes())) for path in orbit.photos]
-        asset = client.post("/v1/assets", files=files).json()
-        job = client.post("/v1/jobs", json={"type": "animate", "asset_id": asset["id"], "params": PARAMS}).json()
-        while job["state"] in {"queued", "running"}:
-            job = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()
-    assert job["state"] == "succeeded", job["error"]
-    return str(job["id"])
+    return str(job_of(url, *orbit.photos, **PARAMS)["id"])
 
 
 def place(page: Page, x: float, y: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.clients.keys import create_key
 from jobs.store import Store
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, changed, pixels, press, scrub, steady
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, changed, pixels, press, scrub, steady
 from tests.servers import api
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -51,11 +51,7 @@ def on_the_tree(viewer: Viewer) -> tuple[float, float]:
 @pytest.fixture(scope="module")
 def job_url(url: str, tree: Path) -> str:
     """The page with a tree whose job has ended."""
-    with httpx.Client(base_url=url, timeout=60) as client:
-        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
-        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"]}}
-        job = client.post("/v1/jobs", json=request).json()
-    return f"{url}/#job={job['id']}"
+    return f"{url}/#job={animated(url, tree)}"
 
 
 def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Path) -> None:
@@ -265,14 +261,10 @@ def two_faced(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, url: str, two_faced: Path) -> None:
-    with httpx.Client(base_url=url, timeout=60) as client:
-        files = {"file": (two_faced.name, two_faced.read_bytes())}
-        asset = client.post("/v1/assets", files=files, data={"up_axis": "+Z"}).json()
-        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["splat"], "num_steps": 1}}
-        job = client.post("/v1/jobs", json=request).json()
+    job = animated(url, two_faced, reading={"up_axis": "+Z"}, formats=["splat"])
     viewer = view(900, 620)
     page = viewer.page
-    viewer.open(f"{url}/#job={job['id']}")
+    viewer.open(f"{url}/#job={job}")
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     expect(page.locator("#artifacts")).to_contain_text("Animated splat", timeout=JOB_MS)
     page.locator("#speed").fill("0")  # at rest nothing has turned
