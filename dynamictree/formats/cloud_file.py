@@ -1,6 +1,7 @@
 """Readers of splats and scans, chosen by file type."""
 
-from typing import Literal, Protocol, get_args
+from collections.abc import Callable
+from typing import Literal, get_args
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.gltf import gaussian as gltf_gaussian
@@ -11,7 +12,8 @@ from dynamictree.formats.scan import las, pcd, points, text
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat import compressed_ply, ksplat, sog, splat, spz
 from dynamictree.formats.splat import ply as gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.axes import to_z_up
+from dynamictree.gaussian.cloud import GaussianCloud, validate_cloud
 from dynamictree.plant.find import CloudFacts
 
 CloudKind = Literal["gaussians", "compressed-gaussians", "points", "mesh"]
@@ -23,19 +25,21 @@ SPLAT_TYPES: tuple[CloudType, ...] = ("splat", "spz", "sog", "ksplat")
 """Those whose ending decides: all that is in them are Gaussians."""
 
 
-class _Reader(Protocol):
-    def __call__(self, stream: SeekableReader, *, up_axis: str, unit_m: float) -> GaussianCloud: ...
-
-
-_READERS: dict[str, tuple[_Reader, str]] = {
+_SPLATS: dict[str, tuple[Callable[[SeekableReader], GaussianCloud], str]] = {
+    "gaussians": (gaussian_ply.read_gaussian_ply, gaussian_ply.UP_AXIS),
+    "compressed-gaussians": (compressed_ply.read_compressed_ply, gaussian_ply.UP_AXIS),
     "splat": (splat.read_splat, splat.UP_AXIS),
     "spz": (spz.read_spz, spz.UP_AXIS),
     "sog": (sog.read_sog, sog.UP_AXIS),
     "ksplat": (ksplat.read_ksplat, ksplat.UP_AXIS),
     "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
-    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (text.read_points_text, points.UP_AXIS)),
-    "pcd": (pcd.read_pcd, pcd.UP_AXIS),
-    **dict.fromkeys(("las", "laz"), (las.read_las, points.UP_AXIS)),
+}
+"""Readers by file type, or by the kind of a PLY; and the axis that is usual there."""
+_SCANS: dict[str, Callable[[SeekableReader], points.Scan]] = {
+    "points": points.read_points_ply,
+    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), text.read_points_text),
+    "pcd": pcd.read_pcd,
+    **dict.fromkeys(("las", "laz"), las.read_las),
 }
 
 
@@ -49,20 +53,32 @@ def read_cloud(
         file_type: the file name's ending, without a dot and in lower case.
         up_axis: the file's; by default what a PLY comment says, else its format's habit:
             −Y for splats, +Y for SPZ and GLB, +Z for scans.
-        unit_m: metres per unit of the file, by default 1, or what a LAS file's coordinate system says.
+        unit_m: metres per unit of the file, by default 1, or what a PLY comment or a LAS file's coordinate system says.
 
     Raises:
         FormatError: a type that is not understood, or a file that is not of its type.
-        InputError: what the file holds cannot be used.
+        InputError: what the file holds cannot be used: values that are not finite, nothing visible, too many Gaussians.
     """
-    if file_type == "ply":
-        return _read_ply(stream, up_axis, unit_m)
-    if unit_m is None and file_type in ("las", "laz"):
-        return las.read_las(stream, up_axis=up_axis or points.UP_AXIS)
-    if file_type not in _READERS:
+    if file_type not in CLOUD_TYPES:
         raise FormatError(f"no cloud is read from .{file_type[:20]} files; choose from {', '.join(CLOUD_TYPES)}")
-    read, usual_up = _READERS[file_type]
-    return read(stream, up_axis=up_axis or usual_up, unit_m=1.0 if unit_m is None else unit_m)
+    kind, stated_m = str(file_type), unit_m
+    if file_type == "ply":
+        start = stream.tell()
+        header = read_header(stream)
+        stream.seek(start)
+        kind, up_axis = _ply_kind(header), up_axis or header.up_axis
+        stated_m = header.unit_m if unit_m is None else unit_m
+        if kind == "mesh":
+            raise FormatError("the PLY file has faces; it is a mesh, not a cloud; send it as a mesh")
+    if kind in _SPLATS:
+        read, usual_up = _SPLATS[kind]
+        cloud, unit_of_file = read(stream), 1.0
+        up_axis = up_axis or usual_up
+    else:
+        up_axis = up_axis or points.UP_AXIS
+        scan = las.read_las(stream, unit_m=unit_m) if kind in ("las", "laz") else _SCANS[kind](stream)
+        cloud, unit_of_file = points.cloud_of_points(scan, up_axis=up_axis), scan.unit_m
+    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_of_file if stated_m is None else stated_m)
 
 
 _OF_PHOTOS = frozenset(("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"))
@@ -83,7 +99,7 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
         primitives = [p for mesh in object_list(glb_json(stream), "meshes") for p in object_list(mesh, "primitives")]
         splats = any(gltf_gaussian.EXTENSION in object_field(primitive, "extensions") for primitive in primitives)
         kind = "gaussians" if splats else "mesh"
-    elif file_type in _READERS:
+    elif file_type in CLOUD_TYPES:
         kind = "gaussians" if file_type in SPLAT_TYPES else "points"
     else:
         kind = "mesh"
@@ -121,20 +137,3 @@ def _ply_kind(header: PlyHeader) -> CloudKind:
     if vertex and (vertex.names & {"f_dc_0", "scale_0", "rot_0"}):
         return "gaussians"
     return "mesh" if face and face.count > 0 else "points"
-
-
-def _read_ply(stream: SeekableReader, up_axis: str | None, unit_m: float | None) -> GaussianCloud:
-    start = stream.tell()
-    header = read_header(stream)
-    kind = _ply_kind(header)
-    stream.seek(start)
-    up_axis = up_axis or header.up_axis
-    if unit_m is None:
-        unit_m = header.unit_m or 1.0
-    if kind == "mesh":
-        raise FormatError("the PLY file has faces; it is a mesh, not a cloud; send it as a mesh")
-    if kind == "points":
-        return points.read_points_ply(stream, up_axis=up_axis or points.UP_AXIS, unit_m=unit_m)
-    if kind == "compressed-gaussians":
-        return compressed_ply.read_compressed_ply(stream, up_axis=up_axis or gaussian_ply.UP_AXIS, unit_m=unit_m)
-    return gaussian_ply.read_gaussian_ply(stream, up_axis=up_axis or gaussian_ply.UP_AXIS, unit_m=unit_m)

@@ -16,7 +16,6 @@ MAX_TOTAL_PIXELS = 400_000_000
 """Of all images of one file together: 24 of 4096 x 4096."""
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "DDS")
-_LARGEST = {"I": 65_535.0, "F": 1.0}  # values of grey pictures of more than eight bits, by the mode's first letter
 
 
 def refuse_many_pixels(images: Iterable[bytes]) -> None:
@@ -39,18 +38,7 @@ def texture_as_png(content: bytes, name: str) -> bytes:
     Raises:
         FormatError: no image of a known format, damaged, or of more than `MAX_PIXELS`.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap is checked below
-            image: Image.Image = Image.open(io.BytesIO(content), formats=_FORMATS)
-        width, height = image.size
-        if width * height > MAX_PIXELS:
-            raise FormatError(f"texture {name!r} has {width} x {height} pixels; at most {MAX_PIXELS:,} are allowed")
-        image.load()
-    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise FormatError(f"texture {name!r} is no image of {', '.join(_FORMATS)}; convert it") from error
-    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:  # what Pillow's decoders raise
-        raise FormatError(f"texture {name!r} is damaged: {str(error)[:120]}") from error
+    image = decoded_image(content, f"texture {name!r}", formats=_FORMATS)
     if image.format == "PNG" and image.mode in ("RGB", "RGBA", "L", "LA", "P"):
         return content
     image = in_eight_bits(image)
@@ -59,9 +47,34 @@ def texture_as_png(content: bytes, name: str) -> bytes:
     return stream.getvalue()
 
 
+def decoded_image(
+    content: bytes, what: str, *, formats: tuple[str, ...], most_pixels: int | None = None
+) -> Image.Image:
+    """The image, decoded after its size is checked; `what` names it in messages.
+
+    Raises:
+        FormatError: no image of the formats, damaged, or of more pixels than allowed (`MAX_PIXELS` by default).
+    """
+    allowed = MAX_PIXELS if most_pixels is None else most_pixels
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked below
+            image: Image.Image = Image.open(io.BytesIO(content), formats=formats)
+        width, height = image.size
+        if width * height > allowed:
+            raise FormatError(f"{what} has {width} x {height} pixels; at most {allowed:,} are allowed")
+        image.load()
+    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise FormatError(f"{what} is no image of {', '.join(formats)}; convert it") from error
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:  # what Pillow's decoders raise
+        raise FormatError(f"{what} is damaged: {str(error)[:120]}") from error
+    return image
+
+
 def in_eight_bits(image: Image.Image) -> Image.Image:
     """A grey picture of 16 bits or of floats scaled to its range, at which Pillow would clip; others as they are."""
-    if image.mode[0] not in _LARGEST:
+    largest = {"I": 65_535.0, "F": 1.0}  # values of grey pictures of more than eight bits, by the mode's first letter
+    if image.mode[0] not in largest:
         return image
-    share = np.asarray(image, np.float64) / _LARGEST[image.mode[0]]
+    share = np.asarray(image, np.float64) / largest[image.mode[0]]
     return Image.fromarray(np.round(np.nan_to_num(share).clip(0, 1) * 255).astype(np.uint8))

@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float32, Float64
 
 from dynamictree.errors import InputError
 from dynamictree.files import opened
+from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.ply_writer import write_ply
-from dynamictree.formats.ply_table import read_header
-from dynamictree.formats.splat.ply import UP_AXIS, read_gaussian_ply, write_gaussian_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
@@ -200,9 +200,7 @@ def _read(folder: Path) -> Finished:
     with opened(folder / "mesh.ply") as stream:
         mesh = read_ply_mesh(stream.read(), companions={})
     with opened(folder / "scene.ply") as stream:
-        up_axis = read_header(stream).up_axis or UP_AXIS  # earlier versions wrote -Y
-        stream.seek(0)
-        scene = read_gaussian_ply(stream, up_axis=up_axis)
+        scene = read_cloud(stream, file_type="ply")
     return Finished(mesh=mesh, scene=scene, cameras=json.loads((folder / "cameras.json").read_text()), report=report)
 
 

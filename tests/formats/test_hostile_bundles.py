@@ -64,7 +64,7 @@ def put(name: str, **values: object) -> Callable[[Meta], None]:
         (put("", count=0), "the cloud is empty"),
         (put("", count=50_000_000), "50,000,000 Gaussians"),
         (put("", count=4_000_000), "at most 100:1"),
-        (put("", count=100_000), "pixels; 100,000 and at most"),
+        (put("", count=100_000), "pixels; 100,000 are needed"),
         (put("", count=2.5), "a whole number"),
         (put("means", files=["means_l.webp"]), "lacks picture 2 of means"),
         (put("means", files=["../means_l.webp", "means_u.webp"]), "lacks picture 1 of means"),
@@ -72,7 +72,7 @@ def put(name: str, **values: object) -> Callable[[Meta], None]:
         (put("means", maxs=[1e9, 1, 1]), "means of .* not finite"),
         (put("scales", codebook=[0.0] * 255), "255 numbers; 256"),
         (put("scales", codebook=[1e200] * 256), "scales of .* not finite"),
-        (put("sh0", files=["meta.json"]), "no sound WebP"),
+        (put("sh0", files=["meta.json"]), "no image of WEBP"),
         (put("shN", bands=4), "from 0 to 3"),
         (put("shN", bands=3), "pixels|the SOG palette is"),
         (put("shN", count=70_000), "from 0 to 65536"),
@@ -100,7 +100,7 @@ def test_a_sog_archive_has_bounds(files: Files) -> None:
     refused(packed(files | {"zeros": bytes(30 << 20)}, zipfile.ZIP_DEFLATED), "100:1 are allowed")
     refused(packed(files | {"meta.json": b" " * (2 << 20)}), "larger than the 1,048,576 bytes")
     refused(packed(files | {"quats.webp": picture(300, 300)}), "300 x 300 pixels")
-    refused(packed(files | {"quats.webp": files["quats.webp"][:60]}), "no sound WebP")
+    refused(packed(files | {"quats.webp": files["quats.webp"][:60]}), "is damaged")
     refused(packed(files | {"shN_centroids.webp": picture(96, 10)}), "palette is 96 x 10; 192 x 5")
 
 

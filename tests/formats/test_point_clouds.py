@@ -10,7 +10,7 @@ import pytest
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
-from dynamictree.formats.scan.points import cloud_of_points
+from dynamictree.formats.scan.points import Scan, cloud_of_points
 from dynamictree.formats.source_file import read_capture, source_kind
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.plant.likeness import doubt_cloud
@@ -35,19 +35,19 @@ def _las(points: np.ndarray, colors: np.ndarray | None, *, packed: bool) -> io.B
 
 
 def test_a_gaussian_is_half_as_wide_as_its_neighbours_are_far() -> None:
-    cloud = cloud_of_points(_lattice(0.2))
+    cloud = cloud_of_points(Scan(points=_lattice(0.2)))
     np.testing.assert_allclose(cloud.scales, 0.1, rtol=1e-5)
     assert cloud.sh_degree == 0
 
 
 def test_a_stray_point_stays_small() -> None:
     points = np.concatenate([_lattice(0.2), [[100.0, 0.0, 0.0]]])
-    assert cloud_of_points(points).scales[-1, 0] < 0.5
+    assert cloud_of_points(Scan(points=points)).scales[-1, 0] < 0.5
 
 
 def test_points_at_one_place_among_others_keep_a_size() -> None:
     points = np.concatenate([_lattice(0.2), np.zeros((5, 3))])
-    assert cloud_of_points(points).scales.min() > 0
+    assert cloud_of_points(Scan(points=points)).scales.min() > 0
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -97,6 +97,30 @@ def test_the_coordinate_system_says_the_unit(
 def test_scans_in_degrees_are_refused_with_advice(system: tuple[str, tuple[tuple[int, int], ...]]) -> None:
     with pytest.raises(InputError, match="degrees of longitude and latitude; project them"):
         read_cloud(_las_with_system(*system), file_type="las")
+
+
+@pytest.mark.parametrize(
+    ("keys", "metres"),
+    [
+        (((3072, 2263),), (1200 / 3937, 1200 / 3937)),  # New York, US survey feet
+        (((3072, 2263), (4096, 5703)), (1200 / 3937, 1.0)),  # NAVD88 height in metres
+        (((3072, 32633),), (1.0, 1.0)),
+        (((3072, 32767),), (1.0, 1.0)),  # defined by the user
+        (((3072, 31000),), (1.0, 1.0)),  # of no system
+    ],
+)
+def test_the_code_of_a_coordinate_system_says_the_unit(
+    keys: tuple[tuple[int, int], ...], metres: tuple[float, float]
+) -> None:
+    pytest.importorskip("pyproj")
+    cloud = read_cloud(_las_with_system("", keys), file_type="las")
+    np.testing.assert_allclose(np.ptp(cloud.means, axis=0), 1.4 * np.array(metres)[[0, 0, 1]], rtol=1e-4)
+
+
+def test_a_code_of_a_system_in_degrees_is_refused() -> None:
+    pytest.importorskip("pyproj")
+    with pytest.raises(InputError, match="degrees of longitude and latitude; project them"):
+        read_cloud(_las_with_system("", ((2048, 4326),)), file_type="las")
 
 
 def _las_with_system(wkt: str, keys: tuple[tuple[int, int], ...]) -> io.BytesIO:
@@ -165,7 +189,7 @@ def test_a_ply_without_faces_is_a_point_cloud(encoding: str) -> None:
 
 def test_points_that_are_no_cloud_are_refused() -> None:
     with pytest.raises(InputError, match="at one place"):
-        cloud_of_points(np.zeros((10, 3)))
+        cloud_of_points(Scan(points=np.zeros((10, 3))))
     with pytest.raises(InputError, match="empty"):
         read_cloud(io.BytesIO(b"# nothing\n"), file_type="txt")
     with pytest.raises(FormatError, match="2 numbers"):
@@ -269,18 +293,18 @@ def test_what_does_not_look_like_a_plant_is_doubted(
     count: int, height: float, doubted: bool, rng: np.random.Generator
 ) -> None:
     lines = rng.uniform([-1, -1, 0], [1, 1, height], size=(count, 3))
-    warnings = doubt_cloud(cloud_of_points(lines))
+    warnings = doubt_cloud(cloud_of_points(Scan(points=lines)))
     assert ("not-like-a-plant" in [warning.code for warning in warnings]) == doubted
 
 
 def test_specks_far_from_each_other_are_doubted(rng: np.random.Generator) -> None:
     places = rng.uniform([-1, -1, 0], [1, 1, 2], size=(2000, 3))
-    solid = cloud_of_points(places)
+    solid = cloud_of_points(Scan(points=places))
     specks = replace(solid, scales=solid.scales / 20)
     codes = [[warning.code for warning in doubt_cloud(cloud)] for cloud in (solid, specks)]
     assert codes == [[], ["not-like-a-plant"]]
     along = np.stack([np.zeros(2000), np.zeros(2000), np.linspace(0, 5, 2000)], axis=1)
-    stem = cloud_of_points(along + rng.normal(0, 0.01, along.shape))
+    stem = cloud_of_points(Scan(points=along + rng.normal(0, 0.01, along.shape)))
     assert doubt_cloud(replace(stem, scales=stem.scales / 20)) == ()  # small, but they hang together
 
 
@@ -288,13 +312,13 @@ def test_specks_far_from_each_other_are_doubted(rng: np.random.Generator) -> Non
 def test_points_without_colour_are_lit_from_above(up_axis: str, rng: np.random.Generator) -> None:
     ball = rng.uniform(-1, 1, size=(40_000, 3))
     ball = ball[np.linalg.norm(ball, axis=1) < 1][:20_000]  # a crown
-    cloud = cloud_of_points(ball, up_axis=up_axis)
+    cloud = cloud_of_points(Scan(points=ball), up_axis=up_axis)
     light = (cloud.sh[:, 0] * SH_0 + 0.5).mean(axis=1)
     height = (ball @ up_rotation(up_axis).T)[:, 2]
     outer = np.linalg.norm(ball, axis=1) > 0.9
     assert light[outer & (height > 0.5)].mean() > 1.3 * light[outer & (height < -0.5)].mean()
     assert light[outer & (height > 0.5)].mean() > 1.1 * light[~outer & (height < 0)].mean()
-    colored = cloud_of_points(ball, np.full((20_000, 3), 90, np.uint8))
+    colored = cloud_of_points(Scan(points=ball, colors=np.full((20_000, 3), 90, np.uint8)))
     np.testing.assert_allclose(colored.sh[:, 0] * SH_0 + 0.5, 90 / 255, atol=1e-5)
 
 

@@ -103,7 +103,7 @@ def test_files_hold_what_was_found(reconstruction, orbit):
     cameras = json.loads((folder / "cameras.json").read_text())["cameras"]
     assert [camera["photo"] for camera in cameras] == [view.source for view in result.views]
     for name, cloud in (("splat.ply", result.splat), ("scene.ply", result.scene)):
-        read = read_gaussian_ply(io.BytesIO((folder / name).read_bytes()), up_axis="+Z")
+        read = read_gaussian_ply(io.BytesIO((folder / name).read_bytes()))
         assert np.allclose(read.means, cloud.means, atol=1e-5)
     with Image.open(folder / "report.png") as picture:
         width, height = report["held_out_size_px"]  # undistortion may cut a few pixels off

@@ -29,7 +29,7 @@ def finished(tmp_path: Path) -> Path:
 
 def cloud(path: Path) -> GaussianCloud:
     with path.open("rb") as stream:
-        return read_gaussian_ply(stream, up_axis="+Z")
+        return read_gaussian_ply(stream)
 
 
 def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: Path, tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ from dynamictree.formats.gltf.scene import mesh_instances
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.splat.activations import scales_from_log
-from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
-from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined, validate_cloud
+from dynamictree.gaussian.axes import to_source_axes, transformed
+from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.rotation import polar_rotations, unit_quaternions
 from dynamictree.up_axis import up_rotation
@@ -22,16 +22,15 @@ from dynamictree.up_axis import up_rotation
 UP_AXIS = "+Y"
 EXTENSION = "KHR_gaussian_splatting"
 _POINTS = 0
-_MAX_SHEAR = 1e-3  # of a node's scale; a Gaussian keeps its shape only under rotation and one scale
 MAX_FILE_BYTES = 3 << 30  # 10 million Gaussians of the third degree
 
 
-def read_gltf_gaussian(stream: ByteReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_gltf_gaussian(stream: ByteReader) -> GaussianCloud:
     """Read all splats of the default scene as one cloud, where their nodes place them.
 
     Raises:
         FormatError: not GLB, no splats in it, accessors outside of the file, a node that shears.
-        InputError: values that are not finite, nothing visible, too many Gaussians.
+        InputError: a rotation that is none, too many Gaussians.
     """
     document = open_gltf(read_all(stream, MAX_FILE_BYTES), companions={})
     primitives = [
@@ -45,8 +44,7 @@ def read_gltf_gaussian(stream: ByteReader, *, up_axis: str = UP_AXIS, unit_m: fl
     stored = [_read_primitive(document, primitive) for _, primitive in primitives]
     if min(cloud.scales.min() for cloud in stored) < 0:  # a length is never negative: an early draft's logarithms
         stored = [replace(cloud, scales=scales_from_log(cloud.scales)) for cloud in stored]
-    clouds = [_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)]
-    return to_z_up(validate_cloud(joined(clouds)), up_axis=up_axis, unit_m=unit_m)
+    return joined([_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)])
 
 
 def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
@@ -135,11 +133,12 @@ def _to_srgb(sh: Float32[np.ndarray, "G H 3"]) -> Float32[np.ndarray, "G H 3"]:
 
 
 def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> GaussianCloud:
+    max_shear = 1e-3  # of a node's scale; a Gaussian keeps its shape only under rotation and one scale
     linear = transform[:3, :3]
     volume = float(np.linalg.det(linear))
     scale = float(np.cbrt(volume))
     rotation = polar_rotations(linear[None])[0]
-    if not scale > 0 or np.abs(linear - scale * rotation).max() > _MAX_SHEAR * scale:
+    if not scale > 0 or np.abs(linear - scale * rotation).max() > max_shear * scale:
         raise FormatError(
             "a node of the GLB file mirrors, shears or stretches its splat; bake the transform into the splat"
         )

@@ -11,21 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.scan.points import UP_AXIS, cloud_of_points
+from dynamictree.formats.scan.points import Scan
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
-from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count
+from dynamictree.gaussian.cloud import check_count
 
 _HEADER_BYTES = 227  # of version 1.2, the shortest that is read
-_VLR_BYTES, _EVLR_BYTES = 54, 60
-_EVLRS_AT, _HEADER_1_4_BYTES = 235, 375
-_COMPRESSED = 0x80  # set in the point format of LAZ
-_NOISE = (7, 18)  # classes of low and of high noise: LAS 1.4 R15, table 17
 _PROJECTION = "LASF_Projection"  # LAS 1.4 R15, section 3
-_WKT_RECORD, _KEYS_RECORD = 2112, 34735
-_MODEL_KEY, _UNIT_KEY, _VERTICAL_UNIT_KEY = 1024, 3076, 4099  # GeoTIFF 1.1, section 7
-_GEOGRAPHIC = 2
-_UNIT_CODES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # metre, foot, US survey foot: EPSG
+_GEOGRAPHIC, _USER_DEFINED = 2, 32767
+_DEGREES = (
+    "the scan's coordinates are degrees of longitude and latitude; project them to metres (UTM), for instance with "
+    "`pdal translate in.las out.las reprojection --filters.reprojection.out_srs=EPSG:32632`"
+)
 _LINEAR_UNIT = re.compile(r"(?<!ANGLE)(?:LENGTH)?UNIT\s*[\[(]\s*\"([^\"]*)\"\s*,\s*([0-9.eE+-]+)", re.IGNORECASE)
 _ANGLES = re.compile(r"deg|rad|grad|gon", re.IGNORECASE)
 _VERTICAL = re.compile(r"VERT_?CS|VERTCRS", re.IGNORECASE)
@@ -40,7 +36,7 @@ class _Units:
     vertical_m: float = 1.0
 
 
-def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float | None = None) -> GaussianCloud:
+def read_las(stream: SeekableReader, *, unit_m: float | None = None) -> Scan:
     """Read LAS, or LAZ, with colours if the points have them.
 
     Points of the classes of noise, and those that are marked as withheld, are left out. `unit_m` comes before what the
@@ -48,8 +44,9 @@ def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float | 
 
     Raises:
         FormatError: not LAS, truncated, damaged.
-        InputError: too many points, all at one place, coordinates in degrees.
+        InputError: too many points, coordinates in degrees.
     """
+    noise_classes = (7, 18)  # classes of low and of high noise: LAS 1.4 R15, table 17
     import laspy  # type: ignore[import-untyped]
 
     size = remaining_bytes(stream)
@@ -73,11 +70,10 @@ def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float | 
     points[:, 2] *= units.vertical_m / units.horizontal_m
     names = set(las.point_format.dimension_names)
     colors = np.stack([las.red, las.green, las.blue], axis=1) if {"red", "green", "blue"} <= names else None
-    noise = np.isin(np.asarray(las.classification), _NOISE) | (np.asarray(las.withheld) != 0)
+    noise = np.isin(np.asarray(las.classification), noise_classes) | (np.asarray(las.withheld) != 0)
     if not noise.all():
         points, colors = points[~noise], None if colors is None else colors[~noise]
-    cloud = cloud_of_points(points, colors, up_axis=up_axis, dropped=len(noise) - len(points))
-    return to_z_up(cloud, up_axis=up_axis, unit_m=units.horizontal_m if unit_m is None else unit_m)
+    return Scan(points=points, colors=colors, dropped=len(noise) - len(points), unit_m=units.horizontal_m)
 
 
 def _units(records: dict[int, bytes]) -> _Units:
@@ -86,20 +82,45 @@ def _units(records: dict[int, bytes]) -> _Units:
     Raises:
         InputError: they are degrees.
     """
-    wkt = records.get(_WKT_RECORD, b"").rstrip(b"\0").decode("utf-8", "replace")
-    keys = np.frombuffer(records.get(_KEYS_RECORD, b"")[: len(records.get(_KEYS_RECORD, b"")) // 8 * 8], "<u2")
+    wkt_record, keys_record = 2112, 34735
+    model_key, unit_key, vertical_unit_key = 1024, 3076, 4099  # GeoTIFF 1.1, section 7
+    code_keys, vertical_code_key = (3072, 2048), 4096  # EPSG codes of projected, geographic and vertical systems
+    unit_codes = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # metre, foot, US survey foot: EPSG
+    wkt = records.get(wkt_record, b"").rstrip(b"\0").decode("utf-8", "replace")
+    keys = np.frombuffer(records.get(keys_record, b"")[: len(records.get(keys_record, b"")) // 8 * 8], "<u2")
     key = {int(name): int(value) for name, place, _, value in keys.reshape(-1, 4)[1:] if place == 0}
-    if _GEOGRAPHIC_WKT.match(wkt) or (not wkt and key.get(_MODEL_KEY) == _GEOGRAPHIC):
-        raise InputError(
-            "the scan's coordinates are degrees of longitude and latitude; project them to metres (UTM), for instance "
-            "with `pdal translate in.las out.las reprojection --filters.reprojection.out_srs=EPSG:32632`"
-        )
+    if _GEOGRAPHIC_WKT.match(wkt) or (not wkt and key.get(model_key) == _GEOGRAPHIC):
+        raise InputError(_DEGREES)
     if wkt:
         horizontal, *vertical = _VERTICAL.split(wkt)
         across = _last_unit(horizontal) or 1.0
         return _Units(horizontal_m=across, vertical_m=_last_unit("".join(vertical)) or across)
-    across = _UNIT_CODES.get(key.get(_UNIT_KEY, 0), 1.0)
-    return _Units(horizontal_m=across, vertical_m=_UNIT_CODES.get(key.get(_VERTICAL_UNIT_KEY, 0), across))
+    code = next((key[name] for name in code_keys if name in key), 0)
+    across = unit_codes.get(key.get(unit_key, 0)) or _unit_of_system(code) or 1.0
+    upward = unit_codes.get(key.get(vertical_unit_key, 0)) or _unit_of_system(key.get(vertical_code_key, 0))
+    return _Units(horizontal_m=across, vertical_m=upward or across)
+
+
+def _unit_of_system(code: int) -> float | None:
+    """Metres in a unit of the coordinate system with an EPSG code; None where it is unknown, or pyproj is not there.
+
+    Raises:
+        InputError: its unit is an angle.
+    """
+    try:
+        from pyproj import CRS  # type: ignore[import-not-found,unused-ignore]
+        from pyproj.exceptions import CRSError  # type: ignore[import-not-found,unused-ignore]
+    except ImportError:
+        return None
+    if not 0 < code < _USER_DEFINED:
+        return None
+    try:
+        system = CRS.from_epsg(code)
+    except CRSError:
+        return None
+    if system.is_geographic:
+        raise InputError(_DEGREES)
+    return float(system.axis_info[0].unit_conversion_factor)
 
 
 def _last_unit(wkt: str) -> float | None:
@@ -114,18 +135,21 @@ def check_las_header(stream: SeekableReader, size: int) -> None:
     Raises:
         FormatError: a count that the file has no room for.
     """
+    evlrs_place, header_1_4 = 235, 375
+    vlr_bytes, evlr_bytes = 54, 60
+    compressed = 0x80  # set in the point format of LAZ
     start = stream.tell()
-    head = stream.read(_HEADER_1_4_BYTES)
+    head = stream.read(header_1_4)
     if len(head) < _HEADER_BYTES or head[:4] != b"LASF":
         raise FormatError(f"the file is {size} bytes and begins with {head[:4]!r}; it is no LAS file, or truncated")
     header_bytes, points_at, num_vlrs, point_format, row_bytes = struct.unpack_from("<HIIBH", head, 94)
     if not header_bytes <= points_at <= size:
         raise FormatError(f"the points begin at byte {points_at:,} of {size:,}; the LAS header is damaged")
-    _require_room("records", num_vlrs, _VLR_BYTES, points_at - header_bytes)
-    if head[25] >= 4 and header_bytes >= _HEADER_1_4_BYTES and len(head) == _HEADER_1_4_BYTES:
-        evlrs_at, num_evlrs = struct.unpack_from("<QI", head, _EVLRS_AT)
-        _require_room("extended records", num_evlrs, _EVLR_BYTES, max(size - evlrs_at, 0))
-    if point_format & _COMPRESSED:
+    _require_room("records", num_vlrs, vlr_bytes, points_at - header_bytes)
+    if head[25] >= 4 and header_bytes >= header_1_4 and len(head) == header_1_4:
+        evlrs_at, num_evlrs = struct.unpack_from("<QI", head, evlrs_place)
+        _require_room("extended records", num_evlrs, evlr_bytes, max(size - evlrs_at, 0))
+    if point_format & compressed:
         _check_chunks(stream, start, points_at, row_bytes, size)
     stream.seek(start)
 

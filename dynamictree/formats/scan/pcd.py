@@ -7,17 +7,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.scan.points import cloud_of_points
+from dynamictree.formats.scan.points import Scan
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
-from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count
+from dynamictree.gaussian.cloud import check_count
 
-MAGIC = b"# .PCD"
-UP_AXIS = "+Z"
-_MAX_HEADER_BYTES = 64 * 1024
-_MAX_WIDTH = 10_000  # numbers per point
 _KINDS = {"F": "f", "I": "i", "U": "u"}
-_SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
 _COLOR = ("rgb", "rgba")
 
 
@@ -28,12 +22,12 @@ class _Header:
     coding: str
 
 
-def read_pcd(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_pcd(stream: SeekableReader) -> Scan:
     """Read x, y, z and, if there, `rgb`; points that are not finite are places where nothing was measured.
 
     Raises:
         FormatError: not PCD, compressed, no positions, shorter than its header says.
-        InputError: too many points, all at one place.
+        InputError: too many points.
     """
     header = _read_header(stream)
     check_count(header.count)
@@ -42,14 +36,17 @@ def read_pcd(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 
     single = [name for name in header.fields.names or () if header.fields[name].shape == ()]
     name = next((name for name in _COLOR if name in single), None)
     colors = None if name is None else _colors(rows[name])
-    return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
+    return Scan(points=points, colors=colors)
 
 
 def _read_header(stream: SeekableReader) -> _Header:
+    allowed_sizes = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
+    max_header_bytes = 64 * 1024
+    max_width = 10_000  # numbers per point
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:
-        line = stream.readline(_MAX_HEADER_BYTES)
-        if not line or stream.tell() > _MAX_HEADER_BYTES:
+        line = stream.readline(max_header_bytes)
+        if not line or stream.tell() > max_header_bytes:
             raise FormatError("the PCD file's header has no line DATA; the file is truncated or none of version 0.7")
         words = line.decode("utf-8", "replace").split()
         if words and not words[0].startswith("#"):
@@ -64,7 +61,7 @@ def _read_header(stream: SeekableReader) -> _Header:
         columns = list(zip(names, kinds, sizes, widths, strict=True))
     except (KeyError, ValueError, IndexError) as error:
         raise FormatError(f"the PCD file's header is damaged: {error}") from error
-    if any(size not in _SIZES[kind] or width < 1 for _, kind, size, width in columns) or sum(widths) > _MAX_WIDTH:
+    if any(size not in allowed_sizes[kind] or width < 1 for _, kind, size, width in columns) or sum(widths) > max_width:
         raise FormatError("the PCD file's header has fields of a size that there is not")
     if not {"x", "y", "z"} <= {name for name, _, _, width in columns if width == 1}:
         raise FormatError(f"the PCD file's fields are {', '.join(names)[:200]}; x, y and z are needed")

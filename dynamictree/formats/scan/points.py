@@ -1,41 +1,43 @@
 """Points of a scan as Gaussians: one per point, as wide as its neighbours are far; and PLY without faces."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float32, Float64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.origin import near_origin
-from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.formats.ply_table import read_elements, read_header
 from dynamictree.formats.scan.shading import shaded_colors
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import harmonic_from_color
-from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Z"
 """Surveying instruments stand level and count heights upward."""
 _COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
-_NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
-_LARGEST_SPACING = 4.0  # in medians: a stray point stays small
-_OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
-_DEGREES = 1e-3  # width over height: a tree of 10 m is 1e-4 degrees wide, a pole of 10 m 1e-2 of that high
-_ALIKE = 8.0  # the largest of three channels of one colour in the smallest, at most
 
 
-def read_points_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+@dataclass(frozen=True, kw_only=True)
+class Scan:
+    """Points as a file has them."""
+
+    points: Float64[np.ndarray, "G 3"]
+    colors: Shaped[np.ndarray, "G 3"] | None = None  # bytes, 16 bits, or floats in [0, 1]
+    dropped: int = 0  # points that are marked as noise
+    unit_m: float = 1.0  # metres per unit, as far as the file says
+
+
+def read_points_ply(stream: SeekableReader) -> Scan:
     """Read x, y, z and, if there, a colour, of the vertices of a PLY file.
 
     Raises:
         FormatError: not PLY, no positions, shorter than its header says.
-        InputError: too many points, all at one place.
+        InputError: too many points.
     """
-    return read_points_rows(stream, read_header(stream), up_axis=up_axis, unit_m=unit_m)
-
-
-def read_points_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
-    """The same, from behind the header."""
+    header = read_header(stream)
     vertex = header.element("vertex")
     if vertex is None or not vertex.names.issuperset("xyz"):
         raise FormatError("the PLY file has no vertices with x, y and z; it is no point cloud")
@@ -44,26 +46,20 @@ def read_points_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str,
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
     names = next((names for names in _COLORS if vertex.names.issuperset(names)), None)
     colors = None if names is None else np.stack([rows[name] for name in names], axis=1)
-    return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
+    return Scan(points=points, colors=colors)
 
 
-def cloud_of_points(
-    points: Float64[np.ndarray, "G 3"],
-    colors: Shaped[np.ndarray, "G 3"] | None = None,
-    *,
-    up_axis: str = UP_AXIS,
-    dropped: int = 0,
-) -> GaussianCloud:
+def cloud_of_points(scan: Scan, *, up_axis: str = UP_AXIS) -> GaussianCloud:
     """A round Gaussian per point that is finite; points far from the origin are moved to it.
 
-    Colours are bytes, 16 bits, or floats in [0, 1]; where all are 0, as of LAS files that have none, the points are
-    shaded. `dropped` counts points that the caller has left out already.
+    Where there are no colours, or all are 0 as of LAS files that have none, the points are shaded.
 
     Raises:
         InputError: no point, all points at one place, or positions in degrees.
     """
-    finite = np.isfinite(points).all(axis=1)
-    points, dropped = points[finite], dropped + int((~finite).sum())
+    opacity = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
+    finite = np.isfinite(scan.points).all(axis=1)
+    points = scan.points[finite]
     check_count(len(points))
     extent = np.ptp(points, axis=0)
     if extent.max() == 0:
@@ -74,20 +70,18 @@ def cloud_of_points(
         raise InputError("positions of the cloud are beyond 3e38, which is no place; remove them")
     points = means.astype(np.float64)
     scales = np.repeat(_spacing(points)[:, None], 3, axis=1)
-    if colors is None or not colors.any():
+    if scan.colors is None or not scan.colors.any():
         rgb = shaded_colors(points @ up_rotation(up_axis).T, spacing=2 * float(np.median(scales)))
     else:
-        rgb = _byte_color(colors[finite])
-    return validate_cloud(
-        GaussianCloud(
-            means=means,
-            quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
-            scales=scales,
-            opacity=np.full(len(points), _OPACITY, np.float32),
-            sh=harmonic_from_color(rgb / np.float32(255))[:, None],
-            source=Source(up_axis="+Z", offset=offset),
-            dropped=dropped,
-        )
+        rgb = _byte_color(scan.colors[finite])
+    return GaussianCloud(
+        means=means,
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
+        scales=scales,
+        opacity=np.full(len(points), opacity, np.float32),
+        sh=harmonic_from_color(rgb / np.float32(255))[:, None],
+        source=Source(up_axis="+Z", offset=offset),
+        dropped=scan.dropped + int((~finite).sum()),
     )
 
 
@@ -97,9 +91,10 @@ def refuse_degrees(points: Float64[np.ndarray, "G 3"], extent: Float64[np.ndarra
     Raises:
         InputError: they do.
     """
+    degrees = 1e-3  # width over height: a tree of 10 m is 1e-4 degrees wide, a pole of 10 m 1e-2 of that high
     largest = np.abs(points[:, :2]).max(axis=0)
     on_globe = (largest <= 180).all() and largest.min() <= 90 and largest.max() > 1
-    if on_globe and 0 < extent[:2].max() < _DEGREES * extent[2]:
+    if on_globe and 0 < extent[:2].max() < degrees * extent[2]:
         raise InputError(
             f"the points are {extent[0]:.2g} x {extent[1]:.2g} x {extent[2]:.4g} in size: x and y are degrees of "
             "longitude and latitude; project them to metres (UTM), for instance with CloudCompare or "
@@ -123,23 +118,26 @@ def color_columns(table: Float64[np.ndarray, "G columns"], labels: float) -> lis
 
 
 def _is_color(values: Float64[np.ndarray, "G 3"], labels: float) -> bool:
+    alike = 8.0  # the largest of three channels of one colour in the smallest, at most
     low, high = float(values.min(initial=0)), values.max(axis=0, initial=0)
     if low < 0 or not np.isfinite(high).all() or high.max() > 65_535:
         return False
     if high.max() <= 1:
         return bool(high.min() > 0 and not np.allclose((values**2).sum(axis=1), 1, atol=0.01))
-    return bool(labels < high.max() <= _ALIKE * high.min() and (values == np.round(values)).all())
+    return bool(labels < high.max() <= alike * high.min() and (values == np.round(values)).all())
 
 
 def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Half of the root mean square distance to the nearest points, not more than a few medians [the points' unit]."""
+    most_neighbours = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
+    largest_spacing = 4.0  # in medians: a stray point stays small
     from scipy.spatial import KDTree  # 0.3 s that readers of other formats do without
 
-    num_neighbours = min(_NUM_NEIGHBOURS, len(points) - 1)
+    num_neighbours = min(most_neighbours, len(points) - 1)
     distances = np.asarray(KDTree(points).query(points, num_neighbours + 1, workers=-1)[0])  # [G, 1 + neighbours]
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
     typical = np.median(spacing[spacing > 0]) if (spacing > 0).any() else np.ptp(points, axis=0).max()
-    result: Float32[np.ndarray, " G"] = (0.5 * np.clip(spacing, 0.1 * typical, _LARGEST_SPACING * typical)).astype(
+    result: Float32[np.ndarray, " G"] = (0.5 * np.clip(spacing, 0.1 * typical, largest_spacing * typical)).astype(
         np.float32
     )
     return result

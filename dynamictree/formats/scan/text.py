@@ -7,12 +7,10 @@ from jaxtyping import Bool, Float64
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.number_text import numbers_of, rows_of
-from dynamictree.formats.scan.points import cloud_of_points, color_columns
+from dynamictree.formats.scan.points import Scan, color_columns
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
-from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count
+from dynamictree.gaussian.cloud import MAX_GAUSSIANS, check_count
 
-UP_AXIS = "+Z"
 _AXIS_NAMES = tuple(
     re.compile(rf"(p|pos|point|coord|coordinate|cart|local)?{axis}(m|coord|coordinate|pos)?|{other}")
     for axis, other in (
@@ -27,13 +25,10 @@ _COLOR_NAMES = tuple(
 )
 _UMLAUTS = {ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue"}
 _COMMENT = re.compile(rb"[ \t]*(#|//|;|%|!|\")+")
-_LABELS = 16.0  # whole numbers up to here are classes or returns, not colours
-_APART = 0.02  # of the extent: neighbouring points of a scan are nearer than this to each other
-_MANY = 0.05  # of the rows: more points at the very origin than a scan has there
 _HEAD_BYTES = 1 << 16
 
 
-def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_points_text(stream: SeekableReader) -> Scan:
     """Read lines of numbers, divided by blanks, tabs, commas, semicolons or bars.
 
     Lines before the first number are passed over; the last of them that names x, y and z, behind a comment sign or
@@ -42,7 +37,7 @@ def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: 
 
     Raises:
         FormatError: lines that are not numbers, or of less than three; columns that are named, none of them x, y or z.
-        InputError: too many points, all at one place.
+        InputError: too many points.
     """
     size = remaining_bytes(stream)
     if size > 100 * MAX_GAUSSIANS:
@@ -64,22 +59,20 @@ def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: 
     places, colors = _columns(table, head)
     points = table[:, places]
     points[_is_empty(points)] = np.nan
-    return to_z_up(
-        cloud_of_points(points, None if colors is None else table[:, colors], up_axis=up_axis),
-        up_axis=up_axis,
-        unit_m=unit_m,
-    )
+    return Scan(points=points, colors=None if colors is None else table[:, colors])
 
 
 def _is_empty(points: Float64[np.ndarray, "G 3"]) -> Bool[np.ndarray, " G"]:
     """Rows of zeros, where they are many or lie apart from all other points."""
+    far = 0.02  # of the extent: neighbouring points of a scan are nearer than this to each other
+    many = 0.05  # of the rows: more points at the very origin than a scan has there
     empty: Bool[np.ndarray, " G"] = (points == 0).all(axis=1)
     others = points[~empty]
     if len(others) == 0:
         return np.zeros_like(empty)
     low, high = others.min(axis=0), others.max(axis=0)
-    apart = bool(np.maximum(low, -high).max() > _APART * (high - low).max())
-    return empty if apart or empty.mean() > _MANY else np.zeros_like(empty)
+    apart = bool(np.maximum(low, -high).max() > far * (high - low).max())
+    return empty if apart or empty.mean() > many else np.zeros_like(empty)
 
 
 def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tuple[list[int], list[int] | None]:
@@ -88,6 +81,7 @@ def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tupl
     Raises:
         FormatError: the columns are named, and none is x, y or z; or the rows are Gaussians.
     """
+    labels = 16.0  # whole numbers up to here are classes or returns, not colours
     width = table.shape[1]
     for line in reversed(head):
         names = _column_names(line)
@@ -103,7 +97,7 @@ def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tupl
                 f"the table's columns are {', '.join(names)[:300]}; a point cloud has columns x, y and z. Is it a "
                 "table of cylinders or of measurements (QSM)? Send the points that it was made from"
             )
-    return [0, 1, 2], color_columns(table, _LABELS)
+    return [0, 1, 2], color_columns(table, labels)
 
 
 def _positions(names: list[str], options: tuple[re.Pattern[str], ...]) -> list[int] | None:

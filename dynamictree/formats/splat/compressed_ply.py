@@ -6,10 +6,9 @@ from jaxtyping import Float32, Shaped, UInt32
 from dynamictree.errors import FormatError
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
-from dynamictree.formats.splat.activations import harmonic_from_color, scales_from_log
-from dynamictree.formats.splat.ply import UP_AXIS, rest_names
-from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.formats.splat.activations import harmonic_from_color, scales_from_log, with_largest
+from dynamictree.formats.splat.ply import rest_names
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
 
 _CHUNK = 256  # Gaussians
@@ -18,7 +17,6 @@ _BOUNDS = tuple(
     f"{side}_{name}" for name in ("x", "y", "z", "scale_x", "scale_y", "scale_z") for side in ("min", "max")
 )
 _COLOR_BOUNDS = tuple(f"{side}_{name}" for name in "rgb" for side in ("min", "max"))
-_SH_RANGE = 8.0  # harmonics lie within ±4
 
 
 def is_compressed(header: PlyHeader) -> bool:
@@ -27,18 +25,14 @@ def is_compressed(header: PlyHeader) -> bool:
     return header.element("chunk") is not None and vertex is not None and vertex.names.issuperset(_PACKED)
 
 
-def read_compressed_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_compressed_ply(stream: SeekableReader) -> GaussianCloud:
     """Read a cloud with or without harmonics.
 
     Raises:
         FormatError: not of this kind, chunks that do not fit the vertices, or truncated.
-        InputError: values that are not finite, nothing visible, too many Gaussians.
+        InputError: too many Gaussians.
     """
-    return read_compressed_rows(stream, read_header(stream), up_axis=up_axis, unit_m=unit_m)
-
-
-def read_compressed_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
-    """The same, from behind the header."""
+    header = read_header(stream)
     chunk, vertex, sh = (header.element(name) for name in ("chunk", "vertex", "sh"))
     if chunk is None or vertex is None or not is_compressed(header) or not chunk.names.issuperset(_BOUNDS):
         raise FormatError("the PLY file is no compressed splat: chunk bounds or packed vertices are missing")
@@ -53,7 +47,7 @@ def read_compressed_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: 
     color, opacity = _color(chunks, packed)
     first = harmonic_from_color(color)[:, None]
     rest = [_harmonics(rows, rest_names(sh.names)) for rows in harmonics] if sh else []
-    cloud = GaussianCloud(
+    return GaussianCloud(
         means=_between(chunks, ("x", "y", "z"), _unpack_11_10_11(packed["packed_position"])),
         quaternions=unit_quaternions(_rotation(packed["packed_rotation"])),
         scales=scales_from_log(
@@ -62,7 +56,6 @@ def read_compressed_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: 
         opacity=opacity,
         sh=np.concatenate([first, *rest], axis=1),
     )
-    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
 
 def _between(
@@ -82,15 +75,9 @@ def _unpack_11_10_11(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3
 
 def _rotation(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 4"]:
     """Two bits name the largest of w, x, y, z; ten bits are each of the others, within ±1/√2."""
-    others = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1)
+    others = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1).astype(np.float32)
     others = (others / np.float32(1023) - 0.5) * np.float32(np.sqrt(2))  # [G, 3]
-    largest = np.sqrt(np.maximum(0, 1 - (others * others).sum(axis=1)))
-    places = np.array([[1, 2, 3, 0], [0, 2, 3, 1], [0, 1, 3, 2], [0, 1, 2, 3]])[
-        bits >> 30
-    ]  # of others, then of largest
-    quaternions = np.empty((len(bits), 4), np.float32)
-    np.put_along_axis(quaternions, places, np.concatenate([others, largest[:, None]], axis=1), axis=1)
-    return quaternions
+    return with_largest(others, (bits >> 30).astype(np.intp))
 
 
 def _color(
@@ -106,7 +93,8 @@ def _color(
 
 def _harmonics(rows: Shaped[np.ndarray, " G"], names: list[str]) -> Float32[np.ndarray, "G D 3"]:
     """Bytes to coefficients; 0 and 255 stand for the ends of the range, the others for the middles of their bins."""
+    sh_range = 8.0  # harmonics lie within ±4
     stored = np.stack([rows[name] for name in names], axis=1).astype(np.float32)
     share = np.where(stored == 0, 0, np.where(stored == 255, 1, (stored + 0.5) / 256))
-    coefficients = (share - 0.5) * np.float32(_SH_RANGE)
+    coefficients = (share - 0.5) * np.float32(sh_range)
     return np.ascontiguousarray(coefficients.reshape(len(rows), 3, -1).transpose(0, 2, 1)).astype(np.float32)

@@ -13,8 +13,7 @@ from jaxtyping import Float32, Int64
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import harmonic_from_color
-from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, joined, validate_cloud
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, joined
 from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
@@ -24,9 +23,7 @@ _SECTION = struct.Struct("<IIIIfHxxI4xIIH")
 _SECTION_BYTES = 1024
 _PLACE_BYTES = {0: ("<f4", "<f4", "<f4"), 1: ("<u2", "<f2", "<f2"), 2: ("<u2", "<f2", "u1")}
 """Of a level: the types of places, of scales and rotations, and of harmonics."""
-_STEPS = 32_767  # to either side of a bucket's middle, where the section does not say
 _FARTHEST = 1e6  # of a bucket's size and of what harmonics of 8 bits may be
-_RANGE = 1.5  # of harmonics of 8 bits, where the header does not say
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +42,14 @@ class _Section:
     rows_at: int
 
 
-def read_ksplat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_ksplat(stream: SeekableReader) -> GaussianCloud:
     """Read all sections as one cloud.
 
     Raises:
         FormatError: an unknown version or level, sections that do not fit into the file or their buckets.
-        InputError: values that are not finite, nothing visible, too many Gaussians.
+        InputError: a rotation that is none, too many Gaussians.
     """
+    range = 1.5  # of harmonics of 8 bits, where the header does not say
     content = stream.read(remaining_bytes(stream))
     if len(content) < _HEADER_BYTES:
         raise FormatError(f"the .ksplat file has {len(content):,} bytes; its header alone has {_HEADER_BYTES:,}")
@@ -68,16 +66,16 @@ def read_ksplat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float
     if sum(section.count for section in sections) != count:
         present = sum(section.count for section in sections)
         raise FormatError(f"the .ksplat file says {count:,} Gaussians, its sections have {present:,}")
-    bounds = (least or -_RANGE, most or _RANGE)
+    bounds = (least or -range, most or range)
     if not max(map(abs, bounds)) <= _FARTHEST:
         raise FormatError(
             f"harmonics of the .ksplat file lie between {bounds[0]:g} and {bounds[1]:g}, which is no range"
         )
-    clouds = [_read_section(content, section, level, bounds) for section in sections]
-    return to_z_up(validate_cloud(joined(clouds)), up_axis=up_axis, unit_m=unit_m)
+    return joined([_read_section(content, section, level, bounds) for section in sections])
 
 
 def _sections(content: bytes, num_sections: int, level: int) -> Iterator[_Section]:
+    usual_steps = 32_767  # to either side of a bucket's middle, where the section does not say
     place = _HEADER_BYTES + num_sections * _SECTION_BYTES
     for number in range(num_sections):
         header = _SECTION.unpack_from(content, _HEADER_BYTES + number * _SECTION_BYTES)
@@ -101,7 +99,7 @@ def _sections(content: bytes, num_sections: int, level: int) -> Iterator[_Sectio
             num_full=num_full,
             num_partial=num_partial,
             block_m=block_m,
-            steps=steps or _STEPS,
+            steps=steps or usual_steps,
             degree=degree,
             buckets_at=buckets_at,
             rows_at=rows_at,

@@ -7,8 +7,6 @@ from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.gaussian.cloud import MAX_GAUSSIANS
 
-_MAX_HEADER_BYTES = 4096
-
 
 def read_mask(stream: SeekableReader) -> Bool[np.ndarray, " G"]:
     """Read a mask.
@@ -16,11 +14,12 @@ def read_mask(stream: SeekableReader) -> Bool[np.ndarray, " G"]:
     Raises:
         FormatError: no `.npy` file, too large, or not one row of bools or of 0 and 1.
     """
+    max_header_bytes = 4096
     size = remaining_bytes(stream)
-    if size > MAX_GAUSSIANS + _MAX_HEADER_BYTES:
+    if size > MAX_GAUSSIANS + max_header_bytes:
         raise FormatError(f"the mask is {size:,} bytes; a byte a Gaussian, at most {MAX_GAUSSIANS:,}, is allowed")
     try:
-        mask = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=_MAX_HEADER_BYTES)
+        mask = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=max_header_bytes)
     except (ValueError, EOFError, MemoryError) as error:
         raise FormatError(f"the mask is no .npy file: {str(error)[:200]}") from error
     if mask.dtype.name not in ("bool", "uint8") or mask.ndim != 1 or (mask.size and mask.max() > 1):

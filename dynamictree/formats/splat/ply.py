@@ -8,7 +8,7 @@ from jaxtyping import Float32, Shaped
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.ply_table import PlyHeader, axis_comments, read_elements, read_header
+from dynamictree.formats.ply_table import axis_comments, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import (
     MIN_SCALE,
@@ -18,8 +18,8 @@ from dynamictree.formats.splat.activations import (
     opacity_from_logit,
     scales_from_log,
 )
-from dynamictree.gaussian.axes import to_source_axes, to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.axes import to_source_axes
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
@@ -33,19 +33,14 @@ _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*_POSITION, *_COLOR, "opacity", *_SCALE, *_ROTATION)
 
 
-def read_gaussian_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
     """Read a trained splat.
 
     Raises:
         FormatError: not a PLY file, properties missing (they are named), or shorter than its header says.
-        InputError: values that are not finite, nothing visible, too many Gaussians.
+        InputError: a rotation that is none, too many Gaussians.
     """
     header = read_header(stream)
-    return read_gaussian_rows(stream, header, up_axis=up_axis, unit_m=unit_m)
-
-
-def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
-    """The same, from behind the header."""
     vertex = header.element("vertex")
     names = vertex.names if vertex else frozenset[str]()
     color = _COLOR if names.issuperset(_COLOR) or not names.issuperset(_BYTE_COLOR) else _BYTE_COLOR
@@ -63,7 +58,7 @@ def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: st
     # channel-major: all of red, then green, then blue
     for index, name in enumerate(rest):
         sh[:, 1 + index % num_rest, index // num_rest] = rows[name]
-    cloud = GaussianCloud(
+    return GaussianCloud(
         means=_columns(rows, _POSITION),
         quaternions=unit_quaternions(_columns(rows, _ROTATION)),
         scales=scales_from_log(_scales(rows)),
@@ -71,7 +66,6 @@ def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: st
         sh=sh,
         dropped=dropped,
     )
-    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
 
 def _sound(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], int]:

@@ -6,13 +6,12 @@ numbers, further harmonics 16 bits that name a row of a palette of such bytes.
 
 import io
 import json
-import warnings
 import zipfile
 from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float32, Int, Shaped, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from dynamictree.byte_stream import ByteWriter, read_all
 from dynamictree.errors import FormatError
@@ -26,11 +25,17 @@ from dynamictree.formats.json_fields import (
     text_list,
 )
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
-from dynamictree.formats.splat.activations import log_from_scales, scales_from_log
+from dynamictree.formats.splat.activations import (
+    log_from_scales,
+    scales_from_log,
+    with_largest,
+    without_largest,
+)
 from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
 from dynamictree.formats.suffixes import SOG_FOLDER_FILE
-from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.formats.texture import decoded_image
+from dynamictree.gaussian.axes import to_source_axes, transformed
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
 from dynamictree.up_axis import up_rotation
 
@@ -43,23 +48,19 @@ _MAX_META_BYTES = 1 << 20
 _MAX_FILES = 64
 _MAX_RATIO = 100  # unpacked over packed bytes; clouds of real trees are below 5
 _ALWAYS_BYTES = 16 << 20  # unpacked, whatever the ratio
-_SPARE_PIXELS = 1 << 16  # of a picture beyond one a Gaussian: rows are filled up
 _ROW = 64  # palette entries beside each other
 _MAX_PALETTE = 1 << 16
 _STEPS = 65_535
 _FIRST_TAG = 252  # alpha of a rotation: this and the place of the largest of w, x, y, z
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-_LARGEST = 1e30  # of a codebook's numbers; larger ones overflow
-_FAR = 80.0  # exponents beyond overflow float32, and are refused as not finite
 _UNREADABLE = (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, OSError, EOFError)
 
 
-def read_sog(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_sog(stream: SeekableReader) -> GaussianCloud:
     """Read a bundle.
 
     Raises:
         FormatError: no ZIP of a SOG of version 2, pictures that are missing or do not fit, or damaged.
-        InputError: nothing visible, too many Gaussians.
+        InputError: too many Gaussians.
     """
     files = _unpacked(stream)
     meta = parse_object(files.get(META, b""), META)
@@ -74,14 +75,13 @@ def read_sog(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 
     low, high = (_picture(files, meta, "means", count, place) for place in (0, 1))
     rotations, scales, colors = (_picture(files, meta, name, count) for name in ("quats", "scales", "sh0"))
     first = _codebook(meta, "sh0")[colors[:, :3]]  # [G, 3]
-    cloud = GaussianCloud(
+    return GaussianCloud(
         means=_means(object_field(meta, "means"), low, high),
         quaternions=unit_quaternions(_rotations(rotations)),
         scales=scales_from_log(_codebook(meta, "scales")[scales[:, :3]]),
         opacity=colors[:, 3] / np.float32(255),
         sh=np.concatenate([first[:, None], _harmonics(files, meta, count)], axis=1),
     )
-    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
 
 def is_folder_file(stream: SeekableReader) -> bool:
@@ -189,38 +189,31 @@ def _pixels(
     files: Mapping[str, bytes], meta: JsonObject, name: str, place: int, count: int
 ) -> UInt8[np.ndarray, "H W 4"]:
     """All pixels of a picture, which has at least `count`, and not many more."""
+    spare_pixels = 1 << 16  # of a picture beyond one a Gaussian: rows are filled up
     names = text_list(object_field(meta, name), "files")
     if place >= len(names) or names[place] not in files:
         raise FormatError(f"the SOG file lacks picture {place + 1} of {name}: {META} names {', '.join(names)[:80]!r}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap is checked below
-            image: Image.Image = Image.open(io.BytesIO(files[names[place]]), formats=("WEBP",))
-        width, height = image.size
-        if not count <= width * height <= count + _SPARE_PIXELS:
-            raise FormatError(
-                f"picture {names[place][:40]!r} of the SOG file has {width} x {height} pixels; {count:,} and at most "
-                f"{_SPARE_PIXELS:,} more are needed"
-            )
-        return np.asarray(image.convert("RGBA"))
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError, EOFError) as error:
-        raise FormatError(
-            f"picture {names[place][:40]!r} of the SOG file is no sound WebP: {str(error)[:80]}"
-        ) from error
+    what = f"picture {names[place][:40]!r} of the SOG file"
+    image = decoded_image(files[names[place]], what, formats=("WEBP",), most_pixels=count + spare_pixels)
+    if image.width * image.height < count:
+        raise FormatError(f"{what} has {image.width} x {image.height} pixels; {count:,} are needed")
+    return np.asarray(image.convert("RGBA"))
 
 
 def _codebook(meta: JsonObject, name: str) -> Float32[np.ndarray, " 256"]:
+    largest = 1e30  # of a codebook's numbers; larger ones overflow
     numbers = np.array(numbers_field(object_field(meta, name), "codebook", CODES, []), np.float64)
-    return np.clip(numbers, -_LARGEST, _LARGEST).astype(np.float32)
+    return np.clip(numbers, -largest, largest).astype(np.float32)
 
 
 def _means(
     bounds: JsonObject, low: UInt8[np.ndarray, "G 4"], high: UInt8[np.ndarray, "G 4"]
 ) -> Float32[np.ndarray, "G 3"]:
+    far = 80.0  # exponents beyond overflow float32, and are refused as not finite
     least, most = (np.array(numbers_field(bounds, name, 3, [])) for name in ("mins", "maxs"))
     steps = low[:, :3] + 256.0 * high[:, :3]
     logs = least + (most - least) * (steps / _STEPS)
-    logs = np.where(np.abs(logs) > _FAR, np.inf, logs)
+    logs = np.where(np.abs(logs) > far, np.inf, logs)
     return (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
 
 
@@ -229,17 +222,11 @@ def _rotations(pixels: UInt8[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
     others = (pixels[:, :3] / np.float32(127.5) - 1) / np.float32(np.sqrt(2))
     tagged = pixels[:, 3] >= _FIRST_TAG
     largest = np.where(tagged, pixels[:, 3], _FIRST_TAG).astype(np.intp) - _FIRST_TAG
-    quaternions = np.empty((len(pixels), 4), np.float32)
-    np.put_along_axis(quaternions, _OTHERS[largest], np.where(tagged[:, None], others, 0), axis=1)
-    rest = np.sqrt(np.maximum(0, 1 - (others * others).sum(axis=1)))
-    np.put_along_axis(quaternions, largest[:, None], np.where(tagged, rest, 1)[:, None].astype(np.float32), axis=1)
-    return quaternions
+    return with_largest(np.where(tagged[:, None], others, np.float32(0)), largest)
 
 
 def _packed_rotations(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
-    largest = np.abs(quaternions).argmax(axis=1)
-    sign = np.where(np.take_along_axis(quaternions, largest[:, None], axis=1) < 0, -1, 1)
-    others = np.take_along_axis(quaternions * sign, _OTHERS[largest], axis=1)
+    others, largest = without_largest(quaternions)
     packed = np.clip(np.rint((others * np.sqrt(2) + 1) * 127.5), 0, 255)
     return np.concatenate([packed, _FIRST_TAG + largest[:, None]], axis=1).astype(np.uint8)
 

@@ -6,20 +6,20 @@ from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import color_from_harmonic, harmonic_from_color
-from dynamictree.gaussian.axes import to_source_axes, to_z_up
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.axes import to_source_axes
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 
 
-def read_splat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_splat(stream: SeekableReader) -> GaussianCloud:
     """Read a cloud of degree 0.
 
     Raises:
         FormatError: the size is no multiple of 32 bytes.
-        InputError: values that are not finite, nothing visible, too many Gaussians.
+        InputError: a rotation that is none, too many Gaussians.
     """
     size = remaining_bytes(stream)
     if size % _RECORD.itemsize:
@@ -31,7 +31,7 @@ def read_splat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float 
     sound = np.isfinite(rows["mean"]).all(axis=1) & np.isfinite(rows["scale"]).all(axis=1)
     rows = rows[sound] if sound.any() else rows
     color = rows["rgba"][:, :3] / np.float32(255)
-    cloud = GaussianCloud(
+    return GaussianCloud(
         means=rows["mean"].astype(np.float32),
         quaternions=unit_quaternions((rows["rotation"].astype(np.float32) - 128) / 128),
         scales=rows["scale"].astype(np.float32),
@@ -39,7 +39,6 @@ def read_splat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float 
         sh=harmonic_from_color(color)[:, None],
         dropped=len(sound) - len(rows),
     )
-    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
 
 def write_splat(cloud: GaussianCloud, stream: ByteWriter) -> None:

@@ -8,7 +8,7 @@ import zlib
 
 import numpy as np
 import zstandard
-from jaxtyping import Float32, Float64, Num, UInt8
+from jaxtyping import Float32, Num, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
@@ -18,9 +18,11 @@ from dynamictree.formats.splat.activations import (
     harmonic_from_color,
     log_from_scales,
     scales_from_log,
+    with_largest,
+    without_largest,
 )
-from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.axes import to_source_axes, transformed
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.rotation import unit_quaternions
 from dynamictree.up_axis import up_rotation
@@ -31,26 +33,21 @@ _LEGACY_HEADER = struct.Struct("<IIIBBBB")
 _HEADER = struct.Struct("<IIIBBBBI12x")
 _COLOR_SCALE = 0.15  # of the first harmonic's coefficient over the colour's range
 _SMALLEST_THREE = (1 << 9) - 1  # steps of the magnitude of a quaternion's smaller component
-_SH_BITS = {1: 5, 2: 4, 3: 4}  # precision by degree, as the reference writes
-_MAX_RATIO = 100  # unpacked over packed bytes; clouds of real trees are below 3, of nothing but zeros at 1000
-_ALWAYS_BYTES = 16 * 2**20  # unpacked, whatever the ratio
 
 
-def read_spz(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_spz(stream: SeekableReader) -> GaussianCloud:
     """Read version 2, 3 or 4; extensions are passed over.
 
     Raises:
         FormatError: not SPZ, an unknown version, damaged or truncated.
-        InputError: nothing visible, too many Gaussians.
+        InputError: too many Gaussians.
     """
     head = stream.read(_HEADER.size)
     if head[:2] == b"\x1f\x8b":
-        cloud = _read_gzip(head + stream.read())
-    elif len(head) == _HEADER.size and head[:4] == b"NGSP":
-        cloud = _read_zstandard(head, stream)
-    else:
-        raise FormatError("the file begins neither with 'NGSP' nor as gzip; it is no SPZ file, or truncated")
-    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
+        return _read_gzip(head + stream.read())
+    if len(head) == _HEADER.size and head[:4] == b"NGSP":
+        return _read_zstandard(head, stream)
+    raise FormatError("the file begins neither with 'NGSP' nor as gzip; it is no SPZ file, or truncated")
 
 
 def write_spz(cloud: GaussianCloud, stream: ByteWriter) -> None:
@@ -58,18 +55,14 @@ def write_spz(cloud: GaussianCloud, stream: ByteWriter) -> None:
 
     Positions are rounded to 1/4096 of a unit, or coarser where they reach beyond ±2048.
     """
-    source = transformed(to_source_axes(cloud), _source_to_spz(cloud.source.up_axis), 1.0)
+    turn = up_rotation(UP_AXIS).T @ up_rotation(cloud.source.up_axis)
+    source = transformed(to_source_axes(cloud), turn, 1.0)
     reach = max(float(np.abs(source.means).max()), 1e-30)
     fractional_bits = int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 12))
     header = _LEGACY_HEADER.pack(_MAGIC, 3, source.num_gaussians, source.sh_degree, fractional_bits, 0, 0)
     body = b"".join(part.tobytes() for part in _packed(source, fractional_bits))
     packer = zlib.compressobj(6, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
     stream.write(packer.compress(header + body) + packer.flush())
-
-
-def _source_to_spz(source_up_axis: str) -> Float64[np.ndarray, "3 3"]:
-    result: Float64[np.ndarray, "3 3"] = up_rotation(UP_AXIS).T @ up_rotation(source_up_axis)
-    return result
 
 
 def _read_gzip(content: bytes) -> GaussianCloud:
@@ -120,10 +113,12 @@ def _read_zstandard(head: bytes, stream: SeekableReader) -> GaussianCloud:
 
 
 def _refuse_bomb(count: int, unpacked_bytes: int, packed_bytes: int) -> None:
-    if unpacked_bytes > max(packed_bytes * _MAX_RATIO, _ALWAYS_BYTES):
+    max_ratio = 100  # unpacked over packed bytes; clouds of real trees are below 3, of nothing but zeros at 1000
+    always_bytes = 16 * 2**20  # unpacked, whatever the ratio
+    if unpacked_bytes > max(packed_bytes * max_ratio, always_bytes):
         raise FormatError(
             f"the SPZ header says {count:,} Gaussians, {unpacked_bytes:,} bytes, in a file of {packed_bytes:,}; "
-            f"at most {_MAX_RATIO}:1 is allowed"
+            f"at most {max_ratio}:1 is allowed"
         )
 
 
@@ -169,12 +164,12 @@ def _unpacked(parts: list[UInt8[np.ndarray, "..."]], fractional_bits: int, versi
 
 
 def _packed(cloud: GaussianCloud, fractional_bits: int) -> list[UInt8[np.ndarray, "..."]]:
+    sh_bits = {1: 5, 2: 4, 3: 4}  # precision by degree, as the reference writes
     fixed = np.rint(cloud.means.astype(np.float64) * (1 << fractional_bits)).astype(np.int32)
     positions = np.stack([fixed & 0xFF, fixed >> 8 & 0xFF, fixed >> 16 & 0xFF], axis=2)  # [G, 3, 3]
     color = (color_from_harmonic(cloud.sh[:, 0]) - 0.5) / SH_0 * _COLOR_SCALE + 0.5
     harmonics = [
-        _coarse(cloud.sh[:, degree**2 : (degree + 1) ** 2], _SH_BITS[degree])
-        for degree in range(1, cloud.sh_degree + 1)
+        _coarse(cloud.sh[:, degree**2 : (degree + 1) ** 2], sh_bits[degree]) for degree in range(1, cloud.sh_degree + 1)
     ]
     rest = np.concatenate([np.empty((cloud.num_gaussians, 0, 3)), *harmonics], axis=1)
     return [
@@ -210,27 +205,16 @@ def _first_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 
 def _smallest_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
     """Two bits name the largest of x, y, z, w; ten bits (sign, magnitude) are each of the others, the last lowest."""
     bits = packed.view("<u4").astype(np.uint32)
-    largest = (bits >> 30).astype(np.intp)
-    rows = np.arange(len(bits))
-    xyzw = np.zeros((len(bits), 4), np.float32)
-    for place in (3, 2, 1, 0):
-        stored = largest != place
-        magnitude = (bits & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))
-        value = np.where(bits >> 9 & 1, -magnitude, magnitude)
-        xyzw[stored, place] = value[stored]
-        bits = np.where(stored, bits >> 10, bits)
-    xyzw[rows, largest] = np.sqrt(np.maximum(0, 1 - (xyzw * xyzw).sum(axis=1)))
-    return xyzw[:, [3, 0, 1, 2]]
+    stored = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1)
+    magnitude = (stored & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))
+    others = np.where(stored >> 9, -magnitude, magnitude).astype(np.float32)
+    return with_largest(others, (bits >> 30).astype(np.intp))[:, [3, 0, 1, 2]]
 
 
 def _packed_smallest_three(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
-    xyzw = quaternions[:, [1, 2, 3, 0]]
-    largest = np.argmax(np.abs(xyzw), axis=1)
-    xyzw = xyzw * np.where(xyzw[np.arange(len(xyzw)), largest] < 0, -1, 1)[:, None]
-    bits = largest.astype(np.uint32)
-    for place in range(4):
-        magnitude = np.minimum(np.rint(np.abs(xyzw[:, place]) * np.sqrt(2) * _SMALLEST_THREE), _SMALLEST_THREE)
-        value = magnitude.astype(np.uint32) | (xyzw[:, place] < 0).astype(np.uint32) << 9
-        bits = np.where(largest != place, bits << 10 | value, bits).astype(np.uint32)
+    others, largest = without_largest(quaternions[:, [1, 2, 3, 0]])
+    steps = np.minimum(np.rint(np.abs(others) * np.sqrt(2) * _SMALLEST_THREE), _SMALLEST_THREE).astype(np.uint32)
+    stored = steps | (others < 0).astype(np.uint32) << 9
+    bits = largest.astype(np.uint32) << 30 | stored[:, 0] << 20 | stored[:, 1] << 10 | stored[:, 2]
     result: UInt8[np.ndarray, "G 4"] = bits.astype("<u4").view(np.uint8).reshape(-1, 4)
     return result
