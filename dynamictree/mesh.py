@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 MAX_VERTICES = 2_000_000
 MAX_FACES = 4_000_000
 MAX_EXTENT_RATIO = 1e6
-"""Caps on a mesh that is read from outside: what two cores voxelise in seconds, and float32 still resolves."""
+MAX_MATERIALS = 10_000
+"""Caps on a mesh that is read from outside: what two cores voxelise in seconds, float32 still resolves, and a reader
+holds in memory (100,000 materials took 3 GiB; a mesh of one tree has up to some hundreds)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,6 +248,16 @@ def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
             f"{MAX_EXTENT_RATIO:g} times its size; move it nearer to the origin"
         )
     return mesh
+
+
+def refuse_many_materials(count: int) -> None:
+    """Check the number of materials before any is read.
+
+    Raises:
+        MeshError: there are more than `MAX_MATERIALS`.
+    """
+    if count > MAX_MATERIALS:
+        raise MeshError(f"the file has {count:,} materials; at most {MAX_MATERIALS:,} are allowed; merge them")
 
 
 def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Float64[np.ndarray, "N 3"]:

@@ -1,22 +1,23 @@
-"""PLY files as tables: a header, then for each element its rows of named scalars.
+"""PLY files as tables: a header, then for each element its rows of named scalars and lists.
 
-Only what clouds need: lists (faces) are recognised in the header and refused as data.
+ASCII is read as binary whose numbers are all doubles.
 """
 
+import io
 import math
 import re
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Int32, Int64, Shaped
 
 from dynamictree.axis_names import UP_AXIS_PATTERN
 from dynamictree.errors import FormatError
-from dynamictree.formats.number_text import rows_of
+from dynamictree.formats.number_text import numbers_of
 from dynamictree.formats.origin import Offset
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 
-_MAX_HEADER = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
 _TYPES = {
     "char": "i1",
     "int8": "i1",
@@ -36,6 +37,7 @@ _TYPES = {
     "float64": "f8",
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "<"}
+_Property = tuple[str, list[np.dtype[np.generic]]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,64 +142,148 @@ def read_elements(stream: SeekableReader, header: PlyHeader, *names: str) -> lis
     Raises:
         FormatError: the file is shorter than its header says, or an element with lists stands before or among them.
     """
-    wanted = dict[str, Shaped[np.ndarray, " rows"]]()
-    order = _BYTE_ORDERS[header.encoding]
+    body, wanted = _body(stream, header), dict[str, Shaped[np.ndarray, " rows"]]()
     for element in header.elements:
         if len(wanted) == len(names):
             break
-        if element.has_lists:
-            raise FormatError(f"element {element.name!r} of the PLY file has lists; a cloud has single numbers only")
-        layout = np.dtype([(name, order + kind) for name, kind in element.properties])
-        rows = (
-            _ascii_rows(stream, element, layout)
-            if header.encoding == "ascii"
-            else _binary_rows(stream, element, layout)
-        )
+        rows = _rows(body, header, element)
         if element.name in names:
             wanted[element.name] = rows
     return [wanted[name] for name in names]
 
 
-def _binary_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
-    needed, available = element.count * layout.itemsize, remaining_bytes(stream)
+def read_polygons(
+    stream: SeekableReader, header: PlyHeader, names: tuple[str, ...]
+) -> tuple[Shaped[np.ndarray, " N"], Int32[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
+    """Rows of the vertices, the corners of all faces one after the other, and the number of corners of each.
+
+    `names` are those that the list of corners may have.
+
+    Raises:
+        FormatError: the file is shorter than its header says, or a face is none.
+    """
+    body, vertices = _body(stream, header), None
+    before = takewhile(lambda one: one.name != "face", header.elements)
+    for element in before:
+        rows = _rows(body, header, element)
+        vertices = rows if element.name == "vertex" else vertices
+    face = header.element("face")
+    if vertices is None or face is None:
+        raise FormatError("the PLY file has its faces before its vertices; write the vertices first")
+    kinds = dict(face.properties)
+    name = next((name for name in names if kinds.get(name, "").startswith("list")), None)
+    if name is None:
+        raise FormatError(f"the faces of the PLY file have no {' or '.join(names)}; they have {sorted(kinds)[:8]}")
+    corners, sizes = _lists(body.read(), _layout(header, face), face, name)
+    if sizes.min() < 3:
+        row = int(sizes.argmin())
+        raise FormatError(f"face {row:,} of the PLY file has {sizes[row]} corners; at least 3 are needed")
+    whole = corners.dtype.kind in "iu" or (header.encoding == "ascii" and bool((corners == np.round(corners)).all()))
+    if not whole or np.abs(corners.astype(np.float64)).max() > np.iinfo(np.int32).max:
+        raise FormatError("a face of the PLY file holds what is no index of a vertex")
+    return vertices, corners.astype(np.int32), sizes
+
+
+def _body(stream: SeekableReader, header: PlyHeader) -> SeekableReader:
+    """What follows the header; the numbers of an ASCII file as doubles."""
+    if header.encoding != "ascii":
+        return stream
+    size = remaining_bytes(stream)
+    least = sum(2 * element.count * len(element.properties) for element in header.elements)  # a digit and a space each
+    if least > size + 1:
+        counts = ", ".join(f"{element.count:,} rows in {element.name!r}" for element in header.elements)
+        raise FormatError(
+            f"the PLY header says {counts}, at least {least:,} bytes, but {size:,} follow; it is truncated"
+        )
+    numbers = numbers_of(stream.read())
+    if numbers is None:
+        raise FormatError("the rows of the PLY file hold what is no number")
+    return io.BytesIO(numbers.tobytes())
+
+
+def _layout(header: PlyHeader, element: PlyElement) -> list[_Property]:
+    """Name of each property, and its type as stored; of a list the type of its length before that of its items."""
+    order, ascii_text = _BYTE_ORDERS[header.encoding], header.encoding == "ascii"
+    kinds = [(name, kind.removeprefix("list ").split()) for name, kind in element.properties]
+    if any(len(own) == 2 and own[0].startswith("f") for _, own in kinds):
+        raise FormatError(f"a list of {element.name!r} in the PLY file has a length that is no whole number")
+    return [(name, [np.dtype("<f8" if ascii_text else order + kind) for kind in own]) for name, own in kinds]
+
+
+def _rows(body: SeekableReader, header: PlyHeader, element: PlyElement) -> Shaped[np.ndarray, " rows"]:
+    if element.has_lists:
+        raise FormatError(f"element {element.name!r} of the PLY file has lists, which only faces after all others may")
+    stored = np.dtype([(name, types[0]) for name, types in _layout(header, element)])
+    needed, available = element.count * stored.itemsize, remaining_bytes(body)
     if needed > available:
+        each, unit = (8, "numbers") if header.encoding == "ascii" else (1, "bytes")
         raise FormatError(
-            f"the PLY header says {element.count:,} rows of {layout.itemsize} bytes in {element.name!r}, {needed:,} "
-            f"bytes, but {available:,} are left in the file; it is truncated or its header is wrong"
+            f"the PLY header says {element.count:,} rows of {stored.itemsize // each} {unit} in {element.name!r}, "
+            f"{needed // each:,} {unit}, but {available // each:,} are left in the file; it is truncated or its header "
+            "is wrong"
         )
-    rows = np.frombuffer(stream.read(needed), layout)
-    return rows.astype(layout.newbyteorder("="), copy=False)
-
-
-def _ascii_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
-    shortest = element.count * 2 * len(element.properties)  # a digit and a space a number
-    if shortest > remaining_bytes(stream) + 1:
-        raise FormatError(
-            f"the PLY header says {element.count:,} rows in {element.name!r}, at least {shortest:,} bytes, "
-            f"but {remaining_bytes(stream):,} are left in the file; it is truncated or its header is wrong"
-        )
-    text = b"".join(stream.readline() for _ in range(element.count))
-    table = rows_of(text, max(len(element.properties), 1))
-    if table is None or len(table) != element.count:
-        raise FormatError(f"the rows of element {element.name!r} of the PLY file do not fit its header")
-    rows = np.empty(element.count, layout)
+    rows = np.frombuffer(body.read(needed), stored)
     with np.errstate(over="ignore", invalid="ignore"):
-        for column, (name, _) in enumerate(element.properties):
-            rows[name] = table[:, column]
-    return rows
+        return rows.astype(np.dtype(list(element.properties)), copy=False)
+
+
+def _lists(
+    content: bytes, layout: list[_Property], element: PlyElement, name: str
+) -> tuple[Shaped[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
+    """The items of one list of all rows, and how many each row has: at once where each is as long as the first."""
+    fields, lengths, at = list[tuple[str, np.dtype[np.generic], tuple[int, ...]]](), dict[str, int](), 0
+    for label, types in layout:
+        length = _length(content, at, types, element)
+        if len(types) == 2:
+            lengths[f"length of {label}"] = length
+            fields.append((f"length of {label}", types[0], ()))
+        fields.append((label, types[-1], (length,)))
+        at = sum(dtype.itemsize * int(np.prod(shape)) for _, dtype, shape in fields)
+    if at * element.count <= len(content):
+        rows = np.frombuffer(content, np.dtype(fields), element.count)
+        if all((rows[label] == length).all() for label, length in lengths.items()):
+            return rows[name].ravel(), np.full(element.count, rows[name].shape[1], np.int64)
+    items, sizes, at = [], np.zeros(element.count, np.int64), 0
+    for row in range(element.count):
+        for label, types in layout:
+            length = _length(content, at, types, element)
+            start = at + sum(dtype.itemsize for dtype in types[:-1])
+            at = start + length * types[-1].itemsize
+            if at > len(content):
+                raise FormatError(
+                    f"row {row:,} of {element.count:,} of {element.name!r} in the PLY file ends beyond it; the file is "
+                    "truncated or its header is wrong"
+                )
+            if label == name:
+                items.append(np.frombuffer(content, types[-1], length, start))
+                sizes[row] = length
+    return np.concatenate(items), sizes
+
+
+def _length(content: bytes, at: int, types: list[np.dtype[np.generic]], element: PlyElement) -> int:
+    """Number of items of a property that begins at a byte: 1 of a single number."""
+    if len(types) == 1:
+        return 1
+    if at + types[0].itemsize > len(content):
+        raise FormatError(
+            f"the PLY file ends before a list of {element.name!r}; it is truncated or its header is wrong"
+        )
+    length = float(np.frombuffer(content, types[0], 1, at)[0])
+    if not 0 <= length <= len(content) or length != int(length):
+        raise FormatError(f"a list of {element.name!r} in the PLY file says that it has {length:g} items")
+    return int(length)
 
 
 def _header_lines(stream: SeekableReader) -> list[str]:
+    max_header = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
     if stream.readline(64).removeprefix(b"\xef\xbb\xbf").strip() != b"ply":
         raise FormatError("the file does not begin with 'ply'; it is no PLY file")
     lines, size = list[str](), 4
     while True:
-        line = stream.readline(_MAX_HEADER)
+        line = stream.readline(max_header)
         size += len(line)
-        if not line.endswith(b"\n") or size > _MAX_HEADER:
-            raise FormatError(
-                f"the PLY header has no end within {_MAX_HEADER:,} bytes; the file is truncated or no PLY"
-            )
+        if not line.endswith(b"\n") or size > max_header:
+            raise FormatError(f"the PLY header has no end within {max_header:,} bytes; the file is truncated or no PLY")
         text = line.decode("latin-1").strip()
         if text == "end_header":
             return lines

@@ -5,7 +5,6 @@ import io
 import numpy as np
 import pytest
 
-from dynamictree import mesh as mesh_module
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.formats.gltf import reader as gltf_reader
 from dynamictree.formats.gltf.writer import write_glb
@@ -191,9 +190,9 @@ def test_an_stl_that_breaks_the_rules_is_refused(content: bytes, message: str) -
         (ply(TRIANGLE, "3 0 1 3\n"), "beyond its 3"),
         (ply(TRIANGLE, "3 0 1 -1\n"), "beyond its 3"),
         (ply(TRIANGLE, "2 0 1\n"), "2 corners"),
-        (ply(TRIANGLE, "3 0 1\n"), "fewer than its list says"),
-        (ply(TRIANGLE, "x 0 1\n"), "no count"),
-        (ply(TRIANGLE, "3 0 1 x\n"), "no index of a vertex"),
+        (ply(TRIANGLE, "3 0 1\n"), "row 0 of 1 of .face. in the PLY file ends beyond"),
+        (ply(TRIANGLE, "x 0 1\n"), "no number"),
+        (ply(TRIANGLE, "3 0 1 x\n"), "no number"),
         (ply(TRIANGLE, "3 0 1 2\n", num_vertices=2_000_001), "2,000,001 vertices"),
         (ply(TRIANGLE, "", num_faces=0), "point cloud"),
         (ply(TRIANGLE, "3 0 1 2\n").replace(b"vertex_indices", b"corners"), "no vertex_indices"),
@@ -213,11 +212,11 @@ def test_a_ply_that_breaks_the_rules_is_refused(content: bytes, message: str) ->
 @pytest.mark.parametrize(
     ("kind", "body", "message"),
     [
-        ("uchar int", b"", "end before"),
-        ("uchar int", b"\x03\0\0\0\0", "ends 8 bytes after"),
+        ("uchar int", b"", "ends before a list"),
+        ("uchar int", b"\x03\0\0\0\0", "row 0 of 1 of .face. .* ends beyond"),
         ("uchar int", b"\x02" + b"\0" * 8, "2 corners"),
-        ("int int", b"\xff\xff\xff\xff", "corners"),
-        ("float int", b"\0" * 16, "count is no whole number"),
+        ("int int", b"\xff\xff\xff\xff", "-1 items"),
+        ("float int", b"\0" * 16, "length that is no whole number"),
         ("uchar float", b"\x03" + b"\0" * 12, "no index"),
         ("uchar uint", b"\x03" + b"\xff" * 12, "no index"),
     ],
@@ -297,25 +296,3 @@ def test_formats_are_recognised_by_their_first_bytes(head: bytes, name: str, exp
 def test_what_is_of_no_known_kind_is_refused(head: bytes) -> None:
     with pytest.raises(FormatError, match="no known format"):
         sniff_file_type(head, "x.exe")
-
-
-@pytest.mark.parametrize("file_type", ["glb", "ply", "obj", "stl"])
-def test_mutated_files_raise_nothing_but_input_errors(
-    rng: np.random.Generator, file_type: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module in (gltf_reader, ply_module, obj_module, stl_module, mesh_module):
-        monkeypatch.setattr(module, "MAX_FACES", 10_000)  # so that a mutated count does not cost a second
-    mesh = trunk_and_crown(rng, num_sides=4)
-    triangles = mesh.vertices[mesh.faces].tolist()
-    content = np.frombuffer(stl(triangles) if file_type == "stl" else written(mesh, file_type), np.uint8)
-    head = min(1600, len(content))
-    refused = 0
-    for _ in range(80):
-        mutated = content.copy()
-        places = np.concatenate([rng.integers(0, len(content), 2), rng.integers(0, head, 3)])
-        mutated[places] = rng.integers(0, 256, len(places))
-        try:
-            read(mutated[: rng.integers(1, len(content)) if rng.random() < 0.2 else None].tobytes(), file_type)
-        except InputError:
-            refused += 1
-    assert refused > 8

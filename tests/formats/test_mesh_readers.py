@@ -227,15 +227,6 @@ def test_names_with_umlauts_of_windows_programs_find_their_files() -> None:
     assert mesh.look.materials[0].base_color[1] > mesh.look.materials[0].base_color[0]
 
 
-def test_centimetres_are_found_and_recorded(rng: np.random.Generator) -> None:
-    mesh = trunk_and_crown(rng)
-    stream = io.BytesIO()
-    write_obj(mesh.with_vertices(mesh.vertices * np.float32(100)), stream)
-    result = read(stream.getvalue(), "obj")
-    assert result.source.scale == 0.01
-    np.testing.assert_allclose(result.vertices, mesh.vertices, rtol=1e-5, atol=1e-5)
-
-
 def test_every_sample_mesh_is_read(samples: Path) -> None:
     files = [path for path in (samples / "mesh").rglob("*") if path.suffix in (".glb", ".gltf", ".obj", ".ply", ".stl")]
     assert len(files) >= 2

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from dynamictree.errors import FormatError
+from dynamictree.errors import MeshError
 from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
@@ -98,7 +98,7 @@ def test_colours_of_materials_may_be_short_or_spectral() -> None:
 
 def test_more_materials_than_a_tree_can_have_are_refused() -> None:
     faces = "".join(f"usemtl m{number}\nf 1 2 3\n" for number in range(10_001))
-    with pytest.raises(FormatError, match="10,001 materials"):
+    with pytest.raises(MeshError, match="10,001 materials"):
         read(f"mtllib none.mtl\n{SQUARE}{faces}")
 
 

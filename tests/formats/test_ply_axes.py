@@ -71,22 +71,7 @@ KINDS = (("f_dc", 3), ("scale", 3), ("rot", 4))
 
 @pytest.mark.parametrize(("comment", "up_axis"), [("Vertical Axis: z", "+Z"), ("Vertical axis: y", "-Y")])
 def test_a_splat_of_nerfstudio_says_its_axis_and_one_of_brush_does_not(comment, up_axis):
-    names = [
-        "x",
-        "y",
-        "z",
-        "f_dc_0",
-        "f_dc_1",
-        "f_dc_2",
-        "opacity",
-        "scale_0",
-        "scale_1",
-        "scale_2",
-        "rot_0",
-        "rot_1",
-        "rot_2",
-        "rot_3",
-    ]
+    names = [*"xyz", "opacity", *(f"{kind}_{number}" for kind, count in KINDS for number in range(count))]
     properties = "".join(f"property float {name}\n" for name in names)
     header = f"ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex 9\n{properties}end_header\n"
     rows = np.random.default_rng(0).normal(size=(9, len(names))).astype("<f4")

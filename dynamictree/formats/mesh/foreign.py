@@ -15,7 +15,6 @@ from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 MAX_XML_BYTES = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
-_MAX_RATIO = 100  # of an archive's content to its size
 _MODEL = re.compile(rb"<(?:\w+:)?model\b[^>]*\bunit\s*=\s*[\"'](\w+)[\"']")
 _3MF_UNITS_M = {  # 3MF core specification 1.3, section 3.4
     b"micron": 1e-6,
@@ -26,7 +25,6 @@ _3MF_UNITS_M = {  # 3MF core specification 1.3, section 3.4
     b"meter": 1.0,
 }
 _Names = dict[str, list[tuple[str, str]]]
-_MOST_NAMES = 16  # of a node's path, as of glTF
 _DAE_UP = re.compile(rb"<up_axis>\s*([XYZ])_UP\s*</up_axis>")
 _DAE_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([-+0-9.eE]+)[\"']")
 
@@ -135,6 +133,7 @@ def _with_names(mesh: TriangleMesh, sizes: list[tuple[str, int]], names: _Names)
 
 def _dae_names(content: bytes) -> _Names:
     """By the identity of a geometry, the path and the material of each of its primitives, as often as it is placed."""
+    most_names = 16  # of a node's path, as of glTF
     try:
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
@@ -153,7 +152,7 @@ def _dae_names(content: bytes) -> _Names:
     while waiting:
         node, above = waiting.pop()
         label = (node.get("name") or node.get("id") or "").replace("/", " ")[:200]
-        path = "/".join(filter(None, (*above.split("/"), label)[-_MOST_NAMES:]))
+        path = "/".join(filter(None, (*above.split("/"), label)[-most_names:]))
         waiting += [(child, path) for child in node.findall("{*}node")[::-1]]
         for placed in node.findall("{*}instance_geometry"):
             geometry = placed.get("url", "").removeprefix("#")
@@ -186,11 +185,12 @@ def _check_off(content: bytes) -> int:
 
 def _check_3mf(content: bytes) -> bytes:
     """Check the archive's sizes; gives the unit of its model."""
+    max_ratio = 100  # of an archive's content to its size
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             declared = sum(entry.file_size for entry in archive.infolist())
-            if declared > min(MAX_XML_BYTES, _MAX_RATIO * len(content)):
-                raise FormatError(f"the 3MF unpacks to {declared:,} bytes; at most {_MAX_RATIO} times its size is read")
+            if declared > min(MAX_XML_BYTES, max_ratio * len(content)):
+                raise FormatError(f"the 3MF unpacks to {declared:,} bytes; at most {max_ratio} times its size is read")
             models = [entry for entry in archive.infolist() if entry.filename.lower().endswith(".model")]
             roots = [entry for entry in models if entry.filename.lower().endswith("3d/3dmodel.model")]
             if not roots:

@@ -4,13 +4,10 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 
-from dynamictree.errors import FormatError
 from dynamictree.formats.companions import find_companion
 from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
-from dynamictree.mesh import Material, SourceWarning
+from dynamictree.mesh import Material, SourceWarning, refuse_many_materials
 
-_CUTOFF = 0.5  # of a material with a map_d
-_MAX_MATERIALS = 10_000  # of a file; each makes lists in every stage, and a mesh of one tree has up to some hundreds
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?\s+"
 _OPTIONS = re.compile(
     r"(?:-(?:blendu|blendv|cc|clamp)\s+(?:on|off)\s+|-[ost]\s+(?:" + _NUMBER + r"){1,3}|-mm\s+(?:" + _NUMBER + r"){2}"
@@ -26,12 +23,10 @@ def read_materials(
     """The materials of these names, grey where no library describes one, and what was missing.
 
     Raises:
-        FormatError: a damaged texture, or too many materials.
+        FormatError: a damaged texture.
+        MeshError: too many materials.
     """
-    if len(names) > _MAX_MATERIALS:
-        raise FormatError(
-            f"the OBJ file has {len(names):,} materials; at most {_MAX_MATERIALS:,} are allowed; merge them"
-        )
+    refuse_many_materials(len(names))
     warnings: list[SourceWarning] = []
     fields: dict[str, dict[str, str]] = {}
     for library in libraries:
@@ -97,6 +92,7 @@ def _material(
     warnings: list[SourceWarning],
 ) -> Material:
     """Build one material; `images` has the textures that are decoded already."""
+    cutoff = 0.5  # of a material with a map_d
     red, green, blue = (_numbers(entry.get("kd", "")) * 3)[:3] or (0.8, 0.8, 0.8)
     opaque = _numbers(entry.get("d", "")) or [1 - number for number in _numbers(entry.get("tr", ""))] or [1.0]
     given = entry.get("map_kd", "").strip('"')
@@ -115,7 +111,7 @@ def _material(
         name=name,
         base_color=(red, green, blue, opaque[-1]),
         texture_png=images.get(texture),
-        alpha_cutoff=_CUTOFF if "map_d" in entry else None,
+        alpha_cutoff=cutoff if "map_d" in entry else None,
     )
 
 

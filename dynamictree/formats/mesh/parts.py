@@ -10,9 +10,6 @@ from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import Material, MeshLook, Parts, TriangleMesh
 from dynamictree.source import Source
 
-_WHITE = 255
-_DEFAULT_MATERIAL = Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False)
-
 
 @dataclass(frozen=True, kw_only=True)
 class MeshPart:
@@ -30,13 +27,15 @@ class MeshPart:
 
 def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> TriangleMesh:
     """One mesh; what has no material gets a white one, a vertex without texture place 0, one without colour white."""
+    white = 255
+    default_material = Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False)
     own, starts = [part for part in parts if part.vertices_of is None], first_vertices(parts)
     has_normals = any(p.normals is not None for p in own)
     normals = [np.zeros(p.vertices.shape, np.float32) if p.normals is None else p.normals for p in own]
     has_uv, has_colors = any(p.uv is not None for p in own), any(p.vertex_colors is not None for p in own)
     uv = [np.zeros((len(p.vertices), 2), np.float32) if p.uv is None else p.uv for p in own]
     colors = [
-        np.full((len(p.vertices), 4), _WHITE, np.uint8) if p.vertex_colors is None else p.vertex_colors for p in own
+        np.full((len(p.vertices), 4), white, np.uint8) if p.vertex_colors is None else p.vertex_colors for p in own
     ]
     default = len(materials)
     face_material = [np.full(len(p.faces), p.material if p.material >= 0 else default, np.int32) for p in parts]
@@ -54,9 +53,7 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
             vertex_colors=np.concatenate(colors) if has_colors else None,
             normals=np.concatenate(normals) if has_normals else None,
             face_material=None if not materials else np.concatenate(face_material),
-            materials=(*materials, _DEFAULT_MATERIAL)
-            if materials and any(p.material < 0 for p in parts)
-            else materials,
+            materials=(*materials, default_material) if materials and any(p.material < 0 for p in parts) else materials,
         ),
     )
 

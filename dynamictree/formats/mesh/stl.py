@@ -9,9 +9,6 @@ from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, TriangleMesh
 from dynamictree.source import Source
 
-_HEADER_BYTES = 84
-_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-
 
 def read_stl(content: bytes) -> TriangleMesh:
     """Read, in the file's own axes and units.
@@ -41,17 +38,19 @@ def is_ascii_stl(head: bytes) -> bool:
 
 
 def _binary_corners(content: bytes) -> Float32[np.ndarray, "F 3 3"]:
-    if len(content) < _HEADER_BYTES:
-        raise FormatError(f"the STL file has {len(content)} bytes; its header alone has {_HEADER_BYTES}")
+    header_bytes = 84
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    if len(content) < header_bytes:
+        raise FormatError(f"the STL file has {len(content)} bytes; its header alone has {header_bytes}")
     count = int.from_bytes(content[80:84], "little")
     _refuse_too_many(count)
-    needed = _HEADER_BYTES + count * _RECORD.itemsize
+    needed = header_bytes + count * record.itemsize
     if needed > len(content):
         raise FormatError(
             f"the STL header says {count:,} faces, {needed:,} bytes, but {len(content):,} are there; "
             "it is truncated or no STL"
         )
-    records = np.frombuffer(content, _RECORD, count, _HEADER_BYTES)
+    records = np.frombuffer(content, record, count, header_bytes)
     return np.ascontiguousarray(records["corners"]).astype(np.float32)
 
 
