@@ -15,11 +15,20 @@ def parse_object(text: bytes, what: str) -> JsonObject:
     Raises:
         FormatError: it is not JSON, nested too deeply, or no object.
     """
+    return as_object(parse_value(text, what), what)
+
+
+def parse_value(text: bytes | str, what: str) -> object:
+    """Any JSON value.
+
+    Raises:
+        FormatError: it is not JSON, or nested too deeply.
+    """
     try:
-        document: object = json.loads(text)
+        value: object = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FormatError(f"the JSON of the {what} cannot be read: {str(error)[:120]}") from error
-    return as_object(document, what)
+    return value
 
 
 def as_object(value: object, what: str) -> JsonObject:
@@ -39,9 +48,9 @@ def object_list(parent: JsonObject, name: str) -> list[JsonObject]:
     return [as_object(value, f"{name}[{i}]") for i, value in enumerate(_list(parent, name))]
 
 
-def integer_field(parent: JsonObject, name: str, *, high: int, default: int | None = None) -> int:
-    """A whole number from 0 to `high`."""
-    return _integer(parent.get(name, default), name, high)
+def integer_field(parent: JsonObject, name: str, *, high: int, default: int | None = None, low: int = 0) -> int:
+    """A whole number from `low` to `high`."""
+    return _integer(parent.get(name, default), name, high, low)
 
 
 def index_field(parent: JsonObject, name: str, items: Sequence[object], what: str) -> int | None:
@@ -58,12 +67,12 @@ def index_list(parent: JsonObject, name: str, items: Sequence[object]) -> list[i
     return [_integer(value, name, len(items) - 1) for value in _list(parent, name)]
 
 
-def number_field(parent: JsonObject, name: str, default: float) -> float:
+def number_field(parent: JsonObject, name: str, default: float | None = None) -> float:
     """A finite number."""
     return _number(parent.get(name, default), name)
 
 
-def numbers_field(parent: JsonObject, name: str, length: int, default: Sequence[float]) -> list[float]:
+def numbers_field(parent: JsonObject, name: str, length: int, default: Sequence[float] = ()) -> list[float]:
     """A list of finite numbers."""
     values = _list(parent, name) if name in parent else list(default)
     if len(values) != length:
@@ -91,11 +100,11 @@ def _list(parent: JsonObject, name: str) -> list[object]:
     return value
 
 
-def _integer(value: object, name: str, high: int) -> int:
+def _integer(value: object, name: str, high: int, low: int = 0) -> int:
     if isinstance(value, float) and value.is_integer():  # some writers put 3.0
         value = int(value)
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= high:
-        raise FormatError(f"{name} is {_shortened(value)}; a whole number from 0 to {high} is allowed")
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise FormatError(f"{name} is {_shortened(value)}; a whole number from {low} to {high} is allowed")
     return value
 
 

@@ -147,8 +147,8 @@ def test_values_that_became_infinite_are_not_written(rng: np.random.Generator) -
         ({}, {"origin_m": "[0, 0]"}, "origin_m"),
         ({}, {"origin_m": '{"x": 0}'}, "origin_m"),
         ({}, {"origin_m": '[0, 0, "a"]'}, "origin_m"),
-        ({}, {"origin_m": "[0, 0,"}, "not JSON"),
-        ({}, {"origin_m": "[" * 4000}, "not JSON"),
+        ({}, {"origin_m": "[0, 0,"}, "JSON of the metadata"),
+        ({}, {"origin_m": "[" * 4000}, "JSON of the metadata"),
         ({}, {"rest": "lying"}, "rest"),
         ({}, {"seed": "0.5"}, "seed"),
         ({}, {"wind": "[]"}, "wind"),
@@ -184,20 +184,6 @@ def test_a_file_over_the_cap_is_refused(rng: np.random.Generator) -> None:
         container.read_tensors(
             io.BytesIO(written(small_spectrum(rng))), file_format="sparse-voxel-spectrum", version="1", max_bytes=1000
         )
-
-
-def test_mutated_spectrum_files_raise_nothing_but_input_errors(rng: np.random.Generator) -> None:
-    content = np.frombuffer(written(small_spectrum(rng, 5)), np.uint8)
-    refused = 0
-    for _ in range(400):
-        mutated = content.copy()
-        for place in rng.integers(0, len(content), rng.integers(1, 4)):
-            mutated[place] = rng.integers(0, 256)
-        try:
-            read_spectrum(io.BytesIO(mutated.tobytes()))
-        except InputError:
-            refused += 1
-    assert 50 < refused < 400
 
 
 def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:

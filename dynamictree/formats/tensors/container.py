@@ -12,7 +12,14 @@ from safetensors import SafetensorError, deserialize
 from dynamictree.axis_names import UP_AXIS_PATTERN
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.json_fields import numbers_field, parse_object
+from dynamictree.formats.json_fields import (
+    JsonObject,
+    integer_field,
+    number_field,
+    numbers_field,
+    object_field,
+    parse_value,
+)
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.source import Source
 from dynamictree.voxel.grid import VoxelGrid
@@ -23,8 +30,6 @@ MAX_RESOLUTION = 4096  # its keys still fit int64 many times over
 
 _DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32, "U8": np.uint8}
 _NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
-_MAX_HEADER_BYTES = 1 << 20
-_MAX_FIELD_CHARS = 4096  # of a metadata field; a hostile one must not exhaust the JSON parser
 
 
 def read_tensors(
@@ -59,9 +64,10 @@ def read_tensors(
 
 def tensor_format(stream: SeekableReader) -> str | None:
     """The format that a file's metadata name; None where it is no safetensors. The stream is left at its start."""
+    max_header_bytes = 1 << 20
     stream.seek(0)
     length = int.from_bytes(stream.read(8), "little")
-    header = stream.read(min(length, _MAX_HEADER_BYTES))
+    header = stream.read(min(length, max_header_bytes))
     stream.seek(0)
     try:
         metadata = json.loads(header)["__metadata__"]
@@ -197,10 +203,7 @@ def offset_of(metadata: Mapping[str, str]) -> tuple[float, float, float]:
     Raises:
         FormatError: it is not three finite numbers.
     """
-    values = parse_object(
-        b'{"source_offset": ' + metadata.get("source_offset", "[0, 0, 0]").encode() + b"}", "metadata"
-    )
-    x, y, z = numbers_field(values, "source_offset", 3, ())
+    x, y, z = number_list({"source_offset": "[0, 0, 0]"} | dict(metadata), "source_offset", 3)
     return x, y, z
 
 
@@ -214,54 +217,31 @@ def text(metadata: Mapping[str, str], name: str, allowed: str) -> str:
 
 def number(metadata: Mapping[str, str], name: str) -> float:
     """A finite number."""
-    return _finite(_parsed(metadata, name), name)
+    return number_field(_parsed(metadata, name), name)
 
 
 def number_list(metadata: Mapping[str, str], name: str, length: int) -> list[float]:
     """A JSON list of finite numbers."""
-    values = _parsed(metadata, name)
-    if not isinstance(values, list) or len(values) != length:
-        raise FormatError(f"metadata {name!r} is {_shortened(values)}; a list of {length} numbers is allowed")
-    return [_finite(value, name) for value in values]
+    return numbers_field(_parsed(metadata, name), name, length)
 
 
 def number_fields(metadata: Mapping[str, str], name: str, keys: tuple[str, ...]) -> dict[str, float]:
     """A JSON object of finite numbers under exactly these keys."""
-    values = _parsed(metadata, name)
-    if not isinstance(values, dict) or set(values) != set(keys):
-        raise FormatError(f"metadata {name!r} is {_shortened(values)}; an object with {', '.join(keys)} is allowed")
-    return {key: _finite(values[key], f"{name}.{key}") for key in keys}
+    values = object_field(_parsed(metadata, name), name)
+    if set(values) != set(keys):
+        raise FormatError(f"{name} has the fields {', '.join(values)[:80]!r}; {', '.join(keys)} are needed")
+    return {key: number_field({f"{name}.{key}": values[key]}, f"{name}.{key}") for key in keys}
 
 
 def integer(metadata: Mapping[str, str], name: str, *, low: int, high: int) -> int:
     """A whole number within bounds."""
-    value = _parsed(metadata, name)
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise FormatError(f"metadata {name!r} is {_shortened(value)}; a whole number from {low} to {high} is allowed")
-    return value
+    return integer_field(_parsed(metadata, name), name, low=low, high=high)
 
 
-def _parsed(metadata: Mapping[str, str], name: str) -> object:
+def _parsed(metadata: Mapping[str, str], name: str) -> JsonObject:
+    """The field alone, its text parsed as JSON."""
+    max_field_chars = 4096  # of a metadata field; a hostile one must not exhaust the JSON parser
     text = metadata.get(name, "")
-    if not 0 < len(text) <= _MAX_FIELD_CHARS:
-        raise FormatError(f"metadata {name!r} has {len(text)} characters; 1 to {_MAX_FIELD_CHARS} are allowed")
-    try:
-        value: object = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"metadata {name!r} is {_shortened(text)}, which is not JSON") from error
-    return value
-
-
-def _finite(value: object, name: str) -> float:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not abs(value) < 1e300
-        or not math.isfinite(value)
-    ):
-        raise FormatError(f"metadata {name!r} holds {_shortened(value)}; a finite number is allowed")
-    return float(value)
-
-
-def _shortened(value: object) -> str:
-    return repr(value)[:80]
+    if not 0 < len(text) <= max_field_chars:
+        raise FormatError(f"metadata {name!r} has {len(text)} characters; 1 to {max_field_chars} are allowed")
+    return {name: parse_value(text, f"metadata {name!r}")}

@@ -23,9 +23,6 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 FORMAT = "surface-voxels"
 VERSION = "1"
 
-_LONGEST_NORMAL = 1.01  # unit length and rounding; zero says that the direction is not known
-_LARGEST_MOMENT = 1.01  # of all but the area: offsets and spreads lie inside a voxel, normals have unit length
-
 
 def write_voxels(voxels: SurfaceVoxels, stream: ByteWriter) -> None:
     """Write; undone by `read_voxels` bit by bit."""
@@ -41,20 +38,22 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     Raises:
         InputError: the file holds no voxels of a known version, or anything in it is out of range.
     """
+    longest_normal = 1.01  # unit length and rounding; zero says that the direction is not known
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
     grid = read_grid(tensors, metadata)
     normals = take_tensor(tensors, "normals", dtypes=("float32",), shape=(len(grid), 3))
     longest = float(np.linalg.norm(normals, axis=1).max())
-    if longest > _LONGEST_NORMAL:
+    if longest > longest_normal:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
     moments, tree = _moments(tensors, len(grid)), tree_numbers(tensors, len(grid))
     return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source_of(metadata))
 
 
 def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Float32[np.ndarray, "V 16"] | None:
+    largest_moment = 1.01  # of all but the area: offsets and spreads lie inside a voxel, normals have unit length
     if "moments" not in tensors:
         return None
     moments = take_tensor(tensors, "moments", dtypes=("float32",), shape=(num_voxels, NUM_MOMENTS))
-    if (moments[:, AREA] <= 0).any() or float(np.abs(moments[:, AREA.stop :]).max()) > _LARGEST_MOMENT:
+    if (moments[:, AREA] <= 0).any() or float(np.abs(moments[:, AREA.stop :]).max()) > largest_moment:
         raise FormatError("moments have an area above 0, and lie within a voxel; voxelise the mesh again")
     return moments
