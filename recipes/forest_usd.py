@@ -3,17 +3,14 @@
 +Z up, metres. Needs usd-core, the extra `usd`.
 """
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.motion.usd import define_looks, define_surface, new_stage, set_points, texture_files
-from dynamictree.formats.motion.usdz import pack_usdz
+from dynamictree.formats.motion.usd import define_surface, packed_stage, set_points
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import iter_motion
@@ -47,10 +44,7 @@ def write_forest_usdz(
         raise InputError(f"{num_motions} motions are {size / 1e9:.1f} GB as USD: ask for fewer motions")
     foot = np.array([*mesh.vertices[:, :2].mean(axis=0), mesh.vertices[:, 2].min()], np.float32)
     standing = mesh.with_vertices(mesh.vertices - foot)
-    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
-        textures = texture_files(mesh, Path(folder))
-        layer = Path(folder) / "forest.usdc"
-        stage = new_stage(layer, fps)
+    with packed_stage(stream, fps) as (stage, folder):
         forest = UsdGeom.PointInstancer.Define(stage, _FOREST)
         stage.SetDefaultPrim(forest.GetPrim())
         stage.DefinePrim(_MOTIONS, "Scope")
@@ -59,8 +53,7 @@ def write_forest_usdz(
             path = f"{_MOTIONS}/motion_{number}"
             prim = UsdGeom.Xform.Define(stage, path).GetPrim()
             if number == 0:
-                define_surface(stage, path, standing)
-                define_looks(stage, path, standing, textures)
+                define_surface(stage, path, standing, folder)
             else:
                 prim.GetReferences().AddInternalReference(f"{_MOTIONS}/motion_0")
             turn = np.exp(1j * group[len(group) // 2].phase_rad).astype(np.complex64)
@@ -71,7 +64,4 @@ def write_forest_usdz(
         forest.CreateProtoIndicesAttr(Vt.IntArray([number for _, number in every]))
         forest.CreatePositionsAttr(Vt.Vec3fArray([tree.position_m for tree, _ in every]))
         forest.CreateScalesAttr(Vt.Vec3fArray([(tree.scale,) * 3 for tree, _ in every]))
-        stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(num_frames - 1)
-        stage.Save()
-        pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)

@@ -8,19 +8,16 @@ from jaxtyping import Float16, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 
-_MAGIC, _VERSION = 20000630, 2
-_HALF, _ZIP, _INCREASING = 1, 3, 0
-_BLOCK = 16  # lines that ZIP compresses together
-
 
 def write_exr(pixels: Float16[np.ndarray, "H W C"], stream: ByteWriter, *, channels: str = "RGB") -> None:
     """Write a linear picture, first row on top; a channel a letter, in the order of the last axis."""
+    lines_at_once = 16  # lines that ZIP compresses together
     assert len(channels) == pixels.shape[2]
     height, width, _ = pixels.shape
     order = np.argsort(list(channels))  # a file lists its channels by name
     head = _header(width, height, "".join(sorted(channels)))
     lines = np.ascontiguousarray(pixels[:, :, order].transpose(0, 2, 1))  # [H, C, W]
-    blocks = [_block(top, lines[top : top + _BLOCK]) for top in range(0, height, _BLOCK)]
+    blocks = [_block(top, lines[top : top + lines_at_once]) for top in range(0, height, lines_at_once)]
     sizes = [0, *np.cumsum([len(block) for block in blocks[:-1]]).tolist()]
     first = len(head) + 8 * len(blocks)
     stream.write(head + struct.pack(f"<{len(blocks)}Q", *(first + size for size in sizes)))
@@ -29,20 +26,22 @@ def write_exr(pixels: Float16[np.ndarray, "H W C"], stream: ByteWriter, *, chann
 
 
 def _header(width: int, height: int, channels: str) -> bytes:
+    magic, version = 20000630, 2
+    half, zip_lines, increasing = 1, 3, 0
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    listed = b"".join(name.encode() + struct.pack("<xiB3xii", _HALF, 1, 1, 1) for name in channels)
+    listed = b"".join(name.encode() + struct.pack("<xiB3xii", half, 1, 1, 1) for name in channels)
     attributes = [
         ("channels", "chlist", listed + b"\0"),
-        ("compression", "compression", bytes([_ZIP])),
+        ("compression", "compression", bytes([zip_lines])),
         ("dataWindow", "box2i", window),
         ("displayWindow", "box2i", window),
-        ("lineOrder", "lineOrder", bytes([_INCREASING])),
+        ("lineOrder", "lineOrder", bytes([increasing])),
         ("pixelAspectRatio", "float", struct.pack("<f", 1)),
         ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
         ("screenWindowWidth", "float", struct.pack("<f", 1)),
     ]
     named = (f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value for name, kind, value in attributes)
-    return struct.pack("<ii", _MAGIC, _VERSION) + b"".join(named) + b"\0"
+    return struct.pack("<ii", magic, version) + b"".join(named) + b"\0"
 
 
 def _block(top: int, lines: Float16[np.ndarray, "L C W"]) -> bytes:

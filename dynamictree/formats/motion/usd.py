@@ -3,8 +3,11 @@
 +Z up, metres, vertices in the source's order. Needs usd-core, the extra `usd`.
 """
 
+import os
+import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -12,64 +15,78 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.formats.gltf.writer import linear_colors
-from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.mesh import Material, TriangleMesh
 
-_ROOT = "/Tree"
+ROOT = "/Tree"
 
 
 def write_motion_usdz(
     mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, fps: float
 ) -> None:
-    """Write displacements [m], a time code a frame, from 0."""
-    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
-        textures = texture_files(mesh, Path(folder))
-        layer = Path(folder) / "tree.usdc"
-        _write_layer(mesh, frames, layer, fps, textures)
-        pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
+    """Write displacements [m], a time code per frame, from 0."""
+    from pxr import UsdGeom
+
+    with packed_stage(stream, fps) as (stage, folder):
+        set_root(stage, UsdGeom.Xform.Define(stage, ROOT))
+        define_surface(stage, ROOT, mesh, folder)
+        stage.SetEndTimeCode(set_points(stage, f"{ROOT}/Surface", mesh, frames))
 
 
-def texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:
-    """Textures beside the layer, by the numbers of their materials."""
-    names = {}
-    for number, material in enumerate(mesh.look.materials):
-        if material.texture_png is not None:
-            names[number] = f"texture_{number}.png"
-            (folder / names[number]).write_bytes(material.texture_png)
-    return names
+@contextmanager
+def packed_stage(stream: BinaryIO, fps: float) -> Iterator[tuple[Any, Path]]:
+    """An empty stage in metres and +Z up, a time code per frame from 0, and the folder of its files.
+
+    At the end all files of the folder are packed, the layer first, under their own names and with times of change in
+    1980, so that equal input gives equal bytes.
+    """
+    no_time_s = 315_576_000  # 1 January 1980 at noon: the first day that a ZIP can name
+    from pxr import Sdf, Usd, UsdGeom
+
+    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as name:
+        folder, layer = Path(name), Path(name) / "tree.usdc"
+        stage = Usd.Stage.CreateNew(str(layer))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(fps)
+        stage.SetFramesPerSecond(fps)
+        stage.SetStartTimeCode(0)
+        yield stage, folder
+        stage.Save()
+        files = [layer, *sorted(set(folder.iterdir()) - {layer})]
+        package = folder / "tree.usdz"
+        archive = Sdf.ZipFileWriter.CreateNew(str(package))
+        for path in files:
+            os.utime(path, (no_time_s, no_time_s))
+            archive.AddFile(str(path), path.name)
+        archive.Save()
+        with package.open("rb") as written:
+            shutil.copyfileobj(written, stream)
 
 
-def new_stage(path: Path, fps: float) -> Any:
-    """An empty stage in metres and +Z up, a time code a frame, in a new layer."""
-    from pxr import Usd, UsdGeom
+def set_root(stage: Any, root: Any) -> None:
+    """Make a prim the one that others reference."""
+    from pxr import Kind, Usd
 
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetTimeCodesPerSecond(fps)
-    stage.SetFramesPerSecond(fps)
-    return stage
-
-
-def _write_layer(
-    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], path: Path, fps: float, textures: dict[int, str]
-) -> None:
-    from pxr import Kind, Usd, UsdGeom
-
-    stage = new_stage(path, fps)
-    root = UsdGeom.Xform.Define(stage, _ROOT)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    define_surface(stage, _ROOT, mesh)
-    last = set_points(stage, f"{_ROOT}/Surface", mesh, frames)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(last)
-    define_looks(stage, _ROOT, mesh, textures)
-    stage.Save()
 
 
-def define_surface(stage: Any, root: str, mesh: TriangleMesh) -> None:
-    """The mesh at rest as `Surface` below `root`, with its faces bound to the materials of `define_looks`."""
+def define_surface(stage: Any, root: str, mesh: TriangleMesh, folder: Path) -> None:
+    """The mesh at rest as `Surface` below `root`, its materials as `Looks`; textures are written into the folder."""
+    _define_mesh(stage, root, mesh)
+    for number, material in enumerate(mesh.look.materials):
+        texture = None if material.texture_png is None else f"texture_{number}.png"
+        if material.texture_png is not None:
+            (folder / f"texture_{number}.png").write_bytes(material.texture_png)
+        _define_material(stage, _looks(root, number), material, texture)
+
+
+def _looks(root: str, number: int) -> str:
+    return f"{root}/Looks/Material_{number}"
+
+
+def _define_mesh(stage: Any, root: str, mesh: TriangleMesh) -> None:
+    """The mesh at rest, with its faces bound to its materials."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     surface = UsdGeom.Mesh.Define(stage, f"{root}/Surface")
@@ -90,12 +107,12 @@ def define_surface(stage: Any, root: str, mesh: TriangleMesh) -> None:
     if not mesh.look.materials:
         return
     binding = UsdShade.MaterialBindingAPI.Apply(surface.GetPrim())
-    binding.Bind(UsdShade.Material.Define(stage, f"{root}/Looks/Material_0"))
+    binding.Bind(UsdShade.Material.Define(stage, _looks(root, 0)))
     face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     for number in np.unique(face_material).tolist():
         chosen = np.flatnonzero(face_material == number).astype(np.int32)
         part = binding.CreateMaterialBindSubset(f"Part_{number}", Vt.IntArray.FromNumpy(chosen))
-        looks = UsdShade.Material.Define(stage, f"{root}/Looks/Material_{number}")
+        looks = UsdShade.Material.Define(stage, _looks(root, number))
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(looks)
 
 
@@ -112,12 +129,6 @@ def set_points(stage: Any, path: str, mesh: TriangleMesh, frames: Iterable[Float
         points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(moved)), frame)
         extent.Set(Vt.Vec3fArray([Gf.Vec3f(*low), Gf.Vec3f(*high)]), frame)
     return frame
-
-
-def define_looks(stage: Any, root: str, mesh: TriangleMesh, textures: dict[int, str]) -> None:
-    """The materials as `Looks` below `root`; `textures` are names of files beside the layer."""
-    for number, material in enumerate(mesh.look.materials):
-        _define_material(stage, f"{root}/Looks/Material_{number}", material, textures.get(number))
 
 
 def _define_material(stage: Any, path: str, material: Material, texture: str | None) -> None:

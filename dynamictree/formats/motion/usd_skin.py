@@ -3,43 +3,31 @@
 +Z up, metres, vertices in the source's order. Needs usd-core, the extra `usd`.
 """
 
-import tempfile
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from dynamictree.formats.gltf.skin import joint_name, relative_to_parents, steady
-from dynamictree.formats.motion.usd import define_looks, define_surface, new_stage, texture_files
-from dynamictree.formats.motion.usdz import pack_usdz
+from dynamictree.formats.motion.usd import ROOT, define_surface, packed_stage, set_root
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rotation import matrix_quaternions
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin
 
-_ROOT, _SKELETON, _SWAY = "/Tree", "/Tree/Skeleton", "/Tree/Skeleton/Sway"
+_SKELETON, _SWAY = f"{ROOT}/Skeleton", f"{ROOT}/Skeleton/Sway"
 
 
 def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps: float) -> None:
     """Write one period, a time code a frame; the last of T + 1 shows the first frame again."""
-    from pxr import Kind, Usd, UsdSkel
+    from pxr import UsdSkel
 
-    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
-        textures = texture_files(mesh, Path(folder))
-        layer = Path(folder) / "tree.usdc"
-        stage = new_stage(layer, fps)
-        root = UsdSkel.Root.Define(stage, _ROOT)
-        stage.SetDefaultPrim(root.GetPrim())
-        Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-        define_surface(stage, _ROOT, mesh)
-        define_looks(stage, _ROOT, mesh, textures)
+    with packed_stage(stream, fps) as (stage, folder):
+        set_root(stage, UsdSkel.Root.Define(stage, ROOT))
+        define_surface(stage, ROOT, mesh, folder)
         joints = _joint_paths(skin)
         _define_skeleton(stage, skin, joints)
         _define_sway(stage, skin, joints)
-        _bind(stage, f"{_ROOT}/Surface", skin)
-        stage.SetStartTimeCode(0)
+        _bind(stage, skin)
         stage.SetEndTimeCode(len(skin.rotation))
-        stage.Save()
-        pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
 
 
 def _joint_paths(skin: Skin) -> list[str]:
@@ -80,10 +68,10 @@ def _define_sway(stage: Any, skin: Skin, joints: list[str]) -> None:
         translations.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(translation[frame], np.float32)), code)
 
 
-def _bind(stage: Any, surface: str, skin: Skin) -> None:
+def _bind(stage: Any, skin: Skin) -> None:
     from pxr import UsdSkel, Vt
 
-    binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(surface))
+    binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(f"{ROOT}/Surface"))
     used = skin.weights > 0
     rows, weights = np.where(used, skin.rows, 0).ravel(), np.where(used, skin.weights, 0).ravel()
     binding.CreateJointIndicesPrimvar(False, JOINTS_PER_VERTEX).Set(Vt.IntArray.FromNumpy(rows.astype(np.int32)))

@@ -3,22 +3,17 @@
 +Z up, metres. Colours are those at rest: harmonics do not turn with the Gaussians. Needs usd-core, the extra `usd`.
 """
 
-import tempfile
 from collections.abc import Iterable
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.errors import InputError
-from dynamictree.formats.motion.usd import new_stage
-from dynamictree.formats.motion.usdz import pack_usdz
+from dynamictree.formats.motion.usd import ROOT, packed_stage
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
-
-_BYTES = 12 + 8 + 6  # a Gaussian and frame: its place in floats, its rotation and scales in halves
 
 
 def usd_splat_bytes(num_gaussians: int, num_frames: int) -> int:
@@ -27,7 +22,8 @@ def usd_splat_bytes(num_gaussians: int, num_frames: int) -> int:
     Raises:
         InputError: it would be too large.
     """
-    size = _BYTES * num_gaussians * num_frames
+    bytes = 12 + 8 + 6  # a Gaussian and frame: its place in floats, its rotation and scales in halves
+    size = bytes * num_gaussians * num_frames
     if size > MAX_SEQUENCE_BYTES:
         raise InputError(
             f"{num_frames} frames of {num_gaussians:,} Gaussians as usd-splat are {size / 1e9:.1f} GB, above "
@@ -48,11 +44,9 @@ def write_splat_usdz(
 
     cloud = binding.cloud
     usd_splat_bytes(cloud.num_gaussians, num_frames)
-    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
-        layer = Path(folder) / "splat.usdc"
-        stage = new_stage(layer, fps)
-        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Tree").GetPrim())
-        splat = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Tree/Splat")
+    with packed_stage(stream, fps) as (stage, _):
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, ROOT).GetPrim())
+        splat = UsdVol.ParticleField3DGaussianSplat.Define(stage, f"{ROOT}/Splat")
         splat.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(cloud.opacity))
         splat.CreateRadianceSphericalHarmonicsDegreeAttr(cloud.sh_degree)
         harmonics = np.ascontiguousarray(cloud.sh.reshape(-1, 3))
@@ -68,7 +62,4 @@ def write_splat_usdz(
             reach = 3 * pose.scales.max(axis=1, keepdims=True)
             bounds = np.stack([(pose.means - reach).min(axis=0), (pose.means + reach).max(axis=0)])
             extent.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(bounds, np.float32)), frame)
-        stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(frame)
-        stage.GetRootLayer().Save()
-        pack_usdz([layer], stream)
