@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
+from dynamictree.formats.gltf.motion import MorphOptions, MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.requests import GlbCompression, GlbTextures
@@ -67,10 +67,12 @@ def _write_glb(
         stream,
         num_frames=tree.spectrum.num_frames,
         fps=tree.loop_fps,
-        num_targets=num_targets,
-        with_normals=tree.params.normals,
-        compressed=compression == "meshopt",
-        as_webp=textures == "webp",
+        options=MorphOptions(
+            num_targets=num_targets,
+            with_normals=tree.params.normals,
+            compressed=compression == "meshopt",
+            as_webp=textures == "webp",
+        ),
     )
 
 

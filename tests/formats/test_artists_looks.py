@@ -11,10 +11,10 @@ from pathlib import Path
 import DracoPy
 import numpy as np
 import pytest
+from dynamictree.commands.source import load_mesh
 
 from dynamictree.commands.convert import write_mesh_file
-from dynamictree.commands.input_files import load_mesh
-from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.motion import MorphOptions, write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
@@ -175,7 +175,9 @@ def test_khronos_validator_finds_in_the_animated_what_it_finds_in_the_source(tmp
         paths[-2].write_bytes(model().glb())
         mesh = read_mesh(io.BytesIO(model().glb()), file_type="glb")
         with paths[-1].open("wb") as stream:
-            write_motion_glb(mesh, coefficients_of(mesh), stream, num_frames=10, with_normals=True)
+            write_motion_glb(
+                mesh, coefficients_of(mesh), stream, num_frames=10, options=MorphOptions(with_normals=True)
+            )
     issues = [(report["numErrors"], report["numWarnings"]) for report in validated(paths)]
     assert issues[1::2] == issues[::2]
 

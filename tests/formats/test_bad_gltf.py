@@ -89,6 +89,7 @@ def test_instances_count_against_the_cap() -> None:
         ({"bufferViews": [{"buffer": 0, "byteLength": 30}] * 2}, "ends at byte 36"),
         ({"bufferViews": [{"buffer": 0, "byteLength": 36, "byteStride": 4}] * 2}, "4 bytes apart"),
         ({"materials": [{"alphaMode": "GLOW"}]}, "GLOW"),
+        ({"materials": [{}] * 10_001}, "10,001 materials; at most 10,000"),
         ({"materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1, 1]}}]}, "4 are needed"),
     ],
 )  # fmt: skip

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
+from dynamictree.formats.gltf.motion import MorphOptions, MorphSummary, write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import read_motion, write_motion
@@ -30,9 +30,11 @@ def sway(rng: np.random.Generator, mesh: TriangleMesh, num_frequencies: int = 16
     return (0.1 * raw * falling * mesh.vertices[:, 2, None, None]).astype(np.complex64)
 
 
-def animated(mesh: TriangleMesh, coefficients: np.ndarray, **options: int) -> tuple[bytes, MorphSummary]:
+def animated(
+    mesh: TriangleMesh, coefficients: np.ndarray, num_targets: int | None = None, **timing: int
+) -> tuple[bytes, MorphSummary]:
     stream = io.BytesIO()
-    summary = write_motion_glb(mesh, coefficients, stream, **options)
+    summary = write_motion_glb(mesh, coefficients, stream, options=MorphOptions(num_targets=num_targets), **timing)
     return stream.getvalue(), summary
 
 

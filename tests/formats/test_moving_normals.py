@@ -8,7 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from dynamictree.formats.gltf.motion import ShadedMorphSummary, write_motion_glb
+from dynamictree.formats.gltf.motion import MorphOptions, ShadedMorphSummary, write_motion_glb
 from dynamictree.formats.gltf.normals import angles_rad, iter_normals, turn_normals
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
@@ -34,7 +34,7 @@ def bending(mesh: TriangleMesh, slope: float) -> np.ndarray:
 
 def animated(mesh: TriangleMesh, coefficients: np.ndarray) -> tuple[Document, ShadedMorphSummary]:
     stream = io.BytesIO()
-    summary = write_motion_glb(mesh, coefficients, stream, num_frames=FRAMES, with_normals=True)
+    summary = write_motion_glb(mesh, coefficients, stream, num_frames=FRAMES, options=MorphOptions(with_normals=True))
     assert isinstance(summary, ShadedMorphSummary)
     return document_of(stream.getvalue()), summary
 

@@ -11,6 +11,7 @@ from jaxtyping import Shaped
 from dynamictree.byte_stream import ByteReader
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import find_companion
+from dynamictree.formats.gltf.layout import COMPONENTS, WIDTHS
 from dynamictree.formats.gltf.meshopt import decompressed, is_fallback
 from dynamictree.formats.json_fields import (
     JsonObject,
@@ -43,9 +44,6 @@ READ_EXTENSIONS = frozenset(
 
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 _MAX_BYTES = 1 << 40
-_MAX_JSON_BYTES = 64 << 20
-_DTYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,13 +155,14 @@ def glb_json(stream: ByteReader) -> JsonObject:
     Raises:
         FormatError: not GLB 2, truncated, or JSON that is none.
     """
+    max_json_bytes = 64 << 20
     head = stream.read(20)
     if len(head) < 20 or head[:8] != _MAGIC + (2).to_bytes(4, "little"):
         raise FormatError("the file does not begin as GLB version 2; it is no GLB file, or truncated")
     length = int.from_bytes(head[12:16], "little")
-    if length > _MAX_JSON_BYTES or int.from_bytes(head[16:20], "little") != _JSON_CHUNK:
+    if length > max_json_bytes or int.from_bytes(head[16:20], "little") != _JSON_CHUNK:
         raise FormatError(
-            f"the first chunk of the GLB has {length:,} bytes; JSON of at most {_MAX_JSON_BYTES:,} is read"
+            f"the first chunk of the GLB has {length:,} bytes; JSON of at most {max_json_bytes:,} is read"
         )
     return parse_object(stream.read(length), "GLB file")
 
@@ -189,16 +188,16 @@ def uri_bytes(uri: str, companions: Mapping[str, bytes]) -> bytes:
 def accessor_layout(accessor: JsonObject, name: str) -> tuple[int, np.dtype[np.generic], int]:
     """Count, component type and width of an accessor, from its JSON alone."""
     kind = text_field(accessor, "type")
-    if kind not in _WIDTHS:
-        raise FormatError(f"{name} is of type {kind[:20]!r}; {', '.join(_WIDTHS)} are read")
-    return integer_field(accessor, "count", high=MAX_ELEMENTS), _component_type(accessor), _WIDTHS[kind]
+    if kind not in WIDTHS:
+        raise FormatError(f"{name} is of type {kind[:20]!r}; {', '.join(WIDTHS)} are read")
+    return integer_field(accessor, "count", high=MAX_ELEMENTS), _component_type(accessor), WIDTHS[kind]
 
 
 def _component_type(accessor: JsonObject) -> np.dtype[np.generic]:
     number = integer_field(accessor, "componentType", high=65535)
-    if number not in _DTYPES:
-        raise FormatError(f"a componentType is {number}; {', '.join(map(str, _DTYPES))} are defined")
-    return np.dtype(_DTYPES[number]).newbyteorder("<")
+    if number not in COMPONENTS:
+        raise FormatError(f"a componentType is {number}; {', '.join(map(str, COMPONENTS))} are defined")
+    return COMPONENTS[number]
 
 
 def _without_effect(root: JsonObject) -> set[str]:

@@ -9,7 +9,6 @@ from dynamictree.errors import FormatError
 from dynamictree.formats.texture import MAX_PIXELS
 
 _SIZE = struct.Struct("<II")
-_SIZE_AT = 20  # after the identifier, the format, and the size of a type
 
 
 def has_ktx2() -> bool:
@@ -27,10 +26,11 @@ def ktx2_as_png(content: bytes, name: str) -> bytes:
     Raises:
         FormatError: no Basis Universal texture, damaged, or of more than `MAX_PIXELS`.
     """
+    size_at = 20  # after the identifier, the format, and the size of a type
     import opengl_basisu
 
-    if len(content) >= _SIZE_AT + _SIZE.size:
-        width, height = _SIZE.unpack_from(content, _SIZE_AT)
+    if len(content) >= size_at + _SIZE.size:
+        width, height = _SIZE.unpack_from(content, size_at)
         if width * height > MAX_PIXELS:
             raise FormatError(f"texture {name!r} has {width} x {height} pixels; at most {MAX_PIXELS:,} are allowed")
     try:

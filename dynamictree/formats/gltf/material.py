@@ -21,15 +21,14 @@ from dynamictree.formats.json_fields import (
     text_field,
 )
 from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
-from dynamictree.mesh import Material, SourceWarning
-
-_BLEND_CUTOFF = 0.5  # our pictures cut out leaves that are drawn by blending; files that are written blend them
+from dynamictree.mesh import Material, SourceWarning, refuse_many_materials
 
 
 def gltf_materials(document: GltfDocument) -> tuple[Material, ...]:
     """The file's materials in its order; each image is decoded once."""
-    images: dict[int, bytes | None] = {}
-    return tuple(_material(document, entry, images) for entry in object_list(document.root, "materials"))
+    entries, images = object_list(document.root, "materials"), dict[int, bytes | None]()
+    refuse_many_materials(len(entries))
+    return tuple(_material(document, entry, images) for entry in entries)
 
 
 def texture_coordinates(
@@ -74,10 +73,11 @@ def _surface(material: JsonObject) -> tuple[JsonObject, str, str]:
 
 
 def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes | None]) -> Material:
+    blend_cutoff = 0.5  # our pictures cut out leaves that are drawn by blending; files that are written blend them
     surface, color, _ = _surface(entry)
     red, green, blue, alpha = (min(max(v, 0.0), 1.0) for v in numbers_field(surface, color, 4, (1.0,) * 4))
     mode = text_field(entry, "alphaMode", "OPAQUE")
-    cutoffs = {"OPAQUE": None, "MASK": number_field(entry, "alphaCutoff", 0.5), "BLEND": _BLEND_CUTOFF}
+    cutoffs = {"OPAQUE": None, "MASK": number_field(entry, "alphaCutoff", 0.5), "BLEND": blend_cutoff}
     if mode not in cutoffs:
         raise FormatError(f"alphaMode is {mode[:20]!r}; {', '.join(cutoffs)} are defined")
     return Material(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.gltf.layout import COMPONENTS, WIDTHS, component_number
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import (
     JsonObject,
@@ -30,13 +31,7 @@ INSTALL = "needs the Python module meshopt, which is not installed: pip install 
 MAX_DECODED_BYTES = 1 << 30
 """Of all views of a file that is read: what a file without compression may have."""
 
-_FLOAT, _SHORT, _USHORT, _UINT = 5126, 5122, 5123, 5125
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_TRIANGLE_LIST = 4
 _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 20, 15, 12
-_TARGET_STEP = 4 / 32767  # of morph targets, in the file's unit: 0.12 mm
-_LEAST_STEPS = 800  # of the largest target: a small motion gets smaller steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,14 +82,14 @@ def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]
             stream = _stream(meshopt, writer.root["accessors"][index], view, content, roles[index], largest)
         packed = b"" if stream is None else meshopt.encode_gltf_buffer(stream.rows, stream.mode)
         if stream is None or not packed or len(packed) >= length:
-            view["byteOffset"] = _append(writer, content[start : start + length])
+            view["byteOffset"] = writer.add_bytes(content[start : start + length])
             continue
         assert index is not None
         count, stride = stream.rows.shape[0], stream.rows.itemsize * stream.rows.shape[1]
         view["extensions"] = {
             MESHOPT: {
                 "buffer": 0,
-                "byteOffset": _append(writer, packed),
+                "byteOffset": writer.add_bytes(packed),
                 "byteLength": len(packed),
                 "byteStride": stride,
                 "count": count,
@@ -191,16 +186,9 @@ def _declare(root: dict[str, Any], unpacked: int) -> None:
         root[name] = [*root.get(name, []), *(new for new in (MESHOPT, QUANTIZATION) if new not in root.get(name, []))]
 
 
-def _append(writer: GlbWriter, content: bytes) -> int:
-    start = writer.num_bytes
-    padded = content + b"\0" * (-len(content) % 4)
-    writer.chunks.append(padded)
-    writer.num_bytes += len(padded)
-    return start
-
-
 def _roles(root: dict[str, Any]) -> dict[int, str]:
     """What the accessors are for that can be packed; those with several uses are left out."""
+    triangle_list = 4
     uses: dict[int, set[str]] = {}
 
     def use(index: object, role: str) -> None:
@@ -209,8 +197,8 @@ def _roles(root: dict[str, Any]) -> dict[int, str]:
 
     for mesh in root.get("meshes", []):
         for primitive in mesh["primitives"]:
-            mode = primitive.get("mode", _TRIANGLE_LIST)
-            use(primitive.get("indices"), "faces" if mode == _TRIANGLE_LIST else "plain")
+            mode = primitive.get("mode", triangle_list)
+            use(primitive.get("indices"), "faces" if mode == triangle_list else "plain")
             for name, index in primitive["attributes"].items():
                 use(index, name.partition("_")[0])
             for target in primitive.get("targets", []):
@@ -242,7 +230,7 @@ def _accessor_of_view(root: dict[str, Any]) -> dict[int, int]:
 
 def _rows(accessor: dict[str, Any], view: dict[str, Any], content: bytes) -> Shaped[np.ndarray, "count stride"] | None:
     """The bytes of each element; None where the view holds more than its accessor."""
-    size = _SIZES[accessor["componentType"]] * _COMPONENTS.get(accessor["type"], 0)
+    size = COMPONENTS[accessor["componentType"]].itemsize * WIDTHS.get(accessor["type"], 0)
     stride = view.get("byteStride", size)
     count = accessor["count"]
     if not size or not count or view["byteLength"] not in (count * stride, stride * (count - 1) + size):
@@ -253,8 +241,8 @@ def _rows(accessor: dict[str, Any], view: dict[str, Any], content: bytes) -> Sha
 
 
 def _floats(accessor: dict[str, Any], rows: Shaped[np.ndarray, "count stride"]) -> Float32[np.ndarray, "n w"] | None:
-    width = _COMPONENTS[accessor["type"]]
-    if accessor["componentType"] != _FLOAT or rows.shape[1] != 4 * width:
+    width = WIDTHS[accessor["type"]]
+    if COMPONENTS[accessor["componentType"]] != np.float32 or rows.shape[1] != 4 * width:
         return None
     values: Float32[np.ndarray, "n w"] = np.ascontiguousarray(rows).view(np.float32)
     return values if np.isfinite(values).all() else None
@@ -275,11 +263,10 @@ def _stream(
     if rows is None:
         return None
     if role == "faces":
-        if accessor["componentType"] not in (_USHORT, _UINT) or accessor["count"] % 3:
+        kind = COMPONENTS[accessor["componentType"]]
+        if kind not in (np.uint16, np.uint32) or accessor["count"] % 3:
             return None
-        return _Stream(
-            rows=rows.view(np.uint16 if accessor["componentType"] == _USHORT else np.uint32), mode="TRIANGLES"
-        )
+        return _Stream(rows=rows.view(kind), mode="TRIANGLES")
     values = _floats(accessor, rows)
     if values is not None:
         if role == "POSITION":
@@ -308,21 +295,23 @@ def _exponential(meshopt: ModuleType, values: Float32[np.ndarray, "n w"], bits: 
 def _octahedral(meshopt: ModuleType, normals: Float32[np.ndarray, "n 3"]) -> _Stream:
     padded = np.pad(normals, ((0, 0), (0, 1)))
     filtered = meshopt.encode_filter_oct(padded, 8, _NORMAL_BITS)
-    fields = (("componentType", _SHORT), ("normalized", True))
+    fields = (("componentType", component_number(np.int16)), ("normalized", True))
     return _Stream(rows=filtered, filter="OCTAHEDRAL", accessor=fields)
 
 
 def _target(meshopt: ModuleType, values: Float32[np.ndarray, "n 3"], largest: float) -> _Stream:
     """A morph target as 16-bit integers, in steps of 0.12 mm; as floats where its range does not suit them."""
-    own, step = float(np.abs(values).max()), min(_TARGET_STEP, largest / _LEAST_STEPS)
-    if own > 1 - _TARGET_STEP or (own > 0 and step < _TARGET_STEP):
+    target_step = 4 / 32767  # of morph targets, in the file's unit: 0.12 mm
+    least_steps = 800  # of the largest target: a small motion gets smaller steps
+    own, step = float(np.abs(values).max()), min(target_step, largest / least_steps)
+    if own > 1 - target_step or (own > 0 and step < target_step):
         stream = _exponential(meshopt, values, int(np.clip(np.ceil(np.log2(own / step)) + 1, 2, 24)))
         decoded = values + stream.change
         return replace(stream, accessor=_bounds(decoded))
-    steps = np.round(values / np.float32(_TARGET_STEP)) * (_TARGET_STEP * 32767)
+    steps = np.round(values / np.float32(target_step)) * (target_step * 32767)
     stored = np.zeros((len(values), 4), np.int16)
     stored[:, :3] = steps
-    fields = (("componentType", _SHORT), ("normalized", True), *_bounds(stored[:, :3]))
+    fields = (("componentType", component_number(np.int16)), ("normalized", True), *_bounds(stored[:, :3]))
     return _Stream(rows=stored, accessor=fields, change=stored[:, :3].astype(np.float32) / np.float32(32767) - values)
 
 

@@ -26,6 +26,16 @@ REDUCED_TARGETS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
+class MorphOptions:
+    """What a file holds and how it is packed."""
+
+    num_targets: int | None = None  # None is all 2K - 1; fewer are those with the least squared error
+    with_normals: bool = False  # targets of normals as well, with the least squared error for the same weights
+    compressed: bool = False  # by meshoptimizer; the summary's errors then count what that changes
+    as_webp: bool = False  # textures become WebP where that is smaller
+
+
+@dataclass(frozen=True, kw_only=True)
 class MorphSummary:
     """Summary of the file: number of targets, and the error of the reduction."""
 
@@ -48,26 +58,19 @@ def write_motion_glb(
     *,
     num_frames: int = NUM_FRAMES,
     fps: float = FPS,
-    num_targets: int | None = None,
-    with_normals: bool = False,
-    compressed: bool = False,
-    as_webp: bool = False,
+    options: MorphOptions | None = None,
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
     A mesh that was read from glTF stays in its document, which gets targets and an animation, see `template.py`.
     `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
-    `num_targets=None` writes all 2K - 1; fewer are chosen so that the squared error is the least possible, which the
-    file tells in its `asset.extras`.
-
-    `with_normals` writes targets of normals as well, those with the least squared error for the same weights.
-    `compressed` packs the file with meshoptimizer; the summary's errors then count what that changes. `as_webp` writes
-    textures as WebP where that is smaller.
+    The file tells its summary in its `asset.extras`.
 
     Raises:
         InputError: the number of targets is out of range, or meshoptimizer is not installed.
     """
-    num_frequencies = coefficients.shape[1]
+    options, num_frequencies = options or MorphOptions(), coefficients.shape[1]
+    num_targets = options.num_targets
     if num_targets is not None and not 1 <= num_targets <= 2 * num_frequencies - 1:
         raise InputError(f"num_targets is {num_targets}; 1 to {2 * num_frequencies - 1} are allowed for this spectrum")
     parts, moduli = loop_parts(coefficients, num_frames), loop_weights(num_frequencies, num_frames)
@@ -84,7 +87,7 @@ def write_motion_glb(
     template = open_template(mesh)
     nodes, places = template.attach_targets(targets, moving if moving.any() else ~moving)
     weights = clipped_weights(few_moduli)
-    if with_normals:
+    if options.with_normals:
         phases = np.arange(num_frames) / num_frames
         error = template.attach_normals(
             rest_normals(mesh), lambda: iter_normals(mesh, iter_motion(coefficients, phases, num_frames)), weights
@@ -93,9 +96,9 @@ def write_motion_glb(
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
     sway = template.add_sway(nodes, (np.arange(num_frames + 1) / fps).astype(np.float32), keys)
     sway["extras"] = {"num_vertices": mesh.num_vertices, "primitives": places}
-    if as_webp:
+    if options.as_webp:
         webp_textures(template.writer)
-    if compressed:
+    if options.compressed:
         change = template.changes(compress(template.writer), nodes, len(targets), mesh.num_vertices)
         rms, largest = _distances(parts, moduli, few, few_moduli, (change, weights))
         motion = np.sqrt(total / (num_frames * len(coefficients)))

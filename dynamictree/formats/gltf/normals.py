@@ -10,7 +10,6 @@ from dynamictree.mesh import TriangleMesh, unit_vectors, vertex_normals
 
 _SMOOTH = 0.5
 """Cosine of the angle up to which vertices at one place share a normal: 60°."""
-_NEIGHBOURS = 32  # vertices at one place that are compared; more are leaves that cross there
 
 
 def rest_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
@@ -102,12 +101,13 @@ def _face_normals(mesh: TriangleMesh, displacement: Float32[np.ndarray, "N 3"] |
 
 def _smooth_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
     """Files split vertices at seams of the texture: vertices at one place share a normal unless there is an edge."""
+    neighbours = 32  # vertices at one place that are compared; more are leaves that cross there
     own = _face_normals(mesh, None)
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     order = np.argsort(place.ravel(), kind="stable")
     place, own = place.ravel()[order], own[order]
     unit, total = unit_vectors(own), own.copy()
-    for offset in range(1, min(int(np.bincount(place).max()), _NEIGHBOURS)):
+    for offset in range(1, min(int(np.bincount(place).max()), neighbours)):
         near = (place[offset:] == place[:-offset]) & ((unit[offset:] * unit[:-offset]).sum(axis=1) > _SMOOTH)
         total[:-offset][near] += own[offset:][near]
         total[offset:][near] += own[:-offset][near]

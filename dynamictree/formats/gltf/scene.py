@@ -16,9 +16,9 @@ from dynamictree.formats.json_fields import (
     object_field,
     object_list,
 )
+from dynamictree.rotation import quaternion_matrices
 
 _INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
-_MOST_NAMES = 16  # of a node's path
 MAX_INSTANCES = 200_000
 """Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh."""
 
@@ -68,12 +68,13 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
 
 def _paths(nodes: list[JsonObject], order: Iterable[int]) -> dict[int, str]:
     """Path of names from the root to each node of the scene, parents first. A slash in a name becomes a space."""
+    most_names = 16  # of a node's path
     above = {child: index for index in order for child in index_list(nodes[index], "children", nodes)}
     names: dict[int, tuple[str, ...]] = {}
     for index in order:
         name = nodes[index].get("name")
         own = (name.strip().replace("/", " ")[:200],) if isinstance(name, str) and name.strip() else ()
-        names[index] = ((names[above[index]] if index in above else ()) + own)[-_MOST_NAMES:]
+        names[index] = ((names[above[index]] if index in above else ()) + own)[-most_names:]
     return {index: "/".join(path) for index, path in names.items()}
 
 
@@ -153,12 +154,8 @@ def _compose(
     length = np.linalg.norm(rotation, axis=1, keepdims=True)
     if not (length > 0).all():
         raise FormatError("a rotation of the file is a quaternion of length 0")
-    x, y, z, w = (rotation / length).T
     matrices = np.tile(np.eye(4), (len(translation), 1, 1))
-    matrices[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1)
-    matrices[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
-    matrices[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
-    matrices[:, :3, :3] *= scale[:, None, :]
+    matrices[:, :3, :3] = quaternion_matrices((rotation / length)[:, [3, 0, 1, 2]]) * scale[:, None, :]
     matrices[:, :3, 3] = translation
     return matrices
 

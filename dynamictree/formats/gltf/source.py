@@ -8,7 +8,7 @@ import base64
 import json
 import mimetypes
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,9 @@ from jaxtyping import Float32, Float64, Shaped
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import KTX2_MAGIC, find_companion
 from dynamictree.formats.gltf.document import GltfDocument, uri_bytes
+from dynamictree.formats.gltf.layout import COMPONENTS, component_number
 from dynamictree.formats.gltf.scene import MeshInstance
+from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import object_list, text_field
 from dynamictree.mesh import SourceGltf, SourceWarning
 
@@ -25,7 +27,7 @@ MAX_SOURCE_BYTES = 256 << 20
 """Of a document with its files: what a job can hold in memory beside the motion."""
 MAX_SOURCE_PRIMITIVES = 4000
 """Primitives with 31 targets each are 30 MB of JSON; players take seconds to parse it."""
-INSTANCING, DRACO = "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"
+INSTANCING, DRACO, LEVELS = "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression", "MSFT_lod"
 _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
 )
@@ -49,30 +51,6 @@ class PlacedPrimitive:
     decoded: Mapping[str, Shaped[np.ndarray, "n width"]] | None  # of its Draco stream; INDICES are the faces' corners
 
 
-@dataclass(kw_only=True)
-class _Merged:
-    """The document's JSON under change, and the bytes of its one buffer."""
-
-    root: dict[str, Any]
-    chunks: list[bytes] = field(default_factory=list)
-    num_bytes: int = 0
-
-    def add_bytes(self, content: bytes) -> int:
-        """Give the offset of bytes that are added, padded to four."""
-        start = self.num_bytes
-        padding = b"\0" * (-len(content) % 4)
-        self.chunks += [content, padding] if padding else [content]
-        self.num_bytes += len(content) + len(padding)
-        return start
-
-    def add_view(self, content: bytes) -> int:
-        """Give the index of a view of bytes that are added."""
-        view = {"buffer": 0, "byteOffset": self.add_bytes(content), "byteLength": len(content)}
-        views = self.root.setdefault("bufferViews", [])
-        views.append(view)
-        return len(views) - 1
-
-
 def keep_source(document: GltfDocument, placed: Sequence[PlacedPrimitive]) -> SourceGltf | None:
     """The document for writers; None, with a warning, where it is too large or breaks the specification."""
     try:
@@ -91,7 +69,7 @@ def keep_source(document: GltfDocument, placed: Sequence[PlacedPrimitive]) -> So
 
 
 def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Mapping[int, bytes]) -> SourceGltf:
-    merged = _Merged(root=json.loads(json.dumps(document.root, allow_nan=False), parse_float=_number))
+    merged = GlbWriter(root=json.loads(json.dumps(document.root, allow_nan=False), parse_float=_number))
     _merge_buffers(document, merged)
     _embed_images(merged, files)
     _drop_dead_images(merged, files)
@@ -101,6 +79,7 @@ def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Ma
         children = {child for node in merged.root["nodes"] for child in node.get("children", [])}
         merged.root["scenes"] = [{"nodes": [n for n in range(len(merged.root["nodes"])) if n not in children]}]
     _warn_of_motion(document)
+    _forget_levels(document, merged.root)
     rows = [[node, p.primitive, p.first_vertex, p.num_vertices] for node, p in zip(nodes, placed, strict=True)]
     return SourceGltf(
         document=json.dumps(merged.root, separators=(",", ":")).encode(),
@@ -128,7 +107,7 @@ def _files(document: GltfDocument) -> dict[int, bytes]:
     return files
 
 
-def _merge_buffers(document: GltfDocument, merged: _Merged) -> None:
+def _merge_buffers(document: GltfDocument, merged: GlbWriter) -> None:
     starts = [merged.add_bytes(content) for content in document.buffers]
     for view in merged.root.get("bufferViews", []):
         view["byteOffset"] = int(view.get("byteOffset", 0)) + starts[int(view["buffer"])]
@@ -137,7 +116,7 @@ def _merge_buffers(document: GltfDocument, merged: _Merged) -> None:
     merged.root["buffers"] = [{name: value for name, value in first.items() if name not in ("uri", "byteLength")}]
 
 
-def _embed_images(merged: _Merged, files: Mapping[int, bytes]) -> None:
+def _embed_images(merged: GlbWriter, files: Mapping[int, bytes]) -> None:
     for index, content in files.items():
         image = merged.root["images"][index]
         uri = image.pop("uri")
@@ -147,7 +126,7 @@ def _embed_images(merged: _Merged, files: Mapping[int, bytes]) -> None:
         image["bufferView"] = merged.add_view(content)
 
 
-def _drop_dead_images(merged: _Merged, files: Mapping[int, bytes]) -> None:
+def _drop_dead_images(merged: GlbWriter, files: Mapping[int, bytes]) -> None:
     """Take the textures of images that were not sent along from the materials: a name without a file is an error."""
     images = merged.root.get("images", [])
     dead = {index for index, image in enumerate(images) if "uri" in image and index not in files}
@@ -186,7 +165,7 @@ def _mime_type(content: bytes, stated: str, uri: str) -> str:
     return by_bytes or stated or mimetypes.guess_type(uri)[0] or "application/octet-stream"
 
 
-def _decode_draco(merged: _Merged, placed: Sequence[PlacedPrimitive]) -> None:
+def _decode_draco(merged: GlbWriter, placed: Sequence[PlacedPrimitive]) -> None:
     """Write what Draco streams hold as accessors; the streams' bytes stay in the buffer, unused."""
     accessors: list[dict[str, Any]] = merged.root.get("accessors", [])
     done: set[tuple[int, int]] = set()
@@ -205,14 +184,13 @@ def _decode_draco(merged: _Merged, placed: Sequence[PlacedPrimitive]) -> None:
                 primitive["attributes"][name] = _add_accessor(merged, old, part.decoded[name])
         old = accessors[int(primitive["indices"])] if "indices" in primitive else {"type": "SCALAR"}
         corners = part.decoded["INDICES"].astype(np.uint32)
-        primitive["indices"] = _add_accessor(merged, {**old, "componentType": 5125}, corners)
+        primitive["indices"] = _add_accessor(merged, {**old, "componentType": component_number(np.uint32)}, corners)
     if done and not any(DRACO in str(mesh) for mesh in merged.root["meshes"]):
         _forget_extension(merged.root, DRACO)
 
 
-def _add_accessor(merged: _Merged, old: Mapping[str, Any], elements: Shaped[np.ndarray, "n width"]) -> int:
-    dtypes = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-    stored = np.ascontiguousarray(elements, dtypes[int(old["componentType"])])
+def _add_accessor(merged: GlbWriter, old: Mapping[str, Any], elements: Shaped[np.ndarray, "n width"]) -> int:
+    stored = np.ascontiguousarray(elements, COMPONENTS[int(old["componentType"])])
     padding = -(stored.itemsize * stored.shape[1]) % 4  # vertices start at multiples of four bytes
     view = merged.add_view(np.pad(stored.view(np.uint8).reshape(len(stored), -1), ((0, 0), (0, padding))).tobytes())
     if padding:
@@ -224,7 +202,7 @@ def _add_accessor(merged: _Merged, old: Mapping[str, Any], elements: Shaped[np.n
     return len(merged.root["accessors"]) - 1
 
 
-def _instances_as_nodes(merged: _Merged, placed: Sequence[PlacedPrimitive]) -> list[int]:
+def _instances_as_nodes(merged: GlbWriter, placed: Sequence[PlacedPrimitive]) -> list[int]:
     """The node of each primitive, after each place of an instanced mesh has become a node below it."""
     nodes: list[dict[str, Any]] = merged.root["nodes"]
     node_of: dict[tuple[int, int], int] = {}
@@ -258,6 +236,22 @@ def _forget_extension(root: dict[str, Any], name: str) -> None:
         rest = [other for other in root.pop(listed, []) if other != name]
         if rest:
             root[listed] = rest
+
+
+def _forget_levels(document: GltfDocument, root: dict[str, Any]) -> None:
+    """Take the coarser levels of detail from the nodes, with a warning: beside the finest, which moves, they stand."""
+    nodes = [node for node in root["nodes"] if LEVELS in node.get("extensions", {})]
+    for node in nodes:
+        del node["extensions"][LEVELS]
+    if not nodes:
+        return
+    if not any(LEVELS in entry.get("extensions", {}) for entry in root.get("materials", [])):
+        _forget_extension(root, LEVELS)
+    message = (
+        f"{len(nodes)} nodes have levels of detail ({LEVELS}); only the finest level moves, so GLB export shows "
+        "it at every distance; ask for the format lod for levels that move"
+    )
+    document.warnings.append(SourceWarning(code="levels-left-out", message=message))
 
 
 def _linear(part: PlacedPrimitive) -> Float64[np.ndarray, "3 3"]:

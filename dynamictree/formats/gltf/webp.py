@@ -5,22 +5,18 @@ roughness, is stored without loss: WebP halves the resolution of colour differen
 """
 
 import io
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
-from PIL import Image, UnidentifiedImageError
-
+from dynamictree.errors import FormatError
 from dynamictree.formats.gltf.writer import GlbWriter
-from dynamictree.formats.texture import MAX_PIXELS
+from dynamictree.formats.texture import decoded_image
 
 WEBP = "EXT_texture_webp"
 _COLORS = frozenset(
     {"baseColorTexture", "emissiveTexture", "diffuseTexture", "specularColorTexture", "sheenColorTexture"}
 )
 _FORMATS = ("PNG", "JPEG")  # what glTF has without an extension
-_QUALITY = 90
-_MAX_SIDE_PX = 16_383  # of the format
 
 
 def webp_textures(writer: GlbWriter) -> None:
@@ -87,20 +83,17 @@ def _uses(entry: object, texture: int) -> Iterator[str]:
 
 def _encoded(content: bytes, *, lossless: bool) -> bytes | None:
     """The picture as WebP; None if it cannot be decoded, or is too large."""
+    quality = 90
+    max_side_px = 16_383  # of the format
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap is checked below
-            image: Image.Image = Image.open(io.BytesIO(content), formats=_FORMATS)
-        width, height = image.size
-        eight_bits = image.mode in ("RGB", "RGBA", "L", "LA", "P")
-        if not eight_bits or width * height > MAX_PIXELS or max(width, height) > _MAX_SIDE_PX:
-            return None
-        image.load()
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError, EOFError):
+        image = decoded_image(content, "image", formats=_FORMATS)
+    except FormatError:
+        return None
+    if image.mode not in ("RGB", "RGBA", "L", "LA", "P") or max(image.size) > max_side_px:
         return None
     seen = image.convert("RGBA" if image.has_transparency_data else "RGB")
     stream = io.BytesIO()
-    seen.save(stream, "WEBP", lossless=lossless, quality=75 if lossless else _QUALITY, alpha_quality=100, exact=True)
+    seen.save(stream, "WEBP", lossless=lossless, quality=75 if lossless else quality, alpha_quality=100, exact=True)
     return stream.getvalue()
 
 
@@ -115,8 +108,6 @@ def _replace(writer: GlbWriter, content: bytes, smaller: dict[int, bytes]) -> No
             view["byteOffset"] = places[start, length]
             continue
         part = content[start : start + length] if own is None else own
-        view |= {"byteOffset": writer.num_bytes, "byteLength": len(part)}
+        view |= {"byteOffset": writer.add_bytes(part), "byteLength": len(part)}
         if own is None:
-            places[start, length] = writer.num_bytes
-        writer.chunks.append(part + b"\0" * (-len(part) % 4))
-        writer.num_bytes += len(writer.chunks[-1])
+            places[start, length] = view["byteOffset"]

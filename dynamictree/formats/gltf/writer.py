@@ -10,16 +10,14 @@ from jaxtyping import Float32, Shaped, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.color import srgb_to_linear
+from dynamictree.formats.gltf.layout import component_number, type_name
 from dynamictree.formats.gltf.normals import rest_normals
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.up_axis import up_rotation, vertices_in_source_axes
 
 GENERATOR = "dynamictree"
 
-_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
-_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-_COMPONENTS = {"float32": _FLOAT, "uint16": _UINT16, "uint32": _UINT32}
 
 
 @dataclass(kw_only=True)
@@ -37,12 +35,16 @@ class GlbWriter:
         entries.append(entry)
         return len(entries) - 1
 
+    def add_bytes(self, content: bytes) -> int:
+        """Add bytes, padded to four; gives their offset."""
+        start, padding = self.num_bytes, b"\0" * (-len(content) % 4)
+        self.chunks += [content, padding] if padding else [content]
+        self.num_bytes += len(content) + len(padding)
+        return start
+
     def add_view(self, content: bytes, target: int | None = None) -> int:
-        """Add bytes, padded to four; gives the view's index."""
-        view = {"buffer": 0, "byteOffset": self.num_bytes, "byteLength": len(content)}
-        padded = content + b"\0" * (-len(content) % 4)
-        self.chunks.append(padded)
-        self.num_bytes += len(padded)
+        """Add a view of bytes; gives its index."""
+        view = {"buffer": 0, "byteOffset": self.add_bytes(content), "byteLength": len(content)}
         return self.append("bufferViews", view | ({} if target is None else {"target": target}))
 
     def add_accessor(
@@ -56,9 +58,9 @@ class GlbWriter:
         """Add an array; gives the accessor's index."""
         accessor: dict[str, object] = {
             "bufferView": self.add_view(np.ascontiguousarray(elements).tobytes(), target),
-            "componentType": _COMPONENTS[elements.dtype.name],
+            "componentType": component_number(elements.dtype),
             "count": len(elements),
-            "type": _TYPES[elements.shape[1]],
+            "type": type_name(elements.shape[1]),
         }
         if bounds:
             accessor |= {"min": elements.min(axis=0).tolist(), "max": elements.max(axis=0).tolist()}
