@@ -35,6 +35,11 @@ MAX_FACTORED = 120_000
 """Largest number of unknowns that are solved for: in dense foliage each cluster touches dozens, and the factors of
 240,000 do not fit into 16 GB. Beyond, points take the mean of the voxels around them."""
 
+MAX_PAIRS = 10_000_000
+"""Largest number of pairs of unknowns in one voxel, which all touch each other in the system: 0.4 GB with its factor.
+Six sample meshes have up to 110,000 at 32 voxels a side; a mesh in one voxel has the square of its vertices, and is
+solved on clusters, or takes the mean of its voxels."""
+
 LINK = 100.0
 """How stiff a part is connected to what it hangs on, over an edge as long as a voxel."""
 
@@ -71,11 +76,12 @@ def fit_surface(
     smoothness: float = SMOOTHNESS,
     max_factored: int = MAX_FACTORED,
 ) -> SurfaceFit | None:
-    """Factor the system for one mesh and grid; None if it has more than `max_factored` unknowns.
+    """Factor the system for one mesh and grid; None if it has too many unknowns, or too many of them in one voxel.
 
     `average` is `surface_average` of the two, `smoothness` is λ.
     """
-    cluster = _clusters(mesh, grid, attachments.part) if mesh.num_vertices > MAX_NODES else None
+    crowded = (_unknowns(average) ** 2).sum() > MAX_PAIRS
+    cluster = _clusters(mesh, grid, attachments.part) if mesh.num_vertices > MAX_NODES or crowded else None
     if cluster is not None and cluster.max() >= MERGED * mesh.num_vertices and mesh.num_vertices <= max_factored:
         cluster = None
     if (mesh.num_vertices if cluster is None else cluster.max() + 1) > max_factored:
@@ -91,9 +97,16 @@ def fit_surface(
     if cluster is not None:
         prolongation = _prolongation(cluster, stiffness.tocsr())
         mean, stiffness = mean @ prolongation, prolongation.T @ stiffness @ prolongation
+    if _unknowns(mean).max() ** 2 > MAX_PAIRS:
+        return None
     anchor = _ANCHOR * scipy.sparse.eye_array(mean.shape[1])
     system = (mean.T @ mean + smoothness * stiffness + anchor).tocsc()
     return SurfaceFit(pull=(mean.T @ values).tocsr(), factor=factored(system), prolongation=prolongation)
+
+
+def _unknowns(mean: scipy.sparse.csr_array) -> Int64[np.ndarray, " rows"]:
+    """Number of unknowns in each voxel."""
+    return np.diff(mean.tocsr().indptr).astype(np.int64)
 
 
 def _with_minorities(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trimesh.creation import icosphere
 
 from dynamictree.devoxelize import surface_fit
 from dynamictree.devoxelize.nearest import nearest
@@ -188,3 +189,24 @@ def test_only_vertices_that_lie_close_are_merged(
     fit = smooth(voxelize(mesh, resolution).grid, mesh).fit
     assert fit is not None
     assert (fit.prolongation is not None) == merges
+
+
+def test_a_surface_that_lies_in_one_voxel_is_solved_on_clusters() -> None:
+    """10,242 vertices in a voxel of 8 cm would touch each other: 105 million pairs."""
+    ball = icosphere(subdivisions=5, radius=0.02)
+    knot = TriangleMesh(vertices=ball.vertices.astype(np.float32), faces=ball.faces.astype(np.int32))
+    mesh, _ = merged(tube([0.1, 0, 0], [0.1, 0, 10], 0.02), knot)
+    grid = voxelize(mesh, 128).grid
+    fitted = smooth(grid, mesh)
+    assert fitted.fit is not None
+    assert len(fitted.fit.factor.order) < 0.1 * mesh.num_vertices
+    values = np.tile(np.float32([0.3, -0.2, 0.1]), (len(grid), 1))
+    np.testing.assert_allclose(fitted.apply(values), np.tile(values[:1], (mesh.num_vertices, 1)), atol=1e-4)
+
+
+def test_parts_that_crowd_in_one_voxel_take_its_mean(rng: np.random.Generator) -> None:
+    corners = rng.uniform(-0.02, 0.02, (10_500, 3)).astype(np.float32)
+    crumbs = TriangleMesh(vertices=corners, faces=np.arange(10_500, dtype=np.int32).reshape(-1, 3))
+    mesh, _ = merged(tube([0.1, 0, 0], [0.1, 0, 10], 0.02), crumbs)
+    fitted = smooth(voxelize(mesh, 128).grid, mesh)
+    assert fitted.fit is None
