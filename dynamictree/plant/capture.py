@@ -10,11 +10,10 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, StillPart, TriangleMesh
 from dynamictree.plant.choice import choose_gaussians
+from dynamictree.plant.likeness import VISIBLE
 from dynamictree.plant.still_cloud import find_still_gaussians
-from dynamictree.plant.trees.choose import require_tree
+from dynamictree.plant.trees.segment import require_tree
 from dynamictree.requests import CloudParams
-
-_VISIBLE = 0.1  # opacity of Gaussians that decide on the faces near them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +84,7 @@ def carrying_mesh(capture: Capture, choice: CloudParams | None = None) -> Triang
 
 
 def _still_where_gaussians_are(mesh: TriangleMesh, cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> TriangleMesh:
-    visible = np.flatnonzero(cloud.opacity >= _VISIBLE)
+    visible = np.flatnonzero(cloud.opacity >= VISIBLE)
     if len(visible) == 0:
         return mesh
     middles = mesh.vertices[mesh.faces].mean(axis=1)

@@ -5,14 +5,12 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.request_model import Box
 from dynamictree.requests import CloudParams
-
-_MOST_NAMES = 30  # of a message
 
 
 def with_choice(mesh: TriangleMesh, choice: CloudParams) -> TriangleMesh:
@@ -21,27 +19,15 @@ def with_choice(mesh: TriangleMesh, choice: CloudParams) -> TriangleMesh:
     Raises:
         InputError: a name or box that fits nothing, or nothing is left to move.
     """
-    names = _names(mesh)
-    owner = [mesh.look.face_material, mesh.parts.of_face]
+    materials, parts = _names(mesh)
+    nothing = np.full(mesh.num_faces, -1)
+    owners = [nothing if owner is None else owner for owner in (mesh.look.face_material, mesh.parts.of_face)]
     middles = mesh.vertices[mesh.faces].mean(axis=1, dtype=np.float32)
-    still = np.zeros(mesh.num_faces, np.bool_) if mesh.still_faces is None else mesh.still_faces.copy()
-
-    def chosen(option: str, patterns: Sequence[str] | None, box: Box | None) -> Bool[np.ndarray, " F"]:
-        result = np.zeros(mesh.num_faces, np.bool_)
-        for number, one in enumerate(_matching(option, patterns, [*names[0], *names[1]])):
-            source, row = (0, number) if number < len(names[0]) else (1, number - len(names[0]))
-            faces = owner[source]
-            if one and faces is not None:
-                result |= faces == row
-        return result if box is None else result | _inside(f"{option}_box_m", middles, box)
-
-    still &= ~chosen("moving", choice.moving, choice.moving_box_m)
-    still |= chosen("still", choice.still, choice.still_box_m)
-    if choice.box_m is not None:
-        still |= ~_inside("box_m", middles, choice.box_m)
-    if still.all():
+    moving = np.ones(mesh.num_faces, np.bool_) if mesh.still_faces is None else ~mesh.still_faces
+    moving = _changed(moving, middles, ((materials, owners[0]), (parts, owners[1])), choice)
+    if not moving.any():
         raise InputError("still, still_box_m and box_m leave no face that moves; take something out of them")
-    return replace(mesh, still_faces=still if still.any() else None)
+    return replace(mesh, still_faces=None if moving.all() else ~moving)
 
 
 def choose_gaussians(
@@ -56,20 +42,33 @@ def choose_gaussians(
     Raises:
         InputError: a name or box that fits nothing, or nothing is left to move.
     """
-    moving = may_move.copy()
-
-    def chosen(option: str, patterns: Sequence[str] | None, box: Box | None) -> Bool[np.ndarray, " G"]:
-        fits = [False, *_matching(option, patterns, parts)]
-        result = np.zeros(len(means), np.bool_) if part_of is None else np.array(fits)[part_of]
-        return result if box is None else result | _inside(f"{option}_box_m", means, box)
-
-    moving |= chosen("moving", choice.moving, choice.moving_box_m)
-    moving &= ~chosen("still", choice.still, choice.still_box_m)
-    if choice.box_m is not None:
-        moving &= _inside("box_m", means, choice.box_m)
+    number = np.full(len(means), -1) if part_of is None else part_of.astype(np.int64) - 1
+    moving = _changed(may_move, means, ((parts, number),), choice)
     if not moving.any():
         raise InputError("no Gaussian moves that is of the mask and of the box; enlarge one of them, or still less")
     return moving
+
+
+def _changed(
+    moving: Bool[np.ndarray, " E"],
+    places: Float32[np.ndarray, "E 3"],
+    named: Sequence[tuple[Sequence[str], Int[np.ndarray, " E"]]],
+    choice: CloudParams,
+) -> Bool[np.ndarray, " E"]:
+    """Which elements move, after a request; `named` are lists of names, and the number of each element's or -1."""
+    names = [name for some, _ in named for name in some]
+
+    def chosen(option: str, patterns: Sequence[str] | None, box: Box | None) -> Bool[np.ndarray, " E"]:
+        fits = _matching(option, patterns, names)
+        result = np.zeros(len(places), np.bool_) if box is None else _inside(f"{option}_box_m", places, box)
+        for some, number in named:
+            own, fits = fits[: len(some)], fits[len(some) :]
+            result |= np.array([*own, False])[number]
+        return result
+
+    moving = moving | chosen("moving", choice.moving, choice.moving_box_m)
+    moving &= ~chosen("still", choice.still, choice.still_box_m)
+    return moving if choice.box_m is None else moving & _inside("box_m", places, choice.box_m)
 
 
 def part_names(mesh: TriangleMesh) -> tuple[str, ...]:
@@ -85,12 +84,13 @@ def _names(mesh: TriangleMesh) -> tuple[list[str], list[str]]:
 
 def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str]) -> list[bool]:
     """Which names fit one of the patterns, as a whole or in a step of their path; case does not count."""
+    most_names = 30  # of a message
     result = [False] * len(names)
     for pattern in patterns or ():
         fits = [_fits(name.lower(), pattern.lower()) for name in names]
         if not any(fits):
             existing = [name for name in dict.fromkeys(names) if name]
-            listed = ", ".join(existing[:_MOST_NAMES]) + (", …" if len(existing) > _MOST_NAMES else "")
+            listed = ", ".join(existing[:most_names]) + (", …" if len(existing) > most_names else "")
             raise InputError(
                 f"{option} names {pattern[:80]!r}, and no part is called so; "
                 + (f"there are {listed}" if existing else f"no part has a name: take {option}_box_m")

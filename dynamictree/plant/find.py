@@ -16,9 +16,8 @@ from dynamictree.plant.likeness import FEWEST_GAUSSIANS, VISIBLE, doubt_cloud, d
 from dynamictree.plant.place import Conventions, axis_doubts, mesh_to_z_up, size_doubts, sized
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.still_mesh import find_still_parts
-from dynamictree.plant.trees.choose import several_trees
 from dynamictree.plant.trees.of_mesh import with_trees
-from dynamictree.plant.trees.segment import segment_trees
+from dynamictree.plant.trees.segment import segment_trees, several_trees
 from dynamictree.plant.upright import judge_each_standing, judge_standing, judge_up_axis_of_points
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
@@ -39,7 +38,7 @@ def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> 
         doubts += axis_doubts(standing, mesh.source.up_axis)
     mesh = with_trees(replace(mesh, warnings=mesh.warnings + doubts + doubt_mesh(mesh)))
     if reading.unit_m is None and reading.height_m is None and mesh.face_tree is None:
-        sizes = size_doubts(mesh.moving_part, file_unit=file.unit_m is not None)
+        sizes = size_doubts(mesh, file_unit=file.unit_m is not None)
         mesh = replace(mesh, warnings=mesh.warnings + sizes)
     return mesh
 
@@ -117,9 +116,9 @@ def _doubt_axis(capture: Capture) -> tuple[SourceWarning, ...]:
 def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
     moving = np.flatnonzero(moving_part(capture))
     points = capture.cloud.means[moving].astype(np.float64)
-    segmentation = segment_trees(points, is_scan=is_scan)
-    if len(segmentation.trees) == 1:
-        return capture
     tree = np.full(capture.cloud.num_gaussians, -1, np.int32)
-    tree[moving] = segmentation.tree_of_point
-    return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(len(segmentation.trees))))
+    tree[moving] = segment_trees(points, is_scan=is_scan)
+    count = int(tree.max()) + 1
+    if count == 1:
+        return capture
+    return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(count)))

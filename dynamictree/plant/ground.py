@@ -7,37 +7,35 @@ from jaxtyping import Bool, Float64, Int64
 from dynamictree.planes import Plane, Points, best_plane, fit_plane, planes_of_triples, support
 
 UP = np.array([0.0, 0.0, 1.0])
-_SLAB = 0.05  # of the height: the ground is looked for from the bottom up to here
 _COLUMNS = 25  # of the slab, along its longer side
-_TOLERANCE, _NARROW_TOLERANCE = 0.012, 0.04  # of the height; and of the slab's width, where it is narrow
-_STEEPEST = np.cos(np.radians(20))
-_TRIALS = 200
-_WIDE, _WIDER = 0.3, 3.0  # the narrower width: of the height, or of the width of what stands on it
-_FILLED = 0.6  # of the columns in its outline
-_BELOW = 0.05  # of them at most, may have something below the plane
-_LEVEL = 0.5  # of its places at least, are flat in themselves
 _FEWEST = 30  # columns
 
 
 def find_ground(points: Points, height_m: float, rng: np.random.Generator) -> Plane | None:
     """A plane above the ground, its normal upward; None where none is to be seen."""
+    slab_share = 0.05  # of the height: the ground is looked for from the bottom up to here
+    tolerated, tolerated_if_narrow = 0.012, 0.04  # of the height; and of the slab's width, where it is narrow
+    steepest = np.cos(np.radians(20))
+    trials = 200
+    wide, wider = 0.3, 3.0  # the narrower width: of the height, or of the width of what stands on it
+    below = 0.05  # of them at most, may have something below the plane
     bottom = np.quantile(points[:, 2], 0.002)
-    slab = points[points[:, 2] < bottom + _SLAB * height_m]
+    slab = points[points[:, 2] < bottom + slab_share * height_m]
     if len(slab) < _FEWEST:
         return None
     low, high = np.quantile(slab[:, :2], [0.01, 0.99], axis=0)
     width = float((high - low).max())
     if width <= 0:
         return None
-    tolerance = min(_TOLERANCE * height_m, _NARROW_TOLERANCE * width)
+    tolerance = min(tolerated * height_m, tolerated_if_narrow * width)
     cells = np.floor((points[:, :2] - low) / (width / _COLUMNS)).astype(np.int64)
     in_slab = ((cells >= 0) & (cells < _COLUMNS)).all(axis=1)
     columns, lowest = _lowest(points[in_slab], (cells[:, 0] * _COLUMNS + cells[:, 1])[in_slab])
     if len(columns) < _FEWEST:
         return None
     plane = best_plane(
-        (one.facing(UP) for one in planes_of_triples(lowest, _TRIALS, rng)),
-        lambda one: support(one.above(lowest), tolerance) if one.normal[2] > _STEEPEST else 0.0,
+        (one.facing(UP) for one in planes_of_triples(lowest, trials, rng)),
+        lambda one: support(one.above(lowest), tolerance) if one.normal[2] > steepest else 0.0,
         0.0,
     )
     if plane is None:
@@ -46,12 +44,12 @@ def find_ground(points: Points, height_m: float, rng: np.random.Generator) -> Pl
         plane = fit_plane(lowest[np.abs(plane.above(lowest)) <= tolerance]).facing(UP)
     off, above = plane.above(lowest), plane.above(points)
     patch = _largest_patch(columns[np.abs(off) <= tolerance])
-    if not _fills(patch) or (off < -2 * tolerance).sum() > _BELOW * len(off):
+    if not _fills(patch) or (off < -2 * tolerance).sum() > below * len(off):
         return None
     side = width / _COLUMNS
     narrow = side * float(np.ptp(np.argwhere(patch), axis=0).min() + 1)
-    standing = points[(above > 2 * tolerance) & (above < 2 * tolerance + _SLAB * height_m)]
-    if narrow < _WIDE * height_m and narrow < _WIDER * _width(standing):
+    standing = points[(above > 2 * tolerance) & (above < 2 * tolerance + slab_share * height_m)]
+    if narrow < wide * height_m and narrow < wider * _width(standing):
         return None
     if not is_level(points[np.abs(above) <= tolerance], side, rng):
         return None
@@ -77,12 +75,13 @@ def _largest_patch(columns: Int64[np.ndarray, " C"]) -> Bool[np.ndarray, "X Y"]:
 
 
 def _fills(patch: Bool[np.ndarray, "X Y"]) -> bool:
+    filled = 0.6  # of the columns in its outline
     places = np.argwhere(patch)
     if len(places) < _FEWEST:
         return False
     corners = (places[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2)
     try:
-        return bool(len(places) > _FILLED * scipy.spatial.ConvexHull(corners).volume)
+        return bool(len(places) > filled * scipy.spatial.ConvexHull(corners).volume)
     except scipy.spatial.QhullError:
         return False
 
@@ -96,6 +95,7 @@ def _width(points: Points) -> float:
 
 def is_level(points: Points, reach: float, rng: np.random.Generator) -> bool:
     """Whether the surface through most of the points is level, as that of leaves and roots is not."""
+    level_share = 0.5  # of its places at least, are flat in themselves
     if len(points) < _FEWEST:
         return False
     chosen = points[rng.choice(len(points), min(len(points), 500), replace=False)]  # so few that grains even out
@@ -104,4 +104,4 @@ def is_level(points: Points, reach: float, rng: np.random.Generator) -> bool:
     )
     enough = (near < len(chosen)).sum(axis=1) >= 5
     level = [abs(fit_plane(chosen[row[row < len(chosen)]]).normal[2]) for row in near[enough]]
-    return bool(level and np.mean(np.array(level) > 0.85) >= _LEVEL)
+    return bool(level and np.mean(np.array(level) > 0.85) >= level_share)

@@ -18,18 +18,10 @@ from dynamictree.plant.pot import axis_of_pot, find_pot
 from dynamictree.plant.still import height_of
 from dynamictree.up_axis import turn_to_z
 
-_UP = np.array([0.0, 0.0, 1.0])
 _LEAST_DEG, _MOST_DEG = 6.0, 50.0
 """Tilt that is worth a turn; and beyond which another axis is up."""
-_STRAYS, _STRAYS_OF_POT = 0.01, 0.001  # of the points at each end of an axis
-_CELL = 0.008  # of the scene's diagonal: one point each counts, however dense they lie
 _LEAST_SAMPLED, _SAMPLED, _SAMPLED_OF_POT = 2_000, 12_000, 20_000
-_TRIALS = 500
-_THICKNESS = 0.012  # of the diagonal
-_BELOW = 0.07  # of the points, at most
 _FEWEST = 12  # points on a plane
-_FOOT = 0.12  # of the height of what stands on the plane
-_WIDE = 0.02  # of the points on a plane that is ground
 _STEP_DEG, _TILTED_DEG = 15.0, 45.0
 """Between the directions in which a pot is looked for, and the last of them; it is found 15° from upright."""
 _ALONG_RISE, _MOST_TRIED = 0.94, 8
@@ -51,15 +43,17 @@ def up_of_standing(points: Points) -> Direction | None:
     Args:
         points: of visible Gaussians, +Z up but for a tilt of 50° at most.
     """
+    thickness_share = 0.012  # of the diagonal
+    strays, strays_of_pot = 0.01, 0.001  # of the points at each end of an axis
     rng = np.random.default_rng(0)
-    thinned = _thinned(points, _STRAYS, _SAMPLED, rng)
+    thinned = _thinned(points, strays, _SAMPLED, rng)
     if len(thinned) < _LEAST_SAMPLED:
         return None
-    thickness = _THICKNESS * float(np.linalg.norm(np.ptp(thinned, axis=0)))
+    thickness = thickness_share * float(np.linalg.norm(np.ptp(thinned, axis=0)))
     ground = _lowest_plane(thinned, thickness, rng)
     above = thinned[:0] if ground is None else thinned[ground.plane.above(thinned) > 2 * thickness]
     if ground is None or not _carries(ground, above):
-        up = _up_of_pot(_thinned(points, _STRAYS_OF_POT, _SAMPLED_OF_POT, rng), rng)
+        up = _up_of_pot(_thinned(points, strays_of_pot, _SAMPLED_OF_POT, rng), rng)
     else:
         normal = ground.plane.normal
         rise = _rise(above, above @ normal)
@@ -71,7 +65,8 @@ def up_of_standing(points: Points) -> Direction | None:
 
 def _carries(ground: _Ground, above: Points) -> bool:
     """Whether much of a scene is on a plane, and the middle of what is above it is above it at its normal."""
-    if ground.share < _WIDE or len(above) < _FEWEST:
+    wide = 0.02  # of the points on a plane that is ground
+    if ground.share < wide or len(above) < _FEWEST:
         return False
     way, normal = above.mean(axis=0) - ground.middle, ground.plane.normal
     return bool(np.linalg.norm(way - way @ normal * normal) < ground.width)
@@ -79,8 +74,9 @@ def _carries(ground: _Ground, above: Points) -> bool:
 
 def _rise(points: Points, height: Float64[np.ndarray, " P"]) -> Direction:
     """From the foot of a plant to its middle."""
+    foot = 0.12  # of the height of what stands on the plane
     low, top = height.min(), np.quantile(height, 0.98)
-    rise = points.mean(axis=0) - points[height <= low + _FOOT * (top - low)].mean(axis=0)
+    rise = points.mean(axis=0) - points[height <= low + foot * (top - low)].mean(axis=0)
     return np.asarray(rise / max(float(np.linalg.norm(rise)), 1e-12))
 
 
@@ -118,29 +114,33 @@ def _directions() -> list[Direction]:
 
 def _lowest_plane(points: Points, thickness: float, rng: np.random.Generator) -> _Ground | None:
     """The plane that holds most points and has few below it."""
+    up = np.array([0.0, 0.0, 1.0])
+    trials = 500
+    below = 0.07  # of the points, at most
     surface = flat_points(points)
 
     def score(plane: Plane) -> float:
-        plane = plane.facing(_UP)
+        plane = plane.facing(up)
         steep = plane.normal[2] < np.cos(np.radians(_MOST_DEG))
-        if steep or (plane.above(points) < -2 * thickness).mean() > _BELOW:
+        if steep or (plane.above(points) < -2 * thickness).mean() > below:
             return 0.0
         return float(surface.on(plane, thickness).sum())
 
-    best = best_plane(surface.planes(_TRIALS, rng), score, _FEWEST - 0.5)
+    best = best_plane(surface.planes(trials, rng), score, _FEWEST - 0.5)
     if best is None:
         return None
     on = points[surface.on(best, thickness)]
     sizes = np.linalg.svd(on - on.mean(axis=0), compute_uv=False)
     width = float(np.sqrt(12 / len(on)) * sizes[1])  # of a square of the same spread
-    return _Ground(on.mean(axis=0), fit_plane(on).facing(_UP), len(on) / len(points), width)
+    return _Ground(on.mean(axis=0), fit_plane(on).facing(up), len(on) / len(points), width)
 
 
 def _thinned(points: Points, strays: float, most: int, rng: np.random.Generator) -> Points:
     """Points without strays, one in each cell; none where they are too few."""
+    cell = 0.008  # of the scene's diagonal: one point each counts, however dense they lie
     if len(points) < _LEAST_SAMPLED:
         return points[:0]
     low, high = np.quantile(points, [strays, 1 - strays], axis=0)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
-    points = one_per_cell(points, _CELL * float(np.linalg.norm(high - low)))
+    points = one_per_cell(points, cell * float(np.linalg.norm(high - low)))
     return points[rng.permutation(len(points))[:most]]

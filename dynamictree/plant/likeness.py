@@ -27,24 +27,18 @@ FEWEST_GAUSSIANS = 500
 VISIBLE = 0.1
 """Opacity of Gaussians that show the shape."""
 _POINTS = 20_000
-_FEWEST_FACES = 40
 _TURNED, _BOXY, _SMOOTH = 0.2, 0.9, 0.65
 """Sectors that differ by less, shares of surface along an axis, and of flat points, that are more, are of no plant."""
-_SECTORS, _HEIGHTS, _RADII = 8, 12, 8
-_OUTERMOST = 0.99  # of the distances from the middle
-_ALONG = 0.99  # cosine
 _GREENER, _GREEN_SHARE = 1.05, 0.1  # than red and blue; and of the faces or points
-_GAP = 4.0  # in the middle axis' standard deviation: Gaussians with such gaps between them are specks
 _CELL, _TOGETHER = 0.03, 0.5  # of the height: what is so near hangs together; least share of a plant that does
-_FINE = 0.008  # of the diagonal: cells that hold one point each
-_FLAT = 0.25  # height over width of what does not stand upright
 
 
 def doubt_mesh(mesh: TriangleMesh) -> tuple[SourceWarning, ...]:
     """A warning if what moves of a mesh that stands on +Z does not look like a plant."""
+    fewest_faces = 40
     plant = mesh.moving_part
     sampled = surface_points(plant, _POINTS)
-    if sampled is None or plant.num_faces < _FEWEST_FACES:
+    if sampled is None or plant.num_faces < fewest_faces:
         return ()
     if sector_difference(sampled[0]) < _TURNED:
         shape = "the same from all sides, as lamps, vases and columns are"
@@ -57,12 +51,13 @@ def doubt_mesh(mesh: TriangleMesh) -> tuple[SourceWarning, ...]:
 
 def doubt_cloud(plant: GaussianCloud) -> tuple[SourceWarning, ...]:
     """A warning if what moves of a cloud is too little for a plant, lies flat, is specks or a smooth body."""
+    flat = 0.25  # height over width of what does not stand upright
     points = plant.means.astype(np.float64)
     low, high = np.quantile(points, [0.02, 0.98], axis=0)
     width, height = float((high - low)[:2].max()), float((high - low)[2])
     if len(points) < FEWEST_GAUSSIANS:
         message = f"{len(points):,} Gaussians or points can hardly show a plant; usual are 10,000 and more"
-    elif height < _FLAT * width:
+    elif height < flat * width:
         message = (
             f"what moves is {height:.3g} m tall and {width:.3g} m wide, so nothing stands upright; "
             "set up_axis if it lies, or box_m to the plant if it is in a scene"
@@ -92,28 +87,32 @@ def _unlike(shape: str) -> tuple[SourceWarning, ...]:
 
 def sector_difference(points: Points) -> float:
     """Mean difference, in [0, 2], between sectors around the middle in how points are spread over height and radius."""
+    sectors, heights, radii = 8, 12, 8
+    outermost = 0.99  # of the distances from the middle
     across = points[:, :2] - points[:, :2].mean(axis=0)
     away = np.linalg.norm(across, axis=1)
     share = (points[:, 2] - points[:, 2].min()) / max(float(np.ptp(points[:, 2])), 1e-30)
     turn = np.arctan2(across[:, 1], across[:, 0]) / (2 * np.pi) + 0.5
-    sector = np.minimum((turn * _SECTORS).astype(int), _SECTORS - 1)
-    height = np.minimum((share * _HEIGHTS).astype(int), _HEIGHTS - 1)
-    radius = np.minimum((away / max(float(np.quantile(away, _OUTERMOST)), 1e-30) * _RADII).astype(int), _RADII - 1)
-    cell = (sector * _HEIGHTS + height) * _RADII + radius
-    spread = np.bincount(cell, minlength=_SECTORS * _HEIGHTS * _RADII).reshape(_SECTORS, -1) * (_SECTORS / len(points))
+    sector = np.minimum((turn * sectors).astype(int), sectors - 1)
+    height = np.minimum((share * heights).astype(int), heights - 1)
+    radius = np.minimum((away / max(float(np.quantile(away, outermost)), 1e-30) * radii).astype(int), radii - 1)
+    cell = (sector * heights + height) * radii + radius
+    spread = np.bincount(cell, minlength=sectors * heights * radii).reshape(sectors, -1) * (sectors / len(points))
     return float(np.abs(spread - spread.mean(axis=0)).sum(axis=1).mean())
 
 
 def _share_along_axes(mesh: TriangleMesh) -> float:
+    cosine = 0.99  # cosine
     normals = face_normals(mesh)
     area = np.linalg.norm(normals, axis=1)
-    along = np.abs(normals).max(axis=1) > _ALONG * area
+    along = np.abs(normals).max(axis=1) > cosine * area
     return float(area[along].sum() / max(float(area.sum()), 1e-30))
 
 
 def _share_flat(points: Points) -> float:
     """Share of points, one in a cell, that lie flat among their neighbours."""
-    thinned = one_per_cell(points, _FINE * float(np.linalg.norm(np.ptp(points, axis=0))))
+    fine = 0.008  # of the diagonal: cells that hold one point each
+    thinned = one_per_cell(points, fine * float(np.linalg.norm(np.ptp(points, axis=0))))
     thinned = thinned[np.random.default_rng(0).permutation(len(thinned))[:_POINTS]]
     return float(flat_points(thinned).flat.mean()) if len(thinned) > NEIGHBOURS else 0.0
 
@@ -128,20 +127,17 @@ def one_per_cell(points: Points, cell: float) -> Points:
 
 def _share_together(cloud: GaussianCloud, height_m: float) -> float:
     """Share of the visible Gaussians in the largest group where they are small beside their gaps, else 1."""
+    wide_gap = 4.0  # in the middle axis' standard deviation: Gaussians with such gaps between them are specks
     cloud = cloud.subset(cloud.opacity >= VISIBLE)
     if cloud.num_gaussians < 2:
         return 1.0
     points = cloud.means.astype(np.float64)
     some = np.random.default_rng(0).permutation(len(points))[: _POINTS // 4]
     gap = np.asarray(scipy.spatial.cKDTree(points).query(points[some], k=2)[0])[:, 1]
-    if np.median(gap) < _GAP * np.median(np.sort(cloud.scales[some], axis=1)[:, 1]):
+    if np.median(gap) < wide_gap * np.median(np.sort(cloud.scales[some], axis=1)[:, 1]):
         return 1.0
     _, _, count, group = touching_groups(points, _CELL * height_m)
     return float(np.bincount(group, count).max() / len(points))
-
-
-def _green_share(cloud: GaussianCloud) -> float:
-    return float(_is_green(cloud.sh[:, 0].astype(np.float64) * SH_0 + 0.5).mean())
 
 
 def _has_plant_colors(mesh: TriangleMesh) -> bool:

@@ -34,8 +34,6 @@ _PROBABLY = 0.5
 """Of the axis that is usual in a format this probability is enough: of 224 readings 1 is wrong below `CERTAIN`."""
 _OTHERWISE = 5.0
 """So many times likelier than a stated axis another must be to be said: of 14 species none, of lying ones all."""
-_SURELY = 0.8  # and so likely: below it, small low-poly trees are doubted that stand as their file says
-_CUBES, _OF_CUBE = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +132,8 @@ def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...
 
 def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
     """A warning if a shape that was turned from `taken` up to +Z up is far likelier to stand along another axis."""
-    if judged is None or judged.axis == "+Z" or judged.confidence < max(_OTHERWISE * judged.upright, _SURELY):
+    surely = 0.8  # and so likely: below it, small low-poly trees are doubted that stand as their file says
+    if judged is None or judged.axis == "+Z" or judged.confidence < max(_OTHERWISE * judged.upright, surely):
         return ()
     direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
     column = int(np.argmax(np.abs(direction)))
@@ -146,10 +145,15 @@ def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
     return (SourceWarning(code="orientation-uncertain", message=message),)
 
 
-def size_doubts(plant: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, ...]:
-    """Says an unlikely size of one plant in metres, and a unit that was guessed; `file_unit`: the file has one."""
-    scale, sides = plant.source.scale, np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
-    height, longest = sides[2], max(sides)
+def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, ...]:
+    """Says an unlikely size of one plant in metres, and a unit that was guessed; `file_unit`: the file has one.
+
+    Tools that make meshes from pictures scale all that they see to a cube, also in glTF, whose unit is the metre.
+    """
+    cubes, of_cube = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
+    scale, plant = mesh.source.scale, mesh.moving_part
+    sides = np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
+    height, longest = sides[2], float(np.ptp(mesh.vertices[mesh.faces.ravel()], axis=0).max()) / scale
     unlikely = height_warnings(height, scale)
     if unlikely:
         return unlikely
@@ -159,7 +163,7 @@ def size_doubts(plant: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning,
         names = {unit: name for name, unit in UNIT_NAMES.items()}
         taken = f"taken for {names.get(scale, f'{scale:g} m each')} ({height:.3g} m)"
         what = f"the file does not say its unit; {height / scale:.4g} units were {taken}"
-    elif not file_unit and any(abs(longest / side - 1) < _OF_CUBE for side in _CUBES):
+    elif any(abs(longest / side - 1) < of_cube for side in cubes):
         what = f"the longest side is {longest:.3g} units, as of meshes that a tool scaled to a cube, taken for metres"
     else:
         return ()

@@ -13,25 +13,10 @@ from dynamictree.plant.ground import is_level
 Wall = tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, " S"]]
 """Axis, and distance from it in each sector [m]."""
 
-_MOST_OF_A_SLICE = 2000  # points; enough for its outline
-_STRAYS = 0.002  # of the points at the bottom
 _SECTORS = 24
-_SLICES = 60  # of the height
-_HIGHEST = 0.6  # of the height: the soil lies below
-_THICKEST = 5  # slices that the soil may fill
-_LEAST_SLICES = 4  # of wall below the soil
 _WALLED = 0.6  # of the sectors, and of the slices below the soil
-_ROUNDS, _SETTLED = 6, 0.001  # of the search for a wall's axis: at most; and its last step over the radius
-_THIN = 0.1  # spread of a wall over its distance from the axis
-_LEAST_RADIUS = 0.04  # of the height
-_NARROWEST, _FEW_NARROW = 0.4, 0.2  # of the outline: a stem below a crown is narrower; and share of slices that may be
 _INSIDE = 0.8  # of the outline: here the soil is seen
 _SOIL = 0.85  # of the cells inside, at least, are filled by soil
-_RISING = 0.65  # of them, at most, by what rises out of it; and by what is below
-_CELLS = 8  # along the outline's radius
-_OUTSIDE = 1.12  # of the outline: so far out something is still of the pot
-_SLICES_OF_AXIS, _LEAST_OF_AXIS = 6, 3  # from the bottom to the soil, and with a wall
-_SAUCER = (1.6, 0.15)  # of the outline, and of the height of the soil
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,24 +43,31 @@ def find_pot(
     A trunk is a closed wall as well, but nothing level fills it. `soil_seen` is the share of a pot's inside where
     soil must be seen; `upward` says which points may be of soil, where that is known.
     """
-    low = float(np.quantile(points[:, 2], _STRAYS))
-    side = height_m / _SLICES
+    strays = 0.002  # of the points at the bottom
+    slices = 60  # of the height
+    highest = 0.6  # of the height: the soil lies below
+    least_slices = 4  # of wall below the soil
+    least_radius = 0.04  # of the height
+    narrowest = 0.4  # of the outline: a stem below a crown is narrower
+    few_narrow = 0.2  # of the slices that may be
+    low = float(np.quantile(points[:, 2], strays))
+    side = height_m / slices
     order = np.argsort(points[:, 2])
-    ends = np.searchsorted(points[order, 2], low + side * np.arange(int(_SLICES * _HIGHEST) + 1))
+    ends = np.searchsorted(points[order, 2], low + side * np.arange(int(slices * highest) + 1))
     rows = [points[order[a:b]] for a, b in pairwise(ends)]
     layers = rows if upward is None else [points[order[a:b]][upward[order[a:b]]] for a, b in pairwise(ends)]
-    walls = [_wall(row) for row in rows[:_LEAST_SLICES]]
-    for soil in range(_LEAST_SLICES, len(rows) - 1):
+    walls = [_wall(row) for row in rows[:least_slices]]
+    for soil in range(least_slices, len(rows) - 1):
         below = [wall for wall in walls if wall is not None]
         walls.append(_wall(rows[soil]))
         if len(below) + len(rows) - soil < _WALLED * len(rows):
             return None  # too few, were all slices above walled
-        if len(below) < max(_LEAST_SLICES, _WALLED * soil):
+        if len(below) < max(least_slices, _WALLED * soil):
             continue
         wall = _joined(below)
         radius = float(np.median(wall[1]))
-        lower = float(np.quantile([np.median(outline) for _, outline in below], _FEW_NARROW))
-        if radius < _LEAST_RADIUS * height_m or lower < _NARROWEST * radius:
+        lower = float(np.quantile([np.median(outline) for _, outline in below], few_narrow))
+        if radius < least_radius * height_m or lower < narrowest * radius:
             continue
         if _filled(np.concatenate(layers[soil : soil + 2]), wall) < soil_seen:
             continue
@@ -93,10 +85,11 @@ def find_pot(
 
 def axis_of_pot(points: Points, pot: Pot) -> Float64[np.ndarray, "3"] | None:
     """The upward direction through the middles of its walls (Theil 1950, Sen 1968); None where too few are seen."""
-    ends = np.linspace(pot.low, pot.soil, _SLICES_OF_AXIS + 1)
+    slices_of_axis, least_of_axis = 6, 3  # from the bottom to the soil, and with a wall
+    ends = np.linspace(pot.low, pot.soil, slices_of_axis + 1)
     sides = [_wall(points[(points[:, 2] >= a) & (points[:, 2] < b)]) for a, b in pairwise(ends)]
     middles = np.array([[*side[0], (a + b) / 2] for side, (a, b) in zip(sides, pairwise(ends), strict=True) if side])
-    if len(middles) < _LEAST_OF_AXIS:
+    if len(middles) < least_of_axis:
         return None
     one, other = np.triu_indices(len(middles), 1)
     way = middles[other] - middles[one]
@@ -106,11 +99,13 @@ def axis_of_pot(points: Points, pot: Pot) -> Float64[np.ndarray, "3"] | None:
 
 def in_pot(pot: Pot, points: Points) -> Bool[np.ndarray, " P"]:
     """Which points are of a pot: below the top of its soil, in the rim around it, or in a saucer below it."""
+    saucer_size = (1.6, 0.15)  # of the outline, and of the height of the soil
+    outside = 1.12  # of the outline: so far out something is still of the pot
     away, sector = _polar(points, pot.axis)
     share, height = away / pot.outline[sector], points[:, 2]
-    saucer = (share < _SAUCER[0]) & (height < pot.low + _SAUCER[1] * (pot.soil - pot.low))
-    below = (share < _OUTSIDE) & (height < pot.soil)
-    rim = (share < _OUTSIDE) & (share > _INSIDE) & (height < pot.rim)
+    saucer = (share < saucer_size[0]) & (height < pot.low + saucer_size[1] * (pot.soil - pot.low))
+    below = (share < outside) & (height < pot.soil)
+    rim = (share < outside) & (share > _INSIDE) & (height < pot.rim)
     inside: Bool[np.ndarray, " P"] = saucer | below | rim
     return inside
 
@@ -126,11 +121,14 @@ def _polar(
 
 def _wall(points: Points) -> Wall | None:
     """The wall that most points of a slice lie on, or None."""
+    thin_share = 0.1  # spread of a wall over its distance from the axis
+    most_of_a_slice = 2000  # points; enough for its outline
+    rounds, settled = 6, 0.001  # of the search for a wall's axis: at most; and its last step over the radius
     if len(points) < 2 * _SECTORS:
         return None
-    points = points[:: -(-len(points) // _MOST_OF_A_SLICE)]
+    points = points[:: -(-len(points) // most_of_a_slice)]
     axis = np.asarray(points[:, :2].mean(axis=0))
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         away, sector = _polar(points, axis)
         distance = _middle(away, sector)
         seen = np.isfinite(distance)
@@ -140,10 +138,10 @@ def _wall(points: Points) -> Wall | None:
         on = distance[seen, None] * np.column_stack([np.cos(turn), np.sin(turn)])
         circle = np.linalg.lstsq(np.column_stack([2 * on, np.ones(len(on))]), (on**2).sum(axis=1), rcond=None)[0]
         axis = axis + circle[:2]
-        if np.hypot(*circle[:2]) < _SETTLED * np.median(distance[seen]):
+        if np.hypot(*circle[:2]) < settled * np.median(distance[seen]):
             break
     spread = _middle(np.abs(away - np.nan_to_num(distance)[sector]), sector)
-    thin = spread < _THIN * distance  # not where unseen
+    thin = spread < thin_share * distance  # not where unseen
     if thin.sum() < _WALLED * _SECTORS:
         return None
     return axis, np.where(thin, distance, np.median(distance[thin]))
@@ -174,24 +172,27 @@ def _goes_on(one: Wall | None, wall: Wall) -> bool:
 
 def _top_of_soil(rows: Sequence[Points], soil: int, wall: Wall) -> int | None:
     """The slice above a layer that fills the outline and begins at a slice; None if it is no thin layer."""
-    if any(_filled(row, wall) > _RISING for row in rows[soil - 2 : soil]):
+    thickest = 5  # slices that the soil may fill
+    rising = 0.65  # of them, at most, by what rises out of it; and by what is below
+    if any(_filled(row, wall) > rising for row in rows[soil - 2 : soil]):
         return None
-    for top in range(soil + 1, min(soil + _THICKEST, len(rows) - 1) + 1):
-        if _filled(rows[top], wall) <= _RISING:
+    for top in range(soil + 1, min(soil + thickest, len(rows) - 1) + 1):
+        if _filled(rows[top], wall) <= rising:
             return top
     return None
 
 
 def _filled(points: Points, wall: Wall) -> float:
     """Share of the cells inside the outline that hold a point."""
+    num_cells = 8  # along the outline's radius
     axis, outline = wall
-    side = float(np.median(outline)) / _CELLS
-    across = (np.arange(-_CELLS, _CELLS) + 0.5) * side
+    side = float(np.median(outline)) / num_cells
+    across = (np.arange(-num_cells, num_cells) + 0.5) * side
     away, sector = _polar(np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2), np.zeros(2))
     inside = away < _INSIDE * outline[sector]
-    cells = np.floor((points[:, :2] - axis) / side).astype(np.int64) + _CELLS
-    cells = cells[((cells >= 0) & (cells < 2 * _CELLS)).all(axis=1)]
-    hold = np.zeros((2 * _CELLS, 2 * _CELLS), np.bool_)
+    cells = np.floor((points[:, :2] - axis) / side).astype(np.int64) + num_cells
+    cells = cells[((cells >= 0) & (cells < 2 * num_cells)).all(axis=1)]
+    hold = np.zeros((2 * num_cells, 2 * num_cells), np.bool_)
     hold[cells[:, 0], cells[:, 1]] = True
     return float(hold.ravel()[inside].mean())
 

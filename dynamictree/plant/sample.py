@@ -6,8 +6,6 @@ from jaxtyping import Float64, Int64
 from dynamictree.mesh import Surface
 from dynamictree.planes import Points
 
-_STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly (Roberts 2018)
-
 
 def surface_points(mesh: Surface, num_points: int) -> tuple[Points, Int64[np.ndarray, " P"]] | None:
     """Points evenly over the surface, always the same ones, and their faces; None of a mesh without surface."""
@@ -21,8 +19,9 @@ def surface_points(mesh: Surface, num_points: int) -> tuple[Points, Int64[np.nda
 
 def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, Int64[np.ndarray, " P"]]:
     """So many points on each face, and the face of each."""
+    steps = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly (Roberts 2018)
     face = np.repeat(np.arange(mesh.num_faces), counts)
-    u, v = (np.arange(len(face)) * step % 1 for step in _STEPS)
+    u, v = (np.arange(len(face)) * step % 1 for step in steps)
     root = np.sqrt(u)
     weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
     points: Points = np.einsum("pi,pic->pc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64))

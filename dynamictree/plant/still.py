@@ -7,11 +7,13 @@ cloud that touch. A thing stands still that
 - lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
 - is a vessel: it stands at the bottom, is wide all the way up, and either holds named soil, or what rises out of it or
   stands on it is narrower there and just above: a trunk below a crown is no pot;
-- is a board among boards: tables, fences and lattices are four or more long boxes that lie along the same three axes.
+- is a board or rod among others: tables, fences and lattices are four or more long boxes along the same three axes, or
+  round rods along two that cross at right angles.
 
 What is one thing with the plant is separated from it by its points alone: see `ground.py` and `pot.py`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +28,7 @@ Things = Bool[np.ndarray, " things"]
 GROUND = StillPart(name="ground", why="level and wide, at the bottom")
 THINGS = StillPart(name="things", why="low, and apart from what rises higher")
 POT = StillPart(name="pot", why="a vessel around the foot of what rises out of it")
-BOARDS = StillPart(name="boards", why="long boxes along the same axes, as of furniture, fences and lattices")
+BOARDS = StillPart(name="boards", why="long boxes or rods along the same axes, as of furniture, fences and lattices")
 
 LEAST_PLANT = 0.02
 """Of the faces or points: with less left over, nothing is taken away."""
@@ -34,14 +36,8 @@ LOW, APART = 0.2, 0.06
 """Of the height: so high things beside a plant reach; and what is so far from it does not hang on it."""
 FOOT = 0.05
 """Of the height: what stands at the bottom begins at most so high."""
-_STRAYS = 0.002  # of the points at each end
-_FLAT = 0.2  # height over the narrower width of what is flat
-_WIDE, _VAST = 0.5, 3.0  # its width, of the height of what rises: at the bottom, and up to the middle of that height
-_VESSEL, _WITH_SOIL = 0.5, 0.75  # of the height: a vessel reaches up so far at most; and one that holds soil
-_WIDER = 1.5  # than what it encloses is a vessel
-_SOIL_SIZE = 0.5  # of a vessel's width, and of its height, at least, so wide and so high lies soil in it
-_ON_TOP = 0.01  # of the height: what begins so near to the top stands on it
-_ABOVE, _SLICE = (0.03, 0.06, 0.1), 0.02  # of the height of what rises: here, over the rim, it is narrower; thickness
+_FEWEST_OF_ROD, _SQUARE_ROD, _EVEN = 12, 0.8, 0.2
+"""Points of a rod, share of them around it, and by how much of its radius their distances from its axis differ."""
 _FEWEST_BOARDS, _LONG, _SQUARE = 4, 4.0, 0.98  # and a board's longest side over its middle one; cosine along an axis
 
 
@@ -65,21 +61,25 @@ class Scene:
 
 def height_of(points: Points) -> float:
     """Extent along +Z without strays [m]."""
-    low, high = np.quantile(points[:, 2], [_STRAYS, 1 - _STRAYS])
+    strays = 0.002  # of the points at each end
+    low, high = np.quantile(points[:, 2], [strays, 1 - strays])
     return float(high - low)
 
 
 def flat_and_wide(scene: Scene, gone: Things) -> Things:
     """Planes, patches of ground, islands."""
+    flatness = 0.2  # height over the narrower width of what is flat
+    wide = 0.5  # its width at the bottom, of the height of what rises
+    vast_width = 3.0  # and up to the middle of that height
     extent = scene.high - scene.low
     narrow = extent[:, :2].min(axis=1)
-    flat = extent[:, 2] < _FLAT * narrow
+    flat = extent[:, 2] < flatness * narrow
     if (flat | gone).all():
         return np.zeros_like(flat)
     floor, height = scene.floor_and_height(flat | gone)
     middle = (scene.low[:, 2] + scene.high[:, 2]) / 2 - floor
-    beneath = (middle < 0.1 * height) & (narrow > _WIDE * height)
-    vast = (middle < 0.5 * height) & (narrow > _VAST * height)
+    beneath = (middle < 0.1 * height) & (narrow > wide * height)
+    vast = (middle < 0.5 * height) & (narrow > vast_width * height)
     detected: Things = flat & (beneath | vast)
     return detected
 
@@ -105,33 +105,36 @@ def low_and_apart(scene: Scene, gone: Things, *, slack_m: float = 0.0) -> Things
 
 def vessels(scene: Scene, gone: Things) -> Things:
     """Pots, vases and planters, with what they hold or what stands on them."""
+    vessel, with_soil = 0.5, 0.75  # of the height: a vessel reaches up so far at most; and one that holds soil
     low, high = scene.low, scene.high
     floor, height = scene.floor_and_height(gone)
-    stands = ~gone & (low[:, 2] < floor + FOOT * height) & (high[:, 2] < floor + _WITH_SOIL * height)
+    stands = ~gone & (low[:, 2] < floor + FOOT * height) & (high[:, 2] < floor + with_soil * height)
     detected = np.zeros_like(gone)
     for one in np.flatnonzero(stands)[np.argsort(-(high - low)[stands, :2].max(axis=1))][:50]:
-        if _holds_soil(scene, one) or (
-            high[one, 2] <= floor + _VESSEL * height and _encloses(scene, gone, one, height)
-        ):
+        if _holds_soil(scene, one) or (high[one, 2] <= floor + vessel * height and _encloses(scene, gone, one, height)):
             detected[one] = _wide_all_the_way(scene.points[scene.thing == one])
     return detected
 
 
 def _holds_soil(scene: Scene, one: np.int64) -> bool:
     """Whether a thing has soil in its upper half that is about as wide."""
+    soil_size = 0.5  # of a vessel's width, and of its height, at least, so wide and so high lies soil in it
     low, extent = scene.low[one], (scene.high - scene.low)[one]
     inner_low, inner_high = scene.low[scene.soil], scene.high[scene.soil]
     inside = ((inner_low >= low - 0.1 * extent) & (inner_high <= low + 1.1 * extent)).all(axis=1)
-    lies_high = (inner_low + inner_high)[:, 2] / 2 > low[2] + _SOIL_SIZE * extent[2]
-    wide = ((inner_high - inner_low)[:, :2] > _SOIL_SIZE * extent[:2]).all(axis=1)
+    lies_high = (inner_low + inner_high)[:, 2] / 2 > low[2] + soil_size * extent[2]
+    wide = ((inner_high - inner_low)[:, :2] > soil_size * extent[:2]).all(axis=1)
     return bool((inside & lies_high & wide).any())
 
 
 def _encloses(scene: Scene, gone: Things, one: np.int64, height: float) -> bool:
     """Whether what rises out of a thing, or stands on it, is narrower there and just above."""
+    wider = 1.5  # than what it encloses is a vessel
+    on_top = 0.01  # of the height: what begins so near to the top stands on it
+    above, slice = (0.03, 0.06, 0.1), 0.02  # of the height of what rises: here, over the rim, it is narrower; thickness
     low, high = scene.low, scene.high
     rim = float(high[one, 2])
-    base = rim + _ON_TOP * height * (scene.material != scene.material[one])  # what is of one material is one thing
+    base = rim + on_top * height * (scene.material != scene.material[one])  # what is of one material is one thing
     rises = ~gone & (high[:, 2] > 2 * rim - low[one, 2]) & (low[:, 2] < base)
     places = scene.points[rises[scene.thing]]
     foot = places[places[:, 2] <= float(base.max()), :2]
@@ -141,9 +144,9 @@ def _encloses(scene: Scene, gone: Things, one: np.int64, height: float) -> bool:
     if not ((foot_low >= low[one, :2]) & (foot_high <= high[one, :2])).all():
         return False
     rise = float(places[:, 2].max()) - rim
-    widest = max(_width_at(places, rim + share * rise, _SLICE * rise) for share in _ABOVE)
+    widest = max(_width_at(places, rim + share * rise, slice * rise) for share in above)
     width = float((high - low)[one, :2].min())
-    return bool(width > max(_WIDER * float((foot_high - foot_low).max()), widest))
+    return bool(width > max(wider * float((foot_high - foot_low).max()), widest))
 
 
 def _width_at(points: Points, level: float, thickness: float) -> float:
@@ -172,12 +175,41 @@ def boards(scene: Scene, gone: Things) -> Things:
     ends = np.searchsorted(scene.thing[order], np.arange(len(gone) + 1))
     long = [one for one in np.flatnonzero(~gone) if _may_be_board(scene.high[one] - scene.low[one])]
     axes = {one: _axes_of_box(scene.normals[order[ends[one] : ends[one + 1]]]) for one in long}
+    rods = {
+        one: _axis_of_rod(scene.points[rows], scene.normals[rows])
+        for one in long
+        if axes[one] is None and len(rows := order[ends[one] : ends[one + 1]]) >= _FEWEST_OF_ROD
+    }
+    detected[_crossing({one: own for one, own in rods.items() if own is not None})] = True
     boxes = {one: own for one, own in axes.items() if own is not None}
     for own in list(boxes.values())[:50]:
         alike = [one for one, other in boxes.items() if (np.abs(own @ other.T).max(axis=1) > _SQUARE).all()]
         if len(alike) >= _FEWEST_BOARDS:
             detected[alike] = True
     return detected
+
+
+def _crossing(rods: Mapping[np.int64, Direction]) -> list[np.int64]:
+    """Rods of a lattice: two or more along one axis, and two or more across it."""
+    for own in list(rods.values())[:50]:
+        along = {one: abs(float(own @ other)) for one, other in rods.items()}
+        alike = [one for one, cosine in along.items() if cosine > _SQUARE]
+        across = [one for one, cosine in along.items() if cosine < 1 - _SQUARE]
+        if min(len(alike), len(across)) >= _FEWEST_BOARDS // 2:
+            return alike + across
+    return []
+
+
+def _axis_of_rod(points: Points, normals: Points) -> Direction | None:
+    """The direction of a straight round rod of even thickness; None if it is none, as of stems that taper or bend."""
+    side = np.linalg.eigh(normals.T @ normals)[1][:, 0]  # across all normals but those of its ends
+    across = np.abs(normals @ side) < 1 - _SQUARE
+    if across.mean() < _SQUARE_ROD or np.abs(normals[~across] @ side).min(initial=1) < _SQUARE:
+        return None
+    around = points[across] - points[across].mean(axis=0)
+    away = np.linalg.norm(around - (around @ side)[:, None] * side, axis=1)
+    even = np.ptp(away) < _EVEN * away.mean() and np.ptp(around @ side) > _LONG * away.mean()
+    return side if even else None
 
 
 def _may_be_board(extent: Direction) -> bool:

@@ -28,12 +28,7 @@ from dynamictree.plant.still import (
 SKY = StillPart(name="sky", why="far around everything that hangs together")
 FLOATERS = StillPart(name="floaters", why="a few Gaussians far from all others")
 _SOLID = 0.05  # opacity
-_LARGE = 0.1  # of the extent: Gaussians of the background
-_MOST_POINTS = 200_000
 _FEWEST_POINTS = 500
-_CELL = 0.03  # of the height
-_SMALL = 0.2  # of the points: all that lies apart
-_FEW = 0.02  # of the points: floaters
 _SKY_CELL, _SKY_AWAY, _NOT_SKY = 0.1, 3.0, 0.5
 """Of the median distance from the middle: what is so near hangs together; sky is so many times farther out than what
 hangs together, which must be so much of the whole."""
@@ -41,6 +36,8 @@ hangs together, which must be so much of the whole."""
 
 def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], UInt8[np.ndarray, " G"]]:
     """The parts of a cloud in metres and +Z up that stand still, and of each Gaussian its part from 1, or 0."""
+    large = 0.1  # of the extent: Gaussians of the background
+    small = 0.2  # of the points: all that lies apart
     part_of = np.zeros(cloud.num_gaussians, np.uint8)
     parts: list[StillPart] = []
 
@@ -55,7 +52,7 @@ def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], U
     means = cloud.means.astype(np.float64)
     sky = find_sky(cloud)
     solid = ~sky & (cloud.opacity >= _SOLID)
-    solid &= cloud.scales.max(axis=1) <= _LARGE * np.ptp(means[~sky], axis=0).max()
+    solid &= cloud.scales.max(axis=1) <= large * np.ptp(means[~sky], axis=0).max()
     if solid.sum() < _FEWEST_POINTS:
         return (), part_of
     take(SKY, sky)
@@ -72,7 +69,7 @@ def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], U
         return tuple(parts), part_of
     things, floaters = _apart(means[free], height_m)
     for part, lying in ((THINGS, things), (FLOATERS, floaters)):
-        if lying.mean() <= _SMALL and (part == FLOATERS or GROUND in parts):
+        if lying.mean() <= small and (part == FLOATERS or GROUND in parts):
             rows = np.zeros(len(means), np.bool_)
             rows[free] = lying
             take(part, rows)
@@ -105,12 +102,15 @@ def find_sky(cloud: GaussianCloud) -> Bool[np.ndarray, " G"]:
 
 
 def _thinned(points: Points) -> Points:
-    return points[:: -(-len(points) // _MOST_POINTS)]
+    most_points = 200_000
+    return points[:: -(-len(points) // most_points)]
 
 
 def _apart(points: Points, height_m: float) -> tuple[Bool[np.ndarray, " P"], Bool[np.ndarray, " P"]]:
     """What lies low and apart from what rises, and few points far from the largest group."""
-    side = _CELL * height_m
+    cell_share = 0.03  # of the height
+    few_share = 0.02  # of the points: floaters
+    side = cell_share * height_m
     cells, cell, count, group = touching_groups(points, side)
     size = np.bincount(group, count)
     unknown = np.full(len(size), -1)
@@ -122,5 +122,5 @@ def _apart(points: Points, height_m: float) -> tuple[Bool[np.ndarray, " P"], Boo
     gap = np.full(len(size), np.inf)
     np.minimum.at(gap, group, scipy.spatial.cKDTree(main).query(cells)[0] * side)
     above = bounds[1][:, 2] >= main[:, 2].min() * side + LOW * height_m  # lower ones may lie on the ground
-    few = above & (gap > APART * height_m + side) & (size < _FEW * size.sum())
+    few = above & (gap > APART * height_m + side) & (size < few_share * size.sum())
     return low[group][cell], few[group][cell]

@@ -29,10 +29,6 @@ from dynamictree.plant.still import (
     vessels,
 )
 
-_POINTS = 60_000
-_POINTS_OF_BASE = 150_000
-_UPWARD = 0.5  # of a normal, along +Z
-_SOIL_SEEN = 0.7  # of a pot's inside: below stems of one surface with it there is none
 _LOWEST, _PLATE_TOP, _POT_TOP = 0.02, 0.15, 0.65
 """Of the height: a base reaches up so far at least, a plate and a pot so far at most."""
 
@@ -98,10 +94,11 @@ def _part_of_face(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
 
 def _scene(mesh: TriangleMesh, of_face: Int64[np.ndarray, " F"]) -> Scene:
     """Points on all faces, on large parts more, but fewer than by area: a water plane is not all of a scene."""
+    num_points = 60_000
     area = face_areas(mesh)
     of_part = np.bincount(of_face, area)
     share = area / np.sqrt(np.maximum(of_part, 1e-30))[of_face]
-    points, face = on_faces(mesh, 1 + (_POINTS * share / max(float(share.sum()), 1e-30)).astype(np.int64))
+    points, face = on_faces(mesh, 1 + (num_points * share / max(float(share.sum()), 1e-30)).astype(np.int64))
     low, high = part_bounds(np.repeat(of_face, 3), mesh.vertices[mesh.faces.ravel()])
     normals = face_normals(mesh) / np.maximum(2 * area, 1e-30)[:, None]
     material = np.full(len(of_part), -1, np.int64)
@@ -123,13 +120,16 @@ def _fused_base(
     mesh: TriangleMesh, scene: Scene, gone: Things, of_face: Int64[np.ndarray, " F"]
 ) -> tuple[StillPart, Faces] | None:
     """The base of the largest part that stands at the bottom and rises: a plate, ground or a pot; None without one."""
+    upward_share = 0.5  # of a normal, along +Z
+    points_of_base = 150_000
+    soil_seen = 0.7  # of a pot's inside: below stems of one surface with it there is none
     floor, height = scene.floor_and_height(gone)
     rises = ~gone & (scene.low[:, 2] < floor + FOOT * height) & (scene.high[:, 2] > floor + 0.5 * height)
     if not rises.any():
         return None
     own = of_face == int((np.bincount(of_face, minlength=len(gone)) * rises).argmax())
     part = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[own])
-    sampled = surface_points(part, _POINTS_OF_BASE)
+    sampled = surface_points(part, points_of_base)
     if sampled is None:
         return None
     points, face = sampled
@@ -140,13 +140,13 @@ def _fused_base(
     normals, middles = face_normals(part), part.vertices[part.faces].mean(axis=1, dtype=np.float64)
     inside_out = np.einsum("fi,fi->", middles - middles.mean(axis=0), normals) < 0
     length = np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
-    upward = ((-normals if inside_out else normals)[:, 2] > _UPWARD * length)[face]
+    upward = ((-normals if inside_out else normals)[:, 2] > upward_share * length)[face]
     places = part.vertices.astype(np.float64)
     plane = find_ground(points[upward], height_m, rng) if upward.any() else None
     base = None if plane is None else _with_what_is_cut_off(part, plane.above(places) <= 0, _PLATE_TOP)
     detected = GROUND
     if base is None:
-        pot = find_pot(points, height_m, rng, soil_seen=_SOIL_SEEN, upward=upward)
+        pot = find_pot(points, height_m, rng, soil_seen=soil_seen, upward=upward)
         base = None if pot is None else _with_what_is_cut_off(part, in_pot(pot, places), _POT_TOP)
         detected = POT
     if base is None:

@@ -45,13 +45,6 @@ USUAL, LIKELY = ("+Y", "+Z"), 0.65
 _POINTS = 20_000
 _APART, _SHARE = 0.03, 0.05
 """Of the whole's longest side: what is so far apart are two trees; and the least share of the points of one."""
-_OUTLIERS = (0.002, 0.998)  # of the coordinates of splats and scans
-_SLICES = 24
-_FOOT_SLICES = 2
-_NARROW = 0.4  # of the whole's spread
-_POLE = 0.4  # of the height: least length of a stem
-_POLE_SLICES = 16
-_SLENDER = 0.08  # of a pole's length: the widest that it spreads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +130,9 @@ def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"
 
 def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis | None:
     """The axis that the points of a splat or scan say for sure, else None; outlying ones do not count."""
+    outliers = (0.002, 0.998)  # of the coordinates of splats and scans
     drawn = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]].astype(np.float64)
-    low, high = np.quantile(drawn, _OUTLIERS, axis=0)
+    low, high = np.quantile(drawn, outliers, axis=0)
     drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
     unknown = np.zeros(len(drawn), np.int64)
     judged = _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), "+Z", any_axis=True)
@@ -177,15 +171,18 @@ def _cues_along(
     kind: Int64[np.ndarray, " P"],
     stem: Int64[np.ndarray, " P"],
 ) -> list[float]:
+    slices = 24
+    foot_slices = 2
+    narrow = 0.4  # of the whole's spread
     extent = max(float(height.max()), 1e-6)
     share = height / extent
     whole = max(_spread(across), 1e-6)
-    number = np.minimum((share * _SLICES).astype(int), _SLICES - 1)
-    radii = _spreads(across, number, _SLICES)
-    low, high = number < _FOOT_SLICES, number >= _SLICES - _FOOT_SLICES
+    number = np.minimum((share * slices).astype(int), slices - 1)
+    radii = _spreads(across, number, slices)
+    low, high = number < foot_slices, number >= slices - foot_slices
     foot, top = max(_spread(across[low]), 0.01 * whole), max(_spread(across[high]), 0.01 * whole)
-    wide = radii > _NARROW * whole
-    trunk, from_top = (int(np.argmax(side)) if side.any() else _SLICES for side in (wide, wide[::-1]))
+    wide = radii > narrow * whole
+    trunk, from_top = (int(np.argmax(side)) if side.any() else slices for side in (wide, wide[::-1]))
     balance = np.linalg.norm(across[low].mean(axis=0) - across.mean(axis=0)) / whole if low.any() else 1.0
     wood, leaf = kind == 1, kind == 2
     by_name = wood.any() and leaf.any()
@@ -193,8 +190,8 @@ def _cues_along(
     return [
         np.log(foot / whole),
         np.log(foot / top),
-        trunk / _SLICES,
-        from_top / _SLICES,
+        trunk / slices,
+        from_top / slices,
         min(float(balance), 3.0),
         float(share[leaf].mean() - share[wood].mean()) if by_name else 0.0,
         float(share[leaf].min() - share[wood].min()) if by_name else 0.0,
@@ -207,13 +204,16 @@ def _cues_along(
 
 def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"], stem: Bool[np.ndarray, " P"]) -> float:
     """Logarithm of the width of the stem's foot over that of its tip, where the stem is one slender pole; else 0."""
+    pole = 0.4  # of the height: least length of a stem
+    pole_slices = 16
+    slender = 0.08  # of a pole's length: the widest that it spreads
     own, place = share[stem], across[stem]
     length = own.max() - own.min() if len(own) else 0.0
-    if length < _POLE:
+    if length < pole:
         return 0.0
-    number = np.minimum(((own - own.min()) / length * _POLE_SLICES).astype(int), _POLE_SLICES - 1)
-    radii = _spreads(place, number, _POLE_SLICES)
-    if radii.max() > _SLENDER * length:
+    number = np.minimum(((own - own.min()) / length * pole_slices).astype(int), pole_slices - 1)
+    radii = _spreads(place, number, pole_slices)
+    if radii.max() > slender * length:
         return 0.0
     return float(np.clip(np.log(max(radii[0], 1e-4) / max(radii[-1], 1e-4)), -3, 3))
 

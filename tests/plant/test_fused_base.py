@@ -1,5 +1,6 @@
 """A base that is one surface with its plant stands still, and nothing of a plant is taken for one."""
 
+import io
 from collections.abc import Callable
 from functools import cache
 
@@ -9,8 +10,11 @@ import trimesh
 from scipy.ndimage import gaussian_filter, label
 from skimage.measure import marching_cubes
 
+from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.plant.still_mesh import find_still_parts
+from dynamictree.up_axis import up_rotation
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 
@@ -129,3 +133,20 @@ def test_no_shape_of_a_plant_is_taken_for_a_base(name: str) -> None:
     centre = centres(low, low + 1.2, 0.008)
     solid = np.logical_or.reduce(np.broadcast_arrays(*(part(*centre) for part in PLANTS[name])))
     assert find_still_parts(surface(2 * gaussian_filter(solid.astype(np.float32), 1.0), low, 0.008)) == ((), None)
+
+
+@pytest.mark.parametrize(("side", "doubted"), [(1.0, True), (2.0, True), (1.1, False)])
+def test_a_coloured_model_of_one_surface_that_a_tool_scaled_to_a_cube_is_doubted(side: float, doubted: bool) -> None:
+    """As tools that make meshes from pictures write GLB: colours of vertices, no names, centred in a cube."""
+    mesh = skin("sapling", pot)
+    middle, longest = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, np.ptp(mesh.vertices, axis=0).max()
+    places = (mesh.vertices - middle) @ up_rotation("+Y") * side / longest
+    colors = np.where(mesh.vertices[:, 2:] < 0.02, [150, 80, 60, 255], [70, 130, 50, 255]).astype(np.uint8)
+    content = trimesh.Trimesh(places, mesh.faces, vertex_colors=colors, process=False).export(file_type="glb")
+    read = read_mesh(io.BytesIO(content), file_type="glb")
+    assert [part.name for part in read.parts.still] == ["pot"]
+    assert [warning.code for warning in read.warnings] == ["size-doubtful"] * doubted
+    stream = io.BytesIO()
+    write_motion_glb(read, np.zeros((read.num_vertices, 4, 3), np.complex64), stream, num_frames=10)
+    (written,) = trimesh.load_scene(io.BytesIO(stream.getvalue()), file_type="glb", process=False).geometry.values()
+    np.testing.assert_array_equal(written.visual.vertex_colors, colors)

@@ -41,6 +41,10 @@ THINGS = {
     "a patch of ground": lambda h: plane(1.5 * h, 0.0),
     "a pot": lambda h: pot(0.15 * h, 0.25 * h, -0.2 * h),
     "a stone beside it": lambda h: replace(pot(0.03 * h, 0.05 * h, 0), vertices=pot(0.03 * h, 0.05 * h, 0).vertices + np.float32([h, 0, 0])),  # noqa: E501
+    "a lattice of round rods": lambda h: merged(
+        *(tube([h, side * h, 0], [h, side * h, 0.8 * h], 0.01 * h, rings=2) for side in (-0.2, 0, 0.2)),
+        *(tube([h, -0.3 * h, up * h], [h, 0.3 * h, up * h], 0.01 * h, rings=2) for up in (0.3, 0.5, 0.7)),
+    )[0],
 }  # fmt: skip
 
 
@@ -121,6 +125,11 @@ def test_faces_without_height_beside_none_that_rise_are_no_ground() -> None:
     """Warnings of numpy are errors here: nothing is divided by a height of 0."""
     point = TriangleMesh(vertices=np.float32([[1, 2, 3]]), faces=np.zeros((1, 3), np.int32))
     assert still_faces_of(point) is None
+
+
+def test_straight_stems_beside_each_other_are_no_lattice() -> None:
+    stems = [tube([0.2 * x, 0, 0], [0.2 * x, 0, 3], 0.02, rings=2) for x in range(6)]
+    assert still_faces_of(merged(*stems, tree())[0]) is None
 
 
 def test_names_of_things_are_words() -> None:

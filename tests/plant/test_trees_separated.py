@@ -8,8 +8,9 @@ import pytest
 
 from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh
 from dynamictree.errors import InputError
+from dynamictree.formats.description import describe_trees
 from dynamictree.mesh import TriangleMesh, joined
-from dynamictree.plant.trees.of_mesh import dense_points, only_tree_of, with_trees
+from dynamictree.plant.trees.of_mesh import dense_points, mesh_points, only_tree_of, with_trees
 from dynamictree.plant.trees.segment import segment_trees
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -18,7 +19,7 @@ from tests.plant.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_r
 
 
 def num_trees(mesh: TriangleMesh) -> int:
-    return len(segment_trees(dense_points(mesh)[0]).trees)
+    return int(segment_trees(dense_points(mesh)[0]).max()) + 1
 
 
 def test_five_trees_in_a_mesh_are_separated_by_face() -> None:
@@ -35,18 +36,18 @@ def test_five_trees_in_a_scan_are_separated_by_point_and_the_ground_is_of_none()
     face = np.random.default_rng(0).integers(0, mesh.num_faces, 60_000)
     plants, ground = on_ground(scattered(mesh, face).astype(np.float64))
     result = segment_trees(np.concatenate([plants, ground]), is_scan=True)
-    assert len(result.trees) == 5
-    assert share_right(result.tree_of_point[: len(plants)].astype(np.int64), truth[face]) >= 0.95
-    assert (result.tree_of_point[len(plants) :] == -1).mean() >= 0.9
+    assert result.max() == 4
+    assert share_right(result[: len(plants)].astype(np.int64), truth[face]) >= 0.95
+    assert (result[len(plants) :] == -1).mean() >= 0.9
 
 
 def test_trees_are_numbered_from_left_to_right_with_their_feet_and_heights() -> None:
     mesh, _ = stand_of_five()
-    trees = segment_trees(dense_points(mesh)[0]).trees
+    trees = describe_trees(*mesh_points(with_trees(mesh)))
     order = sorted(range(5), key=lambda number: PLACES_M[number])
     for number, result in zip(order, trees, strict=True):
-        np.testing.assert_allclose(result.foot_m[:2], PLACES_M[number], atol=0.3)
-        assert result.height_m == pytest.approx(HEIGHTS_M[number], rel=0.05)
+        np.testing.assert_allclose([result["x_m"], result["y_m"]], PLACES_M[number], atol=0.3)
+        assert result["height_m"] == pytest.approx(HEIGHTS_M[number], rel=0.05)
 
 
 def test_one_of_several_trees_is_cut_out_as_it_stands() -> None:
@@ -101,7 +102,7 @@ def test_a_canopy_without_stems_is_refused_with_a_reason() -> None:
     canopy = np.c_[rng.uniform(0, 60, (40_000, 2)), rng.uniform(6, 8, 40_000)]
     with pytest.raises(InputError, match="no stems are seen by which to separate them"):
         segment_trees(canopy, is_scan=True)
-    assert len(segment_trees(canopy).trees) == 1
+    assert not segment_trees(canopy).any()
 
 
 def test_files_of_one_tree_stay_one(samples: Path) -> None:
@@ -120,4 +121,4 @@ def test_files_of_one_tree_stay_one(samples: Path) -> None:
 
 def test_points_that_are_all_ground_are_one_tree(rng: np.random.Generator) -> None:
     points = np.column_stack([rng.random((500, 2)) * 10, rng.random(500) * 1e-3])
-    assert len(segment_trees(points).trees) == 1
+    assert not segment_trees(points).any()

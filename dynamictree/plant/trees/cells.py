@@ -13,14 +13,7 @@ Rows: TypeAlias = Int64[np.ndarray, " R"]
 CELLS_TALL = 200
 """Cells in the height of the tallest tree: 0.1 m of 20 m, so that a stem is two to four cells wide."""
 MAX_CELLS_ALONG = 1500
-_WINDOW = 1 / 6  # of the height: the lowest point so near is on the ground
 _TILE = 5  # cells: the ground's height is judged on tiles so wide
-_STEEPEST = 1.0  # ground rises at most so much over its length
-_AFLOAT = 0.1  # of the height: what is so much higher than such ground hangs above nothing
-_GAP = 2.5  # cells: what is farther apart does not hang together
-_NEIGHBOURS = 12
-_GROUND = 0.02  # of the height: what is lower is ground, where there is ground
-_GROUND_COVER = 0.4  # of the tiles that hold anything, with something that low: then there is ground
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +36,9 @@ class OccupiedCells:
 
 def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     """Put points into cells, in metres and +Z up."""
+    steepest = 1.0  # ground rises at most so much over its length
+    afloat = 0.1  # of the height: what is so much higher than such ground hangs above nothing
+    ground_cover = 0.4  # of the tiles that hold anything, with something that low: then there is ground
     low = points.min(axis=0)
     extent = points.max(axis=0) - low
     size = max(float(extent[2]) / CELLS_TALL, float(extent.max()) / MAX_CELLS_ALONG)
@@ -53,13 +49,13 @@ def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     tall = int(span[2])
     lowest, tile = _lowest_near(coords, tall)
     above, low_cells, cover = _above(coords, tile, lowest + _downhill(lowest, tall))
-    if cover < _GROUND_COVER:  # there is no ground whose slope could be measured
+    if cover < ground_cover:  # there is no ground whose slope could be measured
         above, low_cells, cover = _above(coords, tile, lowest)
     return OccupiedCells(
         coords=coords,
         above=above,
-        ground=low_cells & (cover >= _GROUND_COVER),
-        afloat=(lowest - _no_steeper(lowest, _STEEPEST * _TILE) > _AFLOAT * tall)[tile],
+        ground=low_cells & (cover >= ground_cover),
+        afloat=(lowest - _no_steeper(lowest, steepest * _TILE) > afloat * tall)[tile],
         size_m=size,
         low_m=low,
         cell_of_point=cell.ravel().astype(np.int64),
@@ -94,7 +90,8 @@ def _no_steeper(lowest: Float64[np.ndarray, "X Y"], rise: float) -> Float64[np.n
 
 
 def _reach(tall: int) -> int:
-    return max(1, round(_WINDOW * tall / _TILE))
+    window = 1 / 6  # of the height: the lowest point so near is on the ground
+    return max(1, round(window * tall / _TILE))
 
 
 def _downhill(lowest: Float64[np.ndarray, "X Y"], tall: int) -> float:
@@ -110,8 +107,9 @@ def _above(
     ground: Float64[np.ndarray, "X Y"],
 ) -> tuple[Float64[np.ndarray, " V"], Bool[np.ndarray, " V"], float]:
     """Height above the ground [cells], which cells are as low as the ground, and the share of the tiles with any."""
+    ground_share = 0.02  # of the height: what is lower is ground, where there is ground
     above = coords[:, 2] - ground[tile]
-    low = above < _GROUND * (coords[:, 2].max() + 1)
+    low = above < ground_share * (coords[:, 2].max() + 1)
     numbers = tile[0] * ground.shape[1] + tile[1]
     return above, low, len(np.unique(numbers[low])) / len(np.unique(numbers))
 
@@ -121,14 +119,15 @@ def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
 
     The cells are in ascending order of x, y, z; a pair is joined once, if one is among the nearest of the other.
     """
+    neighbours = 12
     pairs = _near_pairs(coords)
     count = np.zeros(len(coords), np.int64)  # nearer cells around each
     starts, ends, costs = [], [], []
     for offset in sorted(pairs, key=_squared):
         start, end = pairs[offset]
-        among_nearest = count[start] < _NEIGHBOURS
+        among_nearest = count[start] < neighbours
         count[start] += 1
-        among_nearest |= count[end] < _NEIGHBOURS
+        among_nearest |= count[end] < neighbours
         count[end] += 1
         starts.append(start[among_nearest])
         ends.append(end[among_nearest])
@@ -139,7 +138,8 @@ def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
 
 def _near_pairs(coords: Int64[np.ndarray, "V 3"]) -> dict[tuple[int, int, int], tuple[Rows, Rows]]:
     """Rows of the pairs of cells at each offset within the gap; of an offset and its opposite there is one."""
-    reach = int(_GAP)
+    gap = 2.5  # cells: what is farther apart does not hang together
+    reach = int(gap)
     columns = [column for column in product(range(-reach, reach + 1), repeat=2) if column >= (0, 0)]
     _, span_y, span_z = coords.max(axis=0) + 1 + 2 * reach  # so wide that no key belongs to two places
     keys = (coords[:, 0] * span_y + coords[:, 1]) * span_z + coords[:, 2]
@@ -151,7 +151,7 @@ def _near_pairs(coords: Int64[np.ndarray, "V 3"]) -> dict[tuple[int, int, int], 
         place = np.searchsorted(keys, column + first)
         for z in range(first, reach + 1):
             occupied = after_last[place] == column + z
-            if _squared((x, y, z)) <= _GAP**2:
+            if _squared((x, y, z)) <= gap**2:
                 start = np.flatnonzero(occupied)
                 pairs[x, y, z] = start, place[start]
             place += occupied

@@ -10,13 +10,10 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import Surface, TriangleMesh, connected_parts, weld
 from dynamictree.plant.sample import face_areas, on_faces
 from dynamictree.plant.trees.cells import CELLS_TALL
-from dynamictree.plant.trees.choose import require_tree, several_trees
-from dynamictree.plant.trees.segment import segment_trees
+from dynamictree.plant.trees.segment import require_tree, segment_trees, several_trees
 
 MAX_POINTS = 500_000
 MAX_RESOLUTION = 512
-_DENSITY = 1.5  # points per cell of surface
-_ONE_TREE = 0.9  # of a connected part's points in one tree: then all of it is
 
 
 def with_trees(mesh: TriangleMesh) -> TriangleMesh:
@@ -25,11 +22,11 @@ def with_trees(mesh: TriangleMesh) -> TriangleMesh:
     points, face = dense_points(moving)
     if len(points) == 0 or np.ptp(points[:, 2]) <= 0:
         return mesh
-    segmentation = segment_trees(points)
-    count = len(segmentation.trees)
+    tree = segment_trees(points)
+    count = int(tree.max()) + 1
     if count == 1:
         return mesh
-    trees = _of_faces(moving, face, segmentation.tree_of_point, count)
+    trees = _of_faces(moving, face, tree, count)
     face_tree = np.full(mesh.num_faces, -1, np.int32)
     face_tree[np.ones(mesh.num_faces, np.bool_) if mesh.still_faces is None else ~mesh.still_faces] = trees
     return replace(mesh, face_tree=face_tree, warnings=(*mesh.warnings, several_trees(count)))
@@ -37,12 +34,13 @@ def with_trees(mesh: TriangleMesh) -> TriangleMesh:
 
 def dense_points(mesh: Surface) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
     """Points over the surface, as dense as the cells in which trees are separated; and the face of each."""
+    density = 1.5  # points per cell of surface
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     size = float(np.ptp(corners[:, :, 2])) / CELLS_TALL
     if size <= 0:
         return np.zeros((0, 3)), np.zeros(0, np.int64)
-    count = np.ceil(_DENSITY * np.maximum(face_areas(mesh) / size**2, longest / size)) + 1
+    count = np.ceil(density * np.maximum(face_areas(mesh) / size**2, longest / size)) + 1
     return on_faces(mesh, np.ceil(count * min(1.0, MAX_POINTS / count.sum())).astype(np.int64))
 
 
@@ -92,13 +90,14 @@ def _of_faces(
     mesh: Surface, face: Int64[np.ndarray, " P"], tree: Int32[np.ndarray, " P"], count: int
 ) -> Int32[np.ndarray, " F"]:
     """The tree of each face: that of its connected part, or of its own points where a part spans several trees."""
+    one_tree = 0.9  # of a connected part's points in one tree: then all of it is
     part = _parts(mesh)
     votes = np.zeros((int(part.max()) + 1, count))
     standing = tree >= 0
     np.add.at(votes, (part[face[standing]], tree[standing]), 1)
     own = np.zeros((mesh.num_faces, count))
     np.add.at(own, (face[standing], tree[standing]), 1)
-    whole = votes.max(axis=1) >= _ONE_TREE * votes.sum(axis=1)
+    whole = votes.max(axis=1) >= one_tree * votes.sum(axis=1)
     small = np.bincount(part, minlength=len(votes)) < 0.01 * mesh.num_faces
     shared = ~(whole | small)[part] & (own.sum(axis=1) > 0)
     trees: Int32[np.ndarray, " F"] = np.where(shared, own.argmax(axis=1), votes.argmax(axis=1)[part]).astype(np.int32)

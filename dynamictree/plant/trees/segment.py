@@ -6,81 +6,63 @@ et al., Segmenting tree crowns from terrestrial and mobile LiDAR data by explori
 hangs on nothing belongs to the tree that is nearest.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float64, Int32, Int64
 
 from dynamictree.errors import InputError
+from dynamictree.mesh import SourceWarning
 from dynamictree.plant.trees.cells import OccupiedCells, join, occupy
 from dynamictree.plant.trees.stems import Stem, find_stems, join_stems
 
 SHORTEST = 0.3
 """Of the height of the tallest tree: what is lower is undergrowth."""
-_STANDS = 0.1  # of the height: so near to the ground the lowest of a tree begins
-_FEWEST = 0.03  # of the cells of the largest part: less is debris
-_RADIUS_POWER = 2 / 3
-_WIDEST = 4.0  # times the height: a wider part with one stem is no tree
-_FOOT = 0.03  # of the height: so near to a stem's middle, what lies on the ground is its foot
 _OWN_TOP = 0.02
 """Of its height, at least, a tree rises above the highest place where its crown touches a neighbour's.
 
 Tips of hanging branches (of seven trees that were cut into pieces): 0 to 0.01, seldom 0.03, as the branch goes on
 upward in its tree; trees in stands: 0.06 and more, with crowns half in one another 0.02 (docs/decisions/plant.md)."""
-_THICKER = 1.5  # times the cells of the thickest tip in the slice: less is a tip as well
 
 
-@dataclass(frozen=True, kw_only=True)
-class TreePosition:
-    """Where a tree stands and how tall it is."""
+def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) -> Int32[np.ndarray, " P"]:
+    """The tree of each point, in metres and +Z up; -1 for ground. In a scan some may end below another's crown.
 
-    foot_m: tuple[float, float, float]
-    height_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Segmentation:
-    """The trees in some points, from the left to the right (by x, then y), and the tree of each point."""
-
-    trees: tuple[TreePosition, ...]
-    tree_of_point: Int32[np.ndarray, " P"]  # -1 for ground
-
-
-def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) -> Segmentation:
-    """Find the trees, in metres and +Z up; in a scan also those that end below the crown of another.
+    Trees are numbered from 0, from the left to the right (by x, then y).
 
     Raises:
         InputError: the points are a scan, reach far wider than they are tall, and no stems tell them apart.
     """
+    one_tree = np.zeros(len(points), np.int32)
     if np.ptp(points[:, 2]) <= 0:
-        return _one_tree(points)
+        return one_tree
     cells = occupy(points)
     plant = np.flatnonzero(~cells.ground)
     if len(plant) == 0:
-        return _one_tree(points)
+        return one_tree
     graph = join(cells.coords[plant])
     seeds = _seeds(cells, plant, graph)
     if len(seeds) <= 1:
         if is_scan:
             _refuse_canopy(cells, plant)
-        return _one_tree(points)
+        return one_tree
     grown = _grow(cells, plant, graph, seeds)
     if not is_scan:
         own = _rooted(cells.coords[plant, 2], graph, grown, seeds)
         if len(own) <= 1:
-            return _one_tree(points)
+            return one_tree
         if len(own) < len(seeds):
             seeds = own
             grown = _grow(cells, plant, graph, seeds)
     label = np.full(len(cells.coords), -1, np.int64)
     label[plant] = grown
     label = _with_feet(cells, label, seeds)
-    return _in_order(cells, label[cells.cell_of_point], label)
+    return _in_order(cells, label)
 
 
 def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array") -> list[Stem]:
     """Where each tree begins: its stem, or of what hangs together and shows no stem its lowest cells."""
+    stands_share = 0.1  # of the height: so near to the ground the lowest of a tree begins
+    fewest = 0.03  # of the cells of the largest part: less is debris
     from scipy.sparse.csgraph import connected_components
 
     above = cells.above[plant]
@@ -90,7 +72,7 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
     np.maximum.at(top, part, above)
     np.minimum.at(bottom, part, above)
     tall = float(top.max()) + 1
-    stands = (bottom <= _STANDS * tall) & (top - bottom >= SHORTEST * tall) & (count >= _FEWEST * count.max())
+    stands = (bottom <= stands_share * tall) & (top - bottom >= SHORTEST * tall) & (count >= fewest * count.max())
     stems: list[Stem] = []
     for one in np.flatnonzero(stands):
         rows = plant[part == one]
@@ -108,6 +90,7 @@ def _rooted(
     height: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", grown: Int64[np.ndarray, " M"], seeds: list[Stem]
 ) -> list[Stem]:
     """The seeds that are no tips of hanging branches: those of trees with a top of their own, and thicker than tips."""
+    thicker = 1.5  # times the cells of the thickest tip in the slice: less is a tip as well
     edges = graph.tocoo()
     one, other = grown[edges.row], grown[edges.col]
     low, top, touch = np.full(len(seeds), np.inf), np.full(len(seeds), -np.inf), np.full(len(seeds), -np.inf)
@@ -119,7 +102,7 @@ def _rooted(
     rises = top - touch >= _OWN_TOP * (top - low)
     thickness = np.array([len(seed.cells) for seed in seeds])
     if not rises.all():
-        rises &= thickness >= _THICKER * thickness[~rises].max()
+        rises &= thickness >= thicker * thickness[~rises].max()
     return [seed for seed, own in zip(seeds, rises, strict=True) if own]
 
 
@@ -127,6 +110,7 @@ def _grow(
     cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", seeds: list[Stem]
 ) -> Int64[np.ndarray, " M"]:
     """The tree of each cell of the plants."""
+    radius_power = 2 / 3
     from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
 
@@ -135,7 +119,7 @@ def _grow(
     best, label = np.full(len(plant), np.inf), np.full(len(plant), -1)
     for number, seed in enumerate(seeds):
         way = dijkstra(graph, directed=False, indices=place[seed.cells], min_only=True)
-        way /= seed.radius**_RADIUS_POWER
+        way /= seed.radius**radius_power
         closer = way < best
         best[closer], label[closer] = way[closer], number
     loose = np.flatnonzero(label < 0)
@@ -148,46 +132,58 @@ def _grow(
 
 def _with_feet(cells: OccupiedCells, label: Int64[np.ndarray, " V"], seeds: list[Stem]) -> Int64[np.ndarray, " V"]:
     """Give the ground cells under a stem to its tree."""
+    foot = 0.03  # of the height: so near to a stem's middle, what lies on the ground is its foot
     from scipy.spatial import cKDTree
 
     ground = np.flatnonzero(cells.ground)
     if len(ground):
         middles = np.array([seed.middle for seed in seeds])
         away, nearest = cKDTree(middles).query(cells.coords[ground, :2])
-        under = away < _FOOT * cells.above.max()
+        under = away < foot * cells.above.max()
         label[ground[under]] = np.asarray(nearest)[under]
     return label
 
 
-def _in_order(
-    cells: OccupiedCells, tree_of_point: Int64[np.ndarray, " P"], label: Int64[np.ndarray, " V"]
-) -> Segmentation:
-    """Number the trees by where they stand."""
+def _in_order(cells: OccupiedCells, label: Int64[np.ndarray, " V"]) -> Int32[np.ndarray, " P"]:
+    """The tree of each point, numbered by where the trees stand."""
     centres = cells.centres_m
-    trees = []
+    feet = []
     for number in range(int(label.max()) + 1):
         own = centres[label == number]
         low = own[own[:, 2] <= own[:, 2].min() + 0.05 * np.ptp(own[:, 2])]
-        foot = (*np.median(low[:, :2], axis=0).tolist(), float(own[:, 2].min() - cells.size_m / 2))
-        trees.append(TreePosition(foot_m=foot, height_m=float(np.ptp(own[:, 2]) + cells.size_m)))
-    order = sorted(range(len(trees)), key=lambda number: trees[number].foot_m)
-    renumber = np.full(len(trees) + 1, -1, np.int32)
-    renumber[order] = np.arange(len(trees))
-    return Segmentation(trees=tuple(trees[number] for number in order), tree_of_point=renumber[tree_of_point])
-
-
-def _one_tree(points: Float64[np.ndarray, "P 3"]) -> Segmentation:
-    low, high = points.min(axis=0), points.max(axis=0)
-    near = points[points[:, 2] <= low[2] + 0.05 * (high[2] - low[2])]
-    foot = (*np.median(near[:, :2], axis=0).tolist(), float(low[2]))
-    tree = TreePosition(foot_m=foot, height_m=float(high[2] - low[2]))
-    return Segmentation(trees=(tree,), tree_of_point=np.zeros(len(points), np.int32))
+        feet.append(np.median(low[:, :2], axis=0).tolist())
+    order = sorted(range(len(feet)), key=lambda number: feet[number])
+    renumber = np.full(len(feet) + 1, -1, np.int32)
+    renumber[order] = np.arange(len(feet))
+    return renumber[label[cells.cell_of_point]]
 
 
 def _refuse_canopy(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> None:
+    widest = 4.0  # times the height: a wider part with one stem is no tree
     extent = np.ptp(cells.coords[plant], axis=0) * cells.size_m
-    if extent[:2].min() > _WIDEST * extent[2]:
+    if extent[:2].min() > widest * extent[2]:
         raise InputError(
             f"the file is {extent[0]:.3g} m by {extent[1]:.3g} m and {extent[2]:.3g} m tall, so it holds more than one "
             "tree, but no stems are seen by which to separate them; cut one tree out, or scan from the ground"
         )
+
+
+def require_tree(number: int, tree_of: Int32[np.ndarray, " E"] | None) -> None:
+    """Check the number of a tree, counted from 1, where each element's tree is counted from 0; None for one tree.
+
+    Raises:
+        InputError: there is no such tree.
+    """
+    count = 1 if tree_of is None else int(tree_of.max()) + 1
+    if not 1 <= number <= count:
+        trees = "1 tree" if count == 1 else f"{count} trees, numbered from 1"
+        raise InputError(f"tree is {number}, and the file holds {trees}")
+
+
+def several_trees(count: int) -> SourceWarning:
+    """Tell that a file holds several trees."""
+    message = (
+        f"{count} trees stand in the file; each moves by itself; tree=1 to tree={count} takes one of them, and "
+        "`trees` lists where they stand"
+    )
+    return SourceWarning(code="several-trees", message=message)

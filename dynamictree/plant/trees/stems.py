@@ -25,9 +25,6 @@ NEAREST = 0.04
 """Of the height: stems that stand closer are of one tree."""
 FORK = 0.15
 """Of the height: stems that stand so close and lean apart are of one tree."""
-_APART_HIGHER = 1.15  # times their distance in the slice, in the higher slice: they grow from one foot
-_THROUGH = 0.8  # of the slice's thickness
-_ALONE = 0.5  # of the cells within three radii, in the stem itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,18 +64,19 @@ def _columns(
     between: tuple[float, float],
 ) -> list[Stem]:
     """Narrow parts of a slice that go through it and stand apart."""
+    through_share = 0.8  # of the slice's thickness
     low, high = between[0] * tall, between[1] * tall
     inside = rows[(above[rows] >= low) & (above[rows] < high)]
     if len(inside) == 0:
         return []
     part = groups_of_cells(coords[inside])
     columns = []
-    for one in np.flatnonzero(np.bincount(part) >= _THROUGH * (high - low)):
+    for one in np.flatnonzero(np.bincount(part) >= through_share * (high - low)):
         cells = inside[part == one]
         middle = np.median(coords[cells, :2], axis=0)
         away = np.linalg.norm(coords[cells, :2] - middle, axis=1)
         radius = float(np.median(away))
-        through = np.ptp(above[cells]) + 1 >= _THROUGH * (high - low)
+        through = np.ptp(above[cells]) + 1 >= through_share * (high - low)
         if through and radius <= NARROW * tall and _is_alone(coords, inside, middle, radius):
             columns.append(Stem(cells=cells, middle=middle, higher=middle, radius=max(radius, 0.5)))
     return columns
@@ -88,20 +86,22 @@ def _is_alone(
     coords: Int64[np.ndarray, "V 3"], inside: Int64[np.ndarray, " M"], middle: Float64[np.ndarray, "2"], radius: float
 ) -> bool:
     """Whether most of what is around a column is the column."""
+    alone = 0.5  # of the cells within three radii, in the stem itself
     away = np.linalg.norm(coords[inside, :2] - middle, axis=1)
     own = 1.5 * radius + 1
     around: Bool[np.ndarray, " M"] = away < 3 * own
-    return bool((away < own).sum() >= _ALONE * around.sum())
+    return bool((away < own).sum() >= alone * around.sum())
 
 
 def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
     """Stems that stand close, or close enough and lean apart, as one; `tall` in cells."""
+    apart_higher = 1.15  # times their distance in the slice, in the higher slice: they grow from one foot
     group = list(range(len(stems)))
     for i, one in enumerate(stems):
         for j in range(i):
             other = stems[j]
             near = float(np.linalg.norm(one.middle - other.middle))
-            forked = float(np.linalg.norm(one.higher - other.higher)) > _APART_HIGHER * near
+            forked = float(np.linalg.norm(one.higher - other.higher)) > apart_higher * near
             if near < NEAREST * tall or (near < FORK * tall and forked):
                 group = [group[j] if number == group[i] else number for number in group]
     joined = []
