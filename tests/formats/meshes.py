@@ -86,3 +86,30 @@ def zipped(files: Mapping[str, bytes]) -> bytes:
         for name, content in files.items():
             archive.writestr(name, content)
     return stream.getvalue()
+
+
+def named_collada() -> bytes:
+    """COLLADA with named nodes, one below another, and a material that is bound to each geometry."""
+    square = "<float_array id='{0}f' count='12'>0 0 0 1 0 0 1 0 2 0 0 2</float_array>"
+    source = "<source id='{0}s'>" + square + "<technique_common><accessor source='#{0}f' count='4' stride='3'>"
+    source += "<param name='X' type='float'/><param name='Y' type='float'/><param name='Z' type='float'/>"
+    source += "</accessor></technique_common></source><vertices id='{0}v'><input semantic='POSITION' source='#{0}s'/>"
+    source += "</vertices><triangles material='m' count='{1}'><input semantic='VERTEX' source='#{0}v' offset='0'/>"
+    source += "<p>{2}</p></triangles>"
+    geometry = "<geometry id='{0}' name='{3}'><mesh>" + source + "</mesh></geometry>"
+    placed = "<instance_geometry url='#{0}'><bind_material><technique_common><instance_material symbol='m' "
+    placed += "target='#{1}'/></technique_common></bind_material></instance_geometry>"
+    effect = "<effect id='e{0}'><profile_COMMON><technique sid='c'><lambert/></technique></profile_COMMON></effect>"
+    text = (
+        "<COLLADA xmlns='http://www.collada.org/2005/11/COLLADASchema' version='1.4.1'><asset><up_axis>Z_UP</up_axis>"
+        f"</asset><library_effects>{effect.format(0)}</library_effects><library_materials>"
+        "<material id='m0' name='bark'><instance_effect url='#e0'/></material></library_materials>"
+        f"<library_geometries>{geometry.format('a', 2, '0 1 2 0 2 3', 'Trunk')}"
+        f"{geometry.format('b', 1, '0 1 2', 'Cylinder')}</library_geometries>"
+        "<library_visual_scenes><visual_scene id='s'>"
+        f"<node id='n0' name='Trunk'>{placed.format('a', 'm0')}</node>"
+        f"<node id='n1' name='Pots'><node name='FlowerPot'>{placed.format('b', 'm0')}</node>"
+        f"<node name='Saucer'>{placed.format('b', 'm0')}</node></node>"
+        "</visual_scene></library_visual_scenes><scene><instance_visual_scene url='#s'/></scene></COLLADA>"
+    )
+    return text.encode()

@@ -29,7 +29,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from tests.formats.ksplat_bytes import ksplat_bytes
-from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown, zipped
+from tests.formats.meshes import gltf_bytes, image_bytes, named_collada, triangle_gltf, trunk_and_crown, zipped
 
 
 def tree() -> TriangleMesh:
@@ -179,7 +179,9 @@ def seeds() -> dict[str, list[bytes]]:
         "ply-splat": [written(write_gaussian_ply, cloud(degree)) for degree in (0, 3)],
         "stl": [stl(ascii_text=True), stl(ascii_text=False)],
         "glb": [written(write_glb, mesh), gltf_bytes(*triangle_gltf())],
+        "dae": [named_collada()],
         "gltf-zip": [gltf_zip()],
+        "obj-zip": [obj_zip()],
         "splat": [written(write_splat, cloud(0))],
         "spz": [written(write_spz, cloud(0)), written(write_spz, cloud(3)), spz4()],
         "sog": [written(write_sog, cloud(0)), written(write_sog, cloud(3))],
@@ -195,7 +197,7 @@ def seeds() -> dict[str, list[bytes]]:
         "jpeg": [photo("JPEG"), photo("JPEG", "L")],
         "png": [photo("PNG"), photo("PNG", "P")],
         "webp-tiff": [photo("WEBP"), photo("TIFF")],
-        "zip": [obj_zip(), photo_zip()],
+        "zip": [photo_zip()],
     }
 
 
