@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from dynamictree.mesh import Surface, connected_parts, part_bounds
 from dynamictree.parallel import num_cores
-from dynamictree.voxel.clip import SurfacePieces
+from dynamictree.voxel.clip_kernel import SurfacePieces
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import grid_pieces
 

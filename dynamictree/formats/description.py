@@ -13,19 +13,17 @@ from dynamictree.plant.trees.of_mesh import mesh_points
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 
-_MOST_NAMES = 50  # of parts
-_FOOT = 0.05  # of a tree's height: its lowest part, in whose middle it stands
-
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
     """Counts, place [m] and how the source's axes and units were read."""
+    most_names = 50  # of parts
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return {
         "num_vertices": mesh.num_vertices,
         "num_faces": mesh.num_faces,
         "num_still_faces": 0 if mesh.still_faces is None else int(mesh.still_faces.sum()),
         "still_parts": [asdict(part) for part in mesh.parts.still],
-        "part_names": ", ".join(part_names(mesh)[:_MOST_NAMES]),
+        "part_names": ", ".join(part_names(mesh)[:most_names]),
         "num_materials": len(mesh.look.materials),
         "extent_m": (high - low).round(4).tolist(),
         "low_m": low.round(4).tolist(),
@@ -66,6 +64,7 @@ def describe_trees(
     points: Float32[np.ndarray, "P 3"], tree: Int32[np.ndarray, " P"] | None
 ) -> list[dict[str, int | float]]:
     """Number, foot [m] and height [m] of each tree that some points belong to; all to one if `tree` is None."""
+    foot = 0.05  # of a tree's height: its lowest part, in whose middle it stands
     numbers = np.zeros(len(points), np.int32) if tree is None else tree
     described: list[dict[str, int | float]] = []
     for number in range(int(numbers.max()) + 1):
@@ -73,7 +72,7 @@ def describe_trees(
         if len(own) == 0:
             continue
         low, height = float(own[:, 2].min()), float(np.ptp(own[:, 2]))
-        x, y = np.median(own[own[:, 2] <= low + _FOOT * height, :2], axis=0).tolist()
+        x, y = np.median(own[own[:, 2] <= low + foot * height, :2], axis=0).tolist()
         place = {"x_m": round(x, 4), "y_m": round(y, 4), "z_m": round(low, 4), "height_m": round(height, 4)}
         described.append({"tree": number + 1, **place})
     return described

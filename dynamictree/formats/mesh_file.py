@@ -26,7 +26,6 @@ ACCEPTED = (
     "SPZ, SOG, .ksplat or GLB, a scan as LAS, LAZ, PLY, PCD, XYZ, TXT, CSV, ASC or PTS, and photos as JPEG or PNG"
 )
 
-_GLTF_UP_AXIS, _GLTF_UNIT_M = "+Y", 1.0  # glTF 2.0 specification, 3.4
 _HABITS = {"obj": "+Y", "ply": "+Z", "stl": "+Z", "off": "+Z"}
 """The axis that is usual in a format that does not say."""
 _NOT_MESHES = {
@@ -73,6 +72,7 @@ def read_mesh(
     Raises:
         InputError: the file cannot be read, is no mesh, or is one that the method cannot work on.
     """
+    gltf_up_axis, gltf_unit_m = "+Y", 1.0  # glTF 2.0 specification, 3.4
     if file_type not in MESH_TYPES:
         what = _NOT_MESHES.get(file_type, f"of type {file_type[:20]!r}")
         raise FormatError(f"the file is {what}; {ACCEPTED}")
@@ -82,7 +82,7 @@ def read_mesh(
     file = Conventions(usual_up_axis=_HABITS.get(file_type))
     if file_type in ("glb", "gltf"):
         mesh = read_gltf(content, companions=beside)
-        file = Conventions(up_axis=_GLTF_UP_AXIS, unit_m=_GLTF_UNIT_M)
+        file = Conventions(up_axis=gltf_up_axis, unit_m=gltf_unit_m)
     elif file_type == "obj":
         mesh = read_obj(content, companions=beside)
     elif file_type == "ply":

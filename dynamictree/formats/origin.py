@@ -7,7 +7,6 @@ from dynamictree.mesh import SourceWarning
 
 Offset = tuple[float, float, float]
 """Subtracted from the coordinates of a file, in its axes and unit."""
-_FAR = 100.0  # extents: float32 then rounds to 1e-5 of the extent, 0.1 mm of a tree of 10 m
 
 
 def near_origin(points: Float64[np.ndarray, "N 3"]) -> tuple[Float32[np.ndarray, "N 3"], Offset]:
@@ -15,11 +14,12 @@ def near_origin(points: Float64[np.ndarray, "N 3"]) -> tuple[Float32[np.ndarray,
 
     What is not finite, or too large for single precision, becomes infinite or not a number.
     """
+    far = 100.0  # extents: float32 then rounds to 1e-5 of the extent, 0.1 mm of a tree of 10 m
     finite = points[np.isfinite(points).all(axis=1)]
     offset = np.zeros(3)
     with np.errstate(over="ignore", invalid="ignore"):
         extent = np.ptp(finite, axis=0).max() if len(finite) else 0.0
-        if 0 < extent < np.inf and np.abs(finite).max() > _FAR * extent:
+        if 0 < extent < np.inf and np.abs(finite).max() > far * extent:
             offset = np.floor((finite.min(axis=0) + finite.max(axis=0)) / 2)
         return (points - offset).astype(np.float32), (float(offset[0]), float(offset[1]), float(offset[2]))
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 _VERSION = 45  # of ZIP, the first with zip64
 _NO_TIME, _FIRST_DAY = 0, 1 << 5 | 1  # 1980-01-01: bytes do not depend on the clock
 _IN_ZIP64, _MANY = 0xFFFFFFFF, 0xFFFF
-_READABLE = 0o100644 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +67,7 @@ def _directory(entries: list[_Entry], start: int) -> bytes:
 
 
 def _central_header(entry: _Entry) -> bytes:
+    readable = 0o100644 << 16
     extra = struct.pack("<HHQQQ", 1, 24, entry.size, entry.size, entry.start)
     creator_version = 3 << 8 | _VERSION  # Unix, so that the permissions are read
     fixed = struct.pack(
@@ -75,6 +75,6 @@ def _central_header(entry: _Entry) -> bytes:
         b"PK\x01\x02", creator_version, _VERSION, 0, 0, _NO_TIME, _FIRST_DAY,
         entry.crc, _IN_ZIP64, _IN_ZIP64,
         len(entry.name), len(extra), 0, 0, 0,
-        _READABLE, _IN_ZIP64,
+        readable, _IN_ZIP64,
     )  # fmt: skip
     return fixed + entry.name + extra

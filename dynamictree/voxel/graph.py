@@ -14,9 +14,7 @@ ROOT_SHARE = 0.02
 MAX_DETOUR = 1.05
 """How much further, in the mean, all else may be from another trunk than from the foremost."""
 
-_MAX_FEET = 8  # parts near the ground that are looked at, the largest
 _STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
-_HALF_OF_STEPS = _STEPS[14:]  # one of each pair of opposite directions
 
 _FIRST_NEIGHBOURS = 16
 """Looked at first when a component seeks the nearest voxel of another; doubled until one is found."""
@@ -27,10 +25,11 @@ def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
 
     Parts that touch no other are joined to their nearest neighbour part by the shortest gap, until all is one.
     """
+    half_of_steps = _STEPS[14:]  # one of each pair of opposite directions
     from scipy.sparse.csgraph import connected_components
 
     starts, ends = [], []
-    for step in _HALF_OF_STEPS:
+    for step in half_of_steps:
         neighbours = grid.rows_of(grid.coords + step)
         occupied = np.flatnonzero(neighbours >= 0)
         starts.append(occupied)
@@ -83,6 +82,7 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
     Branches that hang to the ground end there too. From such a tip, the way to all else is longer than from the foot
     that bears it: it leads back up to the trunk.
     """
+    max_feet = 8  # parts near the ground that are looked at, the largest
     from scipy.sparse.csgraph import connected_components, dijkstra
 
     height = grid.coords[:, 2]
@@ -90,7 +90,7 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
     num_parts, part = connected_components(graph[low][:, low], directed=False)
     if num_parts == 1:
         return low
-    largest = np.argsort(-np.bincount(part), kind="stable")[:_MAX_FEET]
+    largest = np.argsort(-np.bincount(part), kind="stable")[:max_feet]
     ways = [dijkstra(graph, directed=False, indices=low[part == one], min_only=True).mean() for one in largest]
     feet = largest[np.asarray(ways) <= MAX_DETOUR * min(ways)]
     return low[np.isin(part, feet)]

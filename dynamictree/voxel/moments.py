@@ -6,14 +6,13 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.mesh import Surface
-from dynamictree.voxel.clip import SurfacePieces
+from dynamictree.voxel.clip_kernel import SurfacePieces
 from dynamictree.voxel.grid import VoxelGrid
 
 NUM_MOMENTS = 16
 AREA, OFFSET, SPREAD, NORMAL = slice(0, 1), slice(1, 4), slice(4, 10), slice(10, 16)
 """Area; its centroid, from the voxel's centre; second moment of the area about its centroid; mean of n nᵀ, which is
 of rank one in a card, whichever side faces out, and of rank two in a tube. In voxels; tensors as SIX."""
-_AT_ONCE = 1 << 20  # pieces whose corners are gathered: 72 MB
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -21,13 +20,14 @@ def moments_of(
     mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
 ) -> Float32[np.ndarray, "V 16"]:
     """NUM_MOMENTS numbers a voxel, of the pieces of surface in it; `rows` are the pieces' voxels."""
+    at_once = 1 << 20  # pieces whose corners are gathered: 72 MB
     vertices = (mesh.vertices.astype(np.float64) - grid.origin_m) / grid.voxel_size_m
     corners = vertices[mesh.faces]  # [F, 3, 3]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(np.float64).tiny)
     place = np.empty((len(rows), 3))
-    for start in range(0, len(rows), _AT_ONCE):
-        some = slice(start, start + _AT_ONCE)
+    for start in range(0, len(rows), at_once):
+        some = slice(start, start + at_once)
         at = np.einsum("pc,pcx->px", pieces.centroids[some], corners[pieces.faces[some]])
         place[some] = at - grid.coords[rows[some]] - 0.5
     area = np.bincount(rows, pieces.areas, len(grid))

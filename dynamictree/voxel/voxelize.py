@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from dynamictree.errors import InputError, MeshError
 from dynamictree.mesh import Surface
 from dynamictree.source import UNKNOWN, Source
-from dynamictree.voxel.clip import SurfacePieces, cut_faces
+from dynamictree.voxel.clip_kernel import SurfacePieces, cut_faces
 from dynamictree.voxel.grid import VoxelGrid, grid_frame
 from dynamictree.voxel.moments import moments_of
 

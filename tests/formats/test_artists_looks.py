@@ -11,9 +11,9 @@ from pathlib import Path
 import DracoPy
 import numpy as np
 import pytest
-from dynamictree.commands.source import load_mesh
 
 from dynamictree.commands.convert import write_mesh_file
+from dynamictree.commands.input_files import load_mesh
 from dynamictree.formats.gltf.motion import MorphOptions, write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh

@@ -13,7 +13,6 @@ from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.parallel import compiled
 
-_MAX_CORNERS = 12  # a triangle cut by six planes has at most nine
 _X, _Y, _Z = np.int64(0), np.int64(1), np.int64(2)  # with a type, so that one compilation serves the three
 
 
@@ -103,8 +102,9 @@ def _area(polygon, count):
 @compiled
 @no_type_check
 def _cut_one(triangle, face, resolution, start, write, keys, faces, areas, centroids):
-    scratch, in_x = np.empty((_MAX_CORNERS, 6)), np.empty((_MAX_CORNERS, 6))
-    in_xy, in_xyz = np.empty((_MAX_CORNERS, 6)), np.empty((_MAX_CORNERS, 6))
+    max_corners = 12  # a triangle cut by six planes has at most nine
+    scratch, in_x = np.empty((max_corners, 6)), np.empty((max_corners, 6))
+    in_xy, in_xyz = np.empty((max_corners, 6)), np.empty((max_corners, 6))
     polygon = np.zeros((3, 6))
     for i in range(3):
         polygon[i, 3 + i] = 1.0
