@@ -1,8 +1,7 @@
 """`dynamictree dataset`: generate, filter, sheet, stats, export."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from lab.dataset.limits import DatasetLimits
+from lab.training.progress import bars
 
 app = typer.Typer(
     no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."
@@ -70,8 +70,14 @@ def generate(
         limits=limits,
         review=verdicts,
     )
-    with _progress("generate", quiet=as_json) as report:
-        manifest = baking.generate(recipe, folder, workers=workers, part=_part(shard), on_shard=report)
+    with bars(quiet=as_json) as report:
+        manifest = baking.generate(
+            recipe,
+            folder,
+            workers=workers,
+            part=_part(shard),
+            on_shard=lambda done, total: report("trees", done, total, 0.0),
+        )
     facts = {name: value for name, value in manifest.items() if name != "shards"}
     tell({"folder": str(folder), **facts}, as_json=as_json)
 
@@ -100,10 +106,10 @@ def filter_trees(
             raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
     else:
         measures = []
-        with _progress("filter", quiet=as_json) as report:
+        with bars(quiet=as_json) as report:
             for index in range(trees):
                 measures.append(measure(make_sample(first_seed + index, species), limits))
-                report(index + 1, trees)
+                report("trees", index + 1, trees, 0.0)
     counts = rejections(one.broken(limits) for one in measures)
     rates = {f"rejected {rule}": f"{count} of {trees} ({100 * count / trees:.2f} %)" for rule, count in counts.items()
              if rule not in ("seen", "accepted")}  # fmt: skip
@@ -139,14 +145,14 @@ def sheet(
         seeds = [tree.seed for tree in accepted if tree.seed >= first_seed][:trees]
     notes: dict[int, str] = {}
     files = []
-    with _progress("sheet", quiet=as_json) as report:
+    with bars(quiet=as_json) as report:
         for start in range(0, len(seeds), rows):
             samples = [make_sample(seed, species) for seed in seeds[start : start + rows]]
             notes |= {sample.seed: sample.species for sample in samples}
             files.append(output / f"sheet-{start // rows:04d}.png")
             with files[-1].open("wb") as stream:
                 write_png(page(samples), stream)
-            report(min(start + rows, len(seeds)), len(seeds))
+            report("trees", min(start + rows, len(seeds)), len(seeds), 0.0)
     review = output / "review.txt"
     if not review.exists():  # never write over what a person wrote
         with review.open("wb") as stream:
@@ -177,10 +183,10 @@ def stats(
             raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
     else:
         tables = []
-        with _progress("stats", quiet=as_json) as report:
+        with bars(quiet=as_json) as report:
             for index in range(trees):
                 tables.append(tables_of(make_sample(first_seed + index, species)))
-                report(index + 1, trees)
+                report("trees", index + 1, trees, 0.0)
     numbers = numbers_of(tables)
     (output / "stats.json").write_text(json.dumps(numbers, indent=1))
     files = [output / "stats.json"]
@@ -219,28 +225,3 @@ def _part(text: str) -> tuple[int, int]:
     if not (slash and index.isdigit() and count.isdigit()):
         raise InputError(f"--shard is {text!r}; write i/n, 0/1 for all of the work")
     return int(index), int(count)
-
-
-@contextmanager
-def _progress(stage: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Progress bar on standard error that counts trees."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
-        bar = progress.add_task(stage, total=None)
-        yield lambda done, total: progress.update(bar, completed=done, total=total)

@@ -1,12 +1,14 @@
 """One tree of the dataset as files that other programs open: GLB, PLY sequence, USD."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.spectrum import FPS, NUM_FRAMES, iter_motion
 from lab.dataset.sample import Sample
 
@@ -27,50 +29,23 @@ def _write_glb(sample: Sample, path: Path) -> None:
 
 
 def _write_ply(sample: Sample, path: Path) -> None:
-    phases = np.arange(NUM_FRAMES) / NUM_FRAMES
     with path.open("wb") as stream:
-        for piece in iter_ply_sequence_zip(sample.mesh, iter_motion(sample.coefficients, phases)):
+        for piece in iter_ply_sequence_zip(sample.mesh, _frames(sample)):
             stream.write(piece)
 
 
 def _write_usd(sample: Sample, path: Path) -> None:
-    """A mesh whose points have a time sample a frame."""
-    from pxr import Gf, Usd, UsdGeom, Vt
+    with path.open("wb") as stream:
+        write_motion_usdz(sample.mesh, _frames(sample), stream, fps=FPS)
 
-    mesh = sample.mesh
-    stage = Usd.Stage.CreateInMemory(".usdc")
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetTimeCodesPerSecond(FPS)
-    stage.SetFramesPerSecond(FPS)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(NUM_FRAMES - 1)
-    root = UsdGeom.Xform.Define(stage, "/Tree")
-    stage.SetDefaultPrim(root.GetPrim())
-    prim = UsdGeom.Mesh.Define(stage, "/Tree/Surface")
-    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(mesh.num_faces, 3, np.int32)))
-    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel())))
-    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    prim.CreateDoubleSidedAttr(True)
-    points, extent = prim.CreatePointsAttr(), prim.CreateExtentAttr()
-    for frame, displacement in enumerate(iter_motion(sample.coefficients, np.arange(NUM_FRAMES) / NUM_FRAMES)):
-        moved = mesh.vertices + displacement
-        low, high = moved.min(axis=0).tolist(), moved.max(axis=0).tolist()
-        points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(moved)), frame)
-        extent.Set(Vt.Vec3fArray([Gf.Vec3f(*low), Gf.Vec3f(*high)]), frame)
-    colors = np.array([material.base_color[:3] for material in mesh.look.materials], np.float32)
-    if mesh.look.face_material is not None:
-        prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform).Set(
-            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[mesh.look.face_material]))
-        )
-    prim.GetPrim().SetCustomDataByKey("species", sample.species)
-    prim.GetPrim().SetCustomDataByKey("windSpeed", sample.wind.speed_m_s)
-    stage.GetRootLayer().Export(str(path))
+
+def _frames(sample: Sample) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    return iter_motion(sample.coefficients, np.arange(NUM_FRAMES) / NUM_FRAMES)
 
 
 EXPORTS: dict[str, tuple[str, Callable[[Sample, Path], None]]] = {
     "glb": (".glb", _write_glb),
     "ply": (".ply.zip", _write_ply),
-    "usd": (".usdc", _write_usd),
+    "usd": (".usdz", _write_usd),
 }
 """File ending and writer of each format."""

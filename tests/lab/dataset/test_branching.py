@@ -13,7 +13,7 @@ from lab.dataset.branching import (
     turned,
 )
 from lab.dataset.sapling import LEAF, grow_tree
-from lab.dataset.species import KEY_SPREAD, SHAPES, SPECIES
+from lab.dataset.species import KEY_SPREAD, SPECIES
 
 EVERY_SPECIES = pytest.mark.parametrize("name", list(SPECIES))
 
@@ -35,20 +35,6 @@ EVERY_SPECIES = pytest.mark.parametrize("name", list(SPECIES))
 def test_shape_functions_take_webers_and_penns_values(shape, base, middle, top):
     ratio = shape_ratio(shape, np.array([1.0, 0.5, 0.0], np.float32))
     np.testing.assert_allclose(ratio, [base, middle, top], rtol=1e-6)
-
-
-def test_every_shape_is_between_nothing_and_whole():
-    place = np.linspace(0, 1, 101, dtype=np.float32)
-    for shape in SHAPES:
-        ratio = shape_ratio(shape, place)
-        assert ratio.min() >= 0.05 - 1e-6
-        assert ratio.max() <= 1 + 1e-6
-
-
-def test_there_are_twelve_species_and_the_unseen_ones_are_three():
-    assert len(SPECIES) >= 12
-    assert {name for name, species in SPECIES.items() if species.held_out} == {"weeping", "palm", "pine"}
-    assert {len(species.levels) for species in SPECIES.values()} == {2, 3, 4}
 
 
 def test_a_turn_keeps_length_and_turns_by_its_angle(rng):

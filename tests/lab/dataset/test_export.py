@@ -41,4 +41,3 @@ def test_usd_plays_the_motion(sapling, tmp_path):
     for frame in (0, 41):
         points = np.array(mesh.GetPointsAttr().Get(frame))
         np.testing.assert_allclose(points, sapling.mesh.vertices + motion[frame], atol=1e-5)
-    np.testing.assert_array_equal(np.array(mesh.GetFaceVertexIndicesAttr().Get()), sapling.mesh.faces.ravel())

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from lab.dataset.filter import (
-    Measures,
     edge_stretch,
     high_frequency_energy,
     measure,
-    rejections,
     root_motion,
 )
 from lab.dataset.limits import DatasetLimits
@@ -93,17 +91,3 @@ def test_root_motion_looks_at_the_ground_only():
     assert root_motion(vertices, displacement) == 0
     displacement[1, 1, 1] = 0.5
     assert root_motion(vertices, displacement) == 0.25
-
-
-def test_rejections_count_every_rule_that_was_broken():
-    fine = Measures(high_frequency=0.0, root_motion=0.0, edge_stretch=0.0, self_explosion=0.0)
-    bad = replace(fine, edge_stretch=1.0, self_explosion=1.0)
-    counts = rejections(one.broken(DatasetLimits()) for one in (fine, bad, bad))
-    assert counts == {
-        "seen": 3,
-        "accepted": 1,
-        "edge-stretch": 2,
-        "self-explosion": 2,
-        "high-frequency": 0,
-        "root-motion": 0,
-    }

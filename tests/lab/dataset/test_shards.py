@@ -1,5 +1,4 @@
 import hashlib
-import io
 import json
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from dynamictree.errors import FormatError, InputError
 from lab.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
 from lab.dataset.limits import DatasetLimits
 from lab.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
-from lab.dataset.shards import iter_shard, packed, store, to_half, unpacked, write_shard
+from lab.dataset.shards import iter_shard, store, to_half, unpacked, write_shard
 from lab.dataset.species import SPECIES
 
 TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
@@ -40,12 +39,6 @@ def test_a_sample_follows_from_its_seed_alone():
     assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
     assert (first.species, first.wind, first.split) == (second.species, second.wind, second.split)
     assert make_sample(12).wind != first.wind
-
-
-def test_species_and_wind_can_be_chosen():
-    sample = make_sample(11, "palm", wind=make_sample(1).wind)
-    assert sample.species == "palm"
-    assert sample.wind == make_sample(1).wind
 
 
 def test_an_unknown_species_or_seed_is_refused():
@@ -89,11 +82,6 @@ def test_reading_undoes_writing(sapling, tmp_path):
         scale = np.abs(spectrum.coefficients).max()
         np.testing.assert_allclose(tree.spectrum(resolution).coefficients, spectrum.coefficients, atol=1e-3 * scale)
     np.testing.assert_allclose(unpacked(tree.tensors["vertex_spectrum"]), sapling.coefficients, atol=1e-3)
-
-
-def test_unpacking_undoes_packing(rng):
-    whole = (rng.integers(-9, 9, (4, 5, 3)) + 1j * rng.integers(-9, 9, (4, 5, 3))).astype(np.complex64)
-    np.testing.assert_array_equal(unpacked(packed(whole)), whole)
 
 
 def test_the_fast_half_is_numpys(rng):
@@ -221,13 +209,6 @@ def test_the_card_tells_trees_rules_and_species(baked, tmp_path):
     assert "voxels at 32³" in card
     options = "--trees 2 --first-seed 40 --trees-per-shard 2 --resolution 32 --high-frequency 0.001 --root-motion 0.001"
     assert f"dynamictree dataset generate FOLDER {options} --edge-stretch 0.02 --self-explosion 0.5" in card
-
-
-def test_a_shard_can_be_written_to_any_stream(sapling):
-    first, second = io.BytesIO(), io.BytesIO()
-    for stream in (first, second):
-        write_shard([store(sapling, resolutions=(32,))], stream)
-    assert first.getvalue() == second.getvalue()
 
 
 @pytest.mark.slow

@@ -50,10 +50,6 @@ def test_inputs_turn_with_tree_and_wind(tree: TreeFeatures, side: tuple[tuple[in
     torch.testing.assert_close(turned, mirror_inputs(straight) if is_mirror(axes, signs) else straight)
 
 
-def test_half_of_the_sides_are_mirrors() -> None:
-    assert sum(is_mirror(*side) for side in SIDES) == 4
-
-
 def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, tree: TreeFeatures) -> None:
     axes, signs = (1, 0, 2), (-1, 1, 1)
     coords = voxels.grid.coords[:, [1, 0, 2]] * np.array(signs) + np.array([127, 0, 0])
