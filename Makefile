@@ -29,7 +29,7 @@ endif
 # Dozens of processes would each compile hundreds of modules anew where the shell forbids Python to write bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test slow train-gpu docs results live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
+.PHONY: help setup demo test slow train-gpu docs results live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image clean browser serve sbom gallery
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -151,9 +151,6 @@ browser: $(READY)  ## the viewer in a real Chromium, its client in node
 
 gallery: $(READY)  ## every mesh, splat and scan of GALLERY="folder folder" on one page, build/gallery/index.html
 	@$(BIN)/python -m recipes.gallery $(or $(GALLERY),$(DYNAMICTREE_SAMPLES),web/examples) -o build/gallery
-
-bench: $(READY)  ## every benchmark, one JSON object a line; build/benchmarks.md is the table
-	@$(BIN)/python -m benchmarks
 
 # CUDA's packages are left out: torch's own build brings them where it needs them. The image's lock has no development
 # tools, every file's hash, and no torch: its hash depends on the backend, and each backend has an index of its own.
