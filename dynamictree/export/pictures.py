@@ -1,20 +1,19 @@
 """Pictures and films of a moving mesh or splat."""
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import UInt8
 
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.export.splat_scene import SplatScene
+from dynamictree.export.splat_sheet import splat_sheet
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
+from dynamictree.render import Backdrop, Look, Renderer, preview_sheet, write_animation, write_png
 from dynamictree.render.camera import Camera
 from dynamictree.render.shot import cameras_of
-
-if TYPE_CHECKING:
-    from dynamictree.render import Backdrop
 
 Picture = UInt8[np.ndarray, "H W 3"]
 Film = UInt8[np.ndarray, "M H W 3"]
@@ -22,9 +21,6 @@ Film = UInt8[np.ndarray, "M H W 3"]
 
 def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """PNG: one picture, the amplitude of the sway in colours, a space-time slice and a row of frames."""
-    from dynamictree.export.splat_sheet import splat_sheet
-    from dynamictree.render import preview_sheet, write_png
-
     if tree.captured and tree.binding is not None:
         sheet = splat_sheet(tree, tree.binding, report)
     else:
@@ -34,15 +30,11 @@ def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 
 def write_webp(film: Film, stream: BinaryIO, fps: float) -> None:
     """Animated WebP that loops."""
-    from dynamictree.render import write_animation
-
     write_animation(iter(film), stream, fps=fps, format="webp")
 
 
 def write_mp4(film: Iterable[Picture], stream: BinaryIO, fps: float) -> None:
     """MP4 video, written as its pictures come."""
-    from dynamictree.render import write_animation
-
     write_animation(iter(film), stream, fps=fps, format="mp4")
 
 
@@ -54,8 +46,6 @@ def draw(tree: MovingTree, report: Report) -> Iterator[Picture]:
 
 
 def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
-    from dynamictree.render import Look, Renderer
-
     shot = tree.params.shot
     look = Look(width=shot.side_px, height=shot.side_px, ground=shot.ground, grey_still=shot.grey_still)
     renderer = Renderer(tree.mesh, look)

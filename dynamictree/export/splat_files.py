@@ -3,6 +3,7 @@
 from typing import BinaryIO
 
 from dynamictree.export.moving_tree import MovingTree, Report
+from dynamictree.formats.motion.html import write_splat_html
 from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat
@@ -39,8 +40,6 @@ def write_splat_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None
     Raises:
         InputError: the splat is too large for a page.
     """
-    from dynamictree.formats.motion.html import write_splat_html
-
     write_splat_html(_animated(tree), stream, title="A tree in the wind")
 
 

@@ -1,7 +1,6 @@
 """A bound splat over a floor: what films and previews of splats draw."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
@@ -12,10 +11,9 @@ from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud, area_m2
 from dynamictree.gaussian.deform import Pose
 from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.gaussian.rasterize import render_cloud
+from dynamictree.render import Backdrop
 from dynamictree.render.camera import Camera
-
-if TYPE_CHECKING:
-    from dynamictree.render import Backdrop
 
 PREVIEW_GAUSSIANS = 200_000
 """A larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores."""
@@ -43,20 +41,16 @@ class SplatScene:
         bounds = _bounding_points(cloud.subset(binding.moving))
         return cls(binding=binding, bounds=bounds, covered_m2=covered, ground=ground)
 
-    def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> "Backdrop":
+    def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> Backdrop:
         """Sky and floor behind it, for one camera."""
-        from dynamictree.render import Backdrop
-
         floor = float(np.quantile(self.bounds[:, 2], _STRAYS)) if self.ground else -np.inf
         centre, radius = _footprint(self.bounds)
         return Backdrop(camera, size_px=size_px, ground_m=floor, centre_m=centre, radius_m=radius)
 
     def picture(
-        self, camera: Camera, size_px: tuple[int, int], pose: Pose, backdrop: "Backdrop", *, shadow: bool = True
+        self, camera: Camera, size_px: tuple[int, int], pose: Pose, backdrop: Backdrop, *, shadow: bool = True
     ) -> UInt8[np.ndarray, "H W 3"]:
         """One picture of a pose."""
-        from dynamictree.gaussian.rasterize import render_cloud
-
         moving = self.binding.moving
         behind = backdrop.picture(pose.means[moving], self.covered_m2) if shadow and self.ground else backdrop.picture()
         width, height = size_px
