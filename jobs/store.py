@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import sqlalchemy as sa
 from ulid import ULID
@@ -18,7 +19,7 @@ from jobs.database.retry import patient
 from jobs.database.schema import make_tables
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
 from jobs.lifecycle import rows
-from jobs.lifecycle.job_log import LogLine, lines, note
+from jobs.lifecycle.job_log import lines, note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import ACTIVE, JobState, JobType
 
@@ -172,7 +173,7 @@ class Store:
             raise NotFoundError(f"there is no job {job_id}")
         return job
 
-    def job_log(self, job_id: str, *, after: int = 0, limit: int = 100) -> list[LogLine]:
+    def job_log(self, job_id: str, *, after: int = 0, limit: int = 100) -> Sequence[sa.Row[Any]]:
         """What happened to a job, oldest first.
 
         Raises:

@@ -188,7 +188,7 @@ def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:
 
 def _require_place(owned: Owned) -> None:
     require_room(owned)
-    if count_jobs(owned.store, JobState.QUEUED) >= owned.services.settings.max_queued_jobs:
+    if count_jobs(owned.services.store, [JobState.QUEUED]) >= owned.services.settings.max_queued_jobs:
         raise ProblemError(
             "queue-full", f"{owned.services.settings.max_queued_jobs} jobs wait already, which is the limit"
         )

@@ -1,9 +1,11 @@
 """Bytes stored and jobs running, for quotas."""
 
+from collections.abc import Collection
+
 import sqlalchemy as sa
 
 from jobs.database import tables as t
-from jobs.states import ACTIVE, JobState
+from jobs.states import JobState
 from jobs.store import Store
 
 MEASURES = ("attempts", "processor_s", "gpu_s")
@@ -37,14 +39,8 @@ def months(store: Store, *, limit: int = 12) -> list[dict[str, object]]:
         return [dict(row._mapping) for row in connection.execute(query.limit(limit))]
 
 
-def count_active(store: Store) -> int:
-    """How many jobs have not ended."""
-    active = t.jobs.c.state.in_(ACTIVE) & store.mine(t.jobs)
+def count_jobs(store: Store, states: Collection[JobState]) -> int:
+    """How many jobs are in one of these states."""
+    wanted = t.jobs.c.state.in_(states) & store.mine(t.jobs)
     with store.reading() as connection:
-        return connection.execute(sa.select(sa.func.count()).where(active)).scalar_one()
-
-
-def count_jobs(store: Store, state: JobState) -> int:
-    """How many jobs are in a state."""
-    with store.reading() as connection:
-        return connection.execute(sa.select(sa.func.count()).where(t.jobs.c.state == state)).scalar_one()
+        return connection.execute(sa.select(sa.func.count()).where(wanted)).scalar_one()

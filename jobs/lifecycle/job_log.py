@@ -1,8 +1,7 @@
 """A job's log: one line per event, written in the event's transaction; without paths, hosts or secrets."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import sqlalchemy as sa
 
@@ -10,17 +9,6 @@ from jobs.database import tables as t
 from jobs.records import Json
 
 Level = Literal["info", "warning", "error"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogLine:
-    """One line; ids rise with time."""
-
-    id: int
-    at: float
-    level: Level
-    message: str
-    fields: Mapping[str, Json]
 
 
 def note(
@@ -31,11 +19,7 @@ def note(
     connection.execute(t.job_logs.insert().values(**row))
 
 
-def lines(connection: sa.Connection, job_id: str, *, after: int, limit: int) -> list[LogLine]:
-    """Lines after a given id, oldest first."""
+def lines(connection: sa.Connection, job_id: str, *, after: int, limit: int) -> Sequence[sa.Row[Any]]:
+    """Rows of lines after a given id, oldest first; ids rise with time."""
     wanted = (t.job_logs.c.job_id == job_id) & (t.job_logs.c.id > after)
-    query = sa.select(t.job_logs).where(wanted).order_by(t.job_logs.c.id).limit(limit)
-    return [
-        LogLine(id=row.id, at=row.at, level=row.level, message=row.message, fields=row.fields)
-        for row in connection.execute(query)
-    ]
+    return connection.execute(sa.select(t.job_logs).where(wanted).order_by(t.job_logs.c.id).limit(limit)).all()

@@ -20,7 +20,7 @@ import sqlalchemy as sa
 from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError
 from jobs.lifecycle.maintenance import hold_lease, release_lease
-from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.artifacts import ArtifactStore, hash_file
 from jobs.storage.references import referenced
 from jobs.store import Store, new_id
 
@@ -87,7 +87,7 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
             if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one():
                 raise ConflictError(f"there are rows in {table.name}; restore into an empty database")
     blobs = sorted(path for path in (folder / BLOBS).rglob("*") if path.is_file())
-    damaged = [path.name for path in blobs if _hash(path) != path.name]
+    damaged = [path.name for path in blobs if hash_file(path)[0] != path.name]
     if damaged:
         raise BackupError(f"{len(damaged)} files of the backup have another hash, the first is {damaged[0]}")
     for path in blobs:
@@ -162,14 +162,6 @@ def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
         return False
     part.replace(target)
     return True
-
-
-def _hash(path: Path) -> str:
-    with path.open("rb") as stream:
-        checksum = sha256()
-        while chunk := stream.read(1 << 20):
-            checksum.update(chunk)
-    return checksum.hexdigest()
 
 
 def _blob(folder: Path, digest: str) -> Path:

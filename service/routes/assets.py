@@ -20,7 +20,7 @@ from jobs.store import new_id
 from service.http.multipart import MAX_FILES, receive_form
 from service.http.problems import ProblemError
 from service.http.routing import Id, headers, refusals
-from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
+from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
 from service.uploads.intake import FIELDS, admit, sort_out
@@ -167,13 +167,13 @@ async def _read_json(request: Request, owned: Owned) -> AssetRequest:
 def _asset_response(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
     response.headers["Location"] = f"/v1/assets/{asset.id}"
     response.status_code = status.HTTP_201_CREATED if new else status.HTTP_200_OK
-    return asset_payload(asset)
+    return AssetPayload.of(asset)
 
 
 @router.get("/{id}", operation_id="getAsset", responses=refusals("not-found", "expired"))
 def get_asset(id: Id, owned: OwnedDep) -> AssetPayload:
     """What was uploaded, and what was found in it."""
-    return asset_payload(asset_rows.read_asset(owned.store, id))
+    return AssetPayload.of(asset_rows.read_asset(owned.store, id))
 
 
 @router.delete(

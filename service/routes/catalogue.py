@@ -10,7 +10,8 @@ from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES, Qualit
 from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
 from jobs.clients.keys import Limit
-from jobs.clients.usage import count_active, months, stored_bytes
+from jobs.clients.usage import count_jobs, months, stored_bytes
+from jobs.states import ACTIVE
 from service.http import multipart
 from service.http.problems import wrong_field
 from service.http.routing import refusals
@@ -183,7 +184,7 @@ def get_usage(owned: OwnedDep) -> UsagePayload:
     caller = owned.caller
     return UsagePayload(
         owner=caller.owner,
-        active_jobs=count_active(owned.store),
+        active_jobs=count_jobs(owned.store, ACTIVE),
         bytes=stored_bytes(owned.store),
         limits=dict(caller.limits) or None,
         months=[MonthPayload.model_validate(month) for month in months(owned.store)],

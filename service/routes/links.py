@@ -1,6 +1,5 @@
 """/v1/links: addresses of files that open without a key's header, for a while."""
 
-from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Response, status
@@ -11,7 +10,7 @@ from jobs.storage.assets import read_asset
 from service.http.problems import ProblemError
 from service.http.routing import refusals
 from service.http.signed_links import LINKABLE, signed
-from service.schemas.base import Payload, Time, time_of
+from service.schemas.base import Payload, Time
 from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1/links", tags=["artifacts"])
@@ -54,11 +53,7 @@ def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkP
     if key is None:
         return LinkPayload(url=body.path, expires_at=None)
     expires = int(owned.services.store.clock()) + body.expires_s
-    return LinkPayload(url=signed(key, body.path, expires), expires_at=_time(expires))
-
-
-def _time(seconds: int) -> datetime:
-    return time_of(float(seconds))
+    return LinkPayload.of(None, url=signed(key, body.path, expires), expires_at=expires)
 
 
 def _require_there(owned: Owned, path: str) -> None:

@@ -5,7 +5,6 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from dynamictree.requests import Reading
-from jobs.records import AssetRecord
 from jobs.states import AssetKind
 from jobs.storage.uploads import UploadRecord, UploadState
 from service.http.multipart import MAX_FILES
@@ -92,11 +91,6 @@ class UploadPartsPayload(Payload):
 
     parts: list[UploadPartPayload]
     expires_at: Time
-
-
-def asset_payload(asset: AssetRecord) -> AssetPayload:
-    """An asset as a response body."""
-    return AssetPayload.of(asset)
 
 
 def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:

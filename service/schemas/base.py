@@ -1,6 +1,6 @@
 """Base classes and types of request and response bodies. Unknown fields are refused."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -52,11 +52,6 @@ class Problem(BaseModel):
     retryable: bool
     suggestion: str
     errors: list[FieldErrorPayload]
-
-
-def time_of(seconds: float) -> datetime:
-    """Seconds since 1970 as a time."""
-    return datetime.fromtimestamp(seconds, UTC)
 
 
 def problem_of(code: str | None, message: str | None) -> Problem | None:

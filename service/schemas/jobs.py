@@ -1,10 +1,11 @@
 """Response bodies of jobs, logs and manifests."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
 
-from jobs.lifecycle.job_log import Level, LogLine
+from jobs.lifecycle.job_log import Level
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.states import JobState, JobType, Priority, StageState
 from jobs.storage.stage_files import MESH, SPECTRUM, VOXELS
@@ -162,9 +163,10 @@ def _result(job: JobRecord, artifacts: list[ArtifactRecord], source: AssetSummar
     )
 
 
-def log_payload(lines: list[LogLine], after: int) -> LogPayload:
+def log_payload(lines: Sequence[object], after: int) -> LogPayload:
     """A page of a job's log as a response body; `after` is where it began."""
-    return LogPayload(data=[LogLinePayload.of(line) for line in lines], next_after=lines[-1].id if lines else after)
+    data = [LogLinePayload.of(line) for line in lines]
+    return LogPayload(data=data, next_after=data[-1].id if data else after)
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:

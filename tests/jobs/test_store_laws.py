@@ -214,7 +214,7 @@ def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> No
     assert [store.standing(store.job(job_id))[0] for job_id in reversed(ids)] == [0, 1, 2, 3, 4]
     claim(store, ids[0])
     assert store.standing(store.job(ids[0]))[0] is None
-    assert count_jobs(store, JobState.QUEUED) == 4
+    assert count_jobs(store, [JobState.QUEUED]) == 4
     assert len(store.jobs()[0].stages) == 2
 
 
