@@ -1,1 +1,1 @@
-"""Tables, their migrations, and how to connect to them."""
+"""Tables, how they are made, and how to connect to them."""
