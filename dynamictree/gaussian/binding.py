@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import nearest_faces
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Surface, TriangleMesh
 from dynamictree.rotation import quaternion_matrices
 
 STILL = -1
@@ -50,7 +50,7 @@ class Binding:
 
 def bind(
     cloud: GaussianCloud,
-    mesh: TriangleMesh,
+    mesh: Surface,
     *,
     mask: Bool[np.ndarray, " G"] | None = None,
     max_distance_m: float | None = None,
@@ -93,7 +93,7 @@ def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.
 
 
 def bind_to_faces(
-    cloud: GaussianCloud, mesh: TriangleMesh, faces: Int32[np.ndarray, " G"], weights: Float32[np.ndarray, "G 3"]
+    cloud: GaussianCloud, mesh: Surface, faces: Int32[np.ndarray, " G"], weights: Float32[np.ndarray, "G 3"]
 ) -> Binding:
     """Bind each Gaussian to a given face, such as the one it was made from."""
     rolled = longest_edge_first(mesh.vertices, mesh.faces)
@@ -116,7 +116,7 @@ def pseudo_mesh(cloud: GaussianCloud, *, reach: float = 1.0) -> TriangleMesh:
 
 
 def bind_to_pseudo_mesh(
-    cloud: GaussianCloud, mesh: TriangleMesh, *, mask: Bool[np.ndarray, " G"] | None = None
+    cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | None = None
 ) -> Binding:
     """Bind each Gaussian to its own triangle of `pseudo_mesh`; those without extent stand still."""
     weights = np.tile(np.array([1, 0, 0], np.float32), (cloud.num_gaussians, 1))
@@ -129,7 +129,7 @@ def bind_to_pseudo_mesh(
     )
 
 
-def solid_faces(mesh: TriangleMesh) -> Int32[np.ndarray, "U 3"]:
+def solid_faces(mesh: Surface) -> Int32[np.ndarray, "U 3"]:
     """The faces that are triangles, not lines or points.
 
     Raises:

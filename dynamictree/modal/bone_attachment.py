@@ -7,7 +7,7 @@ import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
-from dynamictree.mesh import TriangleMesh, edges_of, part_bounds
+from dynamictree.mesh import Surface, edges_of, part_bounds
 from dynamictree.modal.bones import Bones
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class BoneAttachment:
 
 
 def attach_mesh(
-    bones: Bones, mesh: TriangleMesh, ties: "VoxelInterpolation", *, voxel_size_m: float, parts_hang: bool = True
+    bones: Bones, mesh: Surface, ties: "VoxelInterpolation", *, voxel_size_m: float, parts_hang: bool = True
 ) -> BoneAttachment:
     """Give each vertex the bones of its voxels, spread along the edges of what may move.
 

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Surface
 from dynamictree.models.small.foliage import ARM_SCALE, NUM_PARTS
 from dynamictree.models.wind import log_wind_scale
 from dynamictree.spectrum import Wind
@@ -44,7 +44,7 @@ def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10
     return parts
 
 
-def _at_vertices(stored: StoredTree, mesh: TriangleMesh) -> Float32[np.ndarray, "N 10"]:
+def _at_vertices(stored: StoredTree, mesh: Surface) -> Float32[np.ndarray, "N 10"]:
     vertices, skeleton = mesh.vertices, stored.skeleton()
     leaf = stored.tensors["part"] == LEAF
     piece = _first_of_piece(mesh)
@@ -70,7 +70,7 @@ def _at_vertices(stored: StoredTree, mesh: TriangleMesh) -> Float32[np.ndarray, 
     return np.stack(columns, axis=1).astype(np.float32)
 
 
-def _first_of_piece(mesh: TriangleMesh) -> Int64[np.ndarray, " N"]:
+def _first_of_piece(mesh: Surface) -> Int64[np.ndarray, " N"]:
     """The first vertex of the connected piece that each vertex is in; a leaf's is its base."""
     ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
     count = mesh.num_vertices

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Int32
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.tensors.container import file_head, number, read_tensors, take_tensor
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Surface
 
 FORMAT = "tree-motion"
 VERSION = "1"
@@ -27,7 +27,7 @@ class MeshMotion:
 
 
 def write_motion(
-    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: ByteWriter, *, num_frames: int, fps: float
+    mesh: Surface, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: ByteWriter, *, num_frames: int, fps: float
 ) -> None:
     """Write frame after frame as they come, never the whole motion in memory."""
     shapes = {
