@@ -115,9 +115,7 @@ def pseudo_mesh(cloud: GaussianCloud, *, reach: float = 1.0) -> TriangleMesh:
     return TriangleMesh(vertices=np.ascontiguousarray(corners.reshape(-1, 3)), faces=faces)
 
 
-def bind_to_pseudo_mesh(
-    cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | None = None
-) -> Binding:
+def bind_to_pseudo_mesh(cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | None = None) -> Binding:
     """Bind each Gaussian to its own triangle of `pseudo_mesh`; those without extent stand still."""
     weights = np.tile(np.array([1, 0, 0], np.float32), (cloud.num_gaussians, 1))
     own = bind_to_faces(cloud, mesh, np.arange(cloud.num_gaussians, dtype=np.int32), weights)
