@@ -81,7 +81,7 @@ class Client(threading.Thread):
             name = f"client-{self.number}-{turn}"
             kind = self.rng.choice(list(PARAMS))
             body = {"type": kind, "asset_id": asset_id, "seed": turn, "params": PARAMS[kind]}
-            response = self.ask("PUT", f"/v1/jobs/{name}", json=body)
+            response = self.ask("POST", "/v1/jobs", json=body, headers={"Idempotency-Key": name})
             url = f"/v1/jobs/{response['id']}"
             with self.ledger.lock:
                 self.ledger.accepted[name] = url
