@@ -12,7 +12,7 @@ from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, fit_shares, noise_basis
 from dynamictree.models.small.features import NUM_WIND, TreeFeatures, coarsen_features, wind_vector
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
-from dynamictree.models.small.network import Regression
+from dynamictree.models.small.network import SmallNetwork
 from dynamictree.sparse.matrices import raise_matrix, sparse_rows
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
@@ -40,14 +40,14 @@ class WhiteExample:
 
 
 @torch.no_grad()
-def whiten(network: Regression, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
+def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
     """C / A at every voxel for k >= 1, and ln A."""
     _, log_amplitude = network.amplitude_of(example.tree, wind_vector([example.wind]))
     return example.spectrum[:, 1:] * (-log_amplitude).exp(), log_amplitude
 
 
 @torch.no_grad()
-def measure(network: Regression, examples: Iterable[Example], rng: np.random.Generator) -> None:
+def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> None:
     """Set the network's node scale, residual share, noise shares and energy gain."""
     top = network.preset.top
     nodes, trees, power, energy = [], [], [], []
@@ -81,7 +81,7 @@ def _energy_shares(
 
 
 @torch.no_grad()
-def white_example(network: Regression, example: Example) -> WhiteExample:
+def white_example(network: SmallNetwork, example: Example) -> WhiteExample:
     """One tree for the denoiser's training."""
     field, log_amplitude = whiten(network, example)
     grids, top = example.tree.grids, network.preset.top

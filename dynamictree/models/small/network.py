@@ -37,9 +37,10 @@ class SmallPreset:
     sigma_max: float = 10.0
 
 
-class Regression(StorableNetwork):
-    """Foliage and amplitude network, and statistics of what they leave to a diffusion model."""
+class SmallNetwork(StorableNetwork):
+    """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
+    KIND, VERSION, PRESET = "dynamictree-small", "6", SmallPreset
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s
@@ -55,6 +56,7 @@ class Regression(StorableNetwork):
             width=preset.amplitude_width,
             depth=preset.amplitude_depth,
         )
+        self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
         self.register_buffer("node_scale", torch.ones(moving, AXES))
         self.register_buffer("residual_share", torch.zeros(moving, AXES))
@@ -65,13 +67,3 @@ class Regression(StorableNetwork):
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
         """Lean and ln A at all voxels, over the height, in the wind's frame."""
         return self.amplitude.of_tree(tree, self.foliage(tree), wind)
-
-
-class SmallNetwork(Regression):
-    """The regression, and the denoiser of the whitened spectrum."""
-
-    KIND, VERSION, PRESET = "dynamictree-small", "6", SmallPreset
-
-    def __init__(self, preset: SmallPreset) -> None:
-        super().__init__(preset)
-        self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)

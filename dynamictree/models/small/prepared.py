@@ -22,7 +22,7 @@ from dynamictree.models.small.features import (
 )
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
-from dynamictree.models.small.network import Regression
+from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
@@ -105,7 +105,7 @@ def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
 
 
 def prepare_tree(
-    network: Regression, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
+    network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
 ) -> PreparedTree:
     """Compute features, amplitudes and interpolation matrices of a tree."""
     halvings = halvings_served(voxels.grid, network.preset.resolution, "small", max_voxels=max_voxels)
