@@ -12,12 +12,13 @@ from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS, pack_channels
 from dynamictree.diffusion.loss import denoising_loss
-from dynamictree.models.small.amplitude import AmplitudeNetwork, amplitude_inputs, amplitude_losses, mirror_inputs
+from dynamictree.models.small.amplitude import AmplitudeNetwork, amplitude_inputs, mirror_inputs
 from dynamictree.models.small.denoiser import denoise
 from dynamictree.models.small.features import NUM_WIND, batch_features, wind_vector
 from dynamictree.models.small.foliage import FoliageNetwork
 from dynamictree.models.small.mixer import batch_neighbourhoods
 from dynamictree.models.small.network import SmallNetwork
+from lab.small.amplitude_loss import amplitude_losses
 from lab.small.examples import Example
 from lab.small.whitening import WhiteExample
 

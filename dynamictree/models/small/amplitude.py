@@ -8,11 +8,11 @@ what is sway times lean grows with d².
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import torch
-from jaxtyping import Complex64, Float32
+from jaxtyping import Float32
 from torch import Tensor, nn
 
 from dynamictree.models.small.features import (
@@ -40,9 +40,6 @@ NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + 1  # and the gust
 CLIP = 5.0  # standard deviations
 BAND = 2048
 """Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""
-SEEN = 3e-5  # of the height at drag and gust 1: the least motion whose centroid and lean count
-CENTROID_WEIGHT = 0.15
-LEAN_WEIGHT = 0.5
 LEAN = 0.5
 START = -7.0
 """Lean over the motion's size at gust 1, and ln A there, before training: their size in the dataset."""
@@ -167,7 +164,7 @@ def moving(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]
         log_amplitude: ln A.
         wind: ln speed and gust, one for all or one a row.
     """
-    return ((2 * log_amplitude).exp() - _floor(wind)[:, None, None] ** 2).clamp_min(0).sqrt()
+    return ((2 * log_amplitude).exp() - floor_of(wind)[:, None, None] ** 2).clamp_min(0).sqrt()
 
 
 def _log_wind(wind: Float32[Tensor, "R 2"]) -> tuple[Float32[Tensor, "R 1"], Float32[Tensor, "R 1"]]:
@@ -181,63 +178,7 @@ def _growth(log_saturation: Float32[Tensor, "R J 3"], log_drag: Float32[Tensor, 
     return log_drag + (bent.tanh() / bent).log()
 
 
-def _floor(wind: Float32[Tensor, "R 2"], share: float = FLOOR) -> Float32[Tensor, " R"]:
+def floor_of(wind: Float32[Tensor, "R 2"], share: float = FLOOR) -> Float32[Tensor, " R"]:
     """A share of the height in a wind: in a calm all is small, and the same tree still has the same shape of motion."""
     log_drag, log_gust = _log_wind(wind)
     return share * (log_drag + log_gust)[:, 0].exp()
-
-
-@dataclass(frozen=True, kw_only=True)
-class AmplitudeLosses:
-    """Squared errors, see `amplitude_losses`."""
-
-    logarithmic: Float32[Tensor, ""]  # of ln A against ln |c|
-    overall: Float32[Tensor, ""]  # of ln a
-    centroid: Float32[Tensor, ""]  # of the mean bin
-    lean: Float32[Tensor, ""]  # over its square
-
-    def total(self) -> Float32[Tensor, ""]:
-        """Weighted sum."""
-        weighted: Tensor = self.logarithmic + self.overall + CENTROID_WEIGHT * self.centroid + LEAN_WEIGHT * self.lean
-        return weighted
-
-
-def amplitude_losses(
-    lean: Float32[Tensor, "R 3"],
-    log_amplitude: Float32[Tensor, "R J 3"],
-    spectrum: Complex64[Tensor, "R K 3"],
-    wind: Float32[Tensor, "R 2"],
-) -> AmplitudeLosses:
-    """Four squared errors of a predicted amplitude and lean.
-
-    In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards. The
-    second adds what is seen most, the frequencies that carry the motion: a² = Σ A² is all of it. The third holds low
-    against high frequencies where voxels move enough to be seen; without it, measured, the centroid is half lost.
-
-    Args:
-        lean: c_0 over the height.
-        log_amplitude: ln A over the height.
-        spectrum: the truth over the height, in the wind's frame.
-        wind: ln speed and gust at each row.
-    """
-    floor, seen_from = _floor(wind), _floor(wind, SEEN)
-    power = spectrum[:, 1:].abs().square()  # [R, J, 3]
-    guessed_power = (2 * log_amplitude).exp()
-    size = (power + floor[:, None, None] ** 2).log() / 2
-    total = (power.sum(dim=(1, 2)) + floor**2).log() / 2
-    guessed = guessed_power.sum(dim=(1, 2)).log() / 2
-    truth = spectrum[:, 0].real
-    seen = power.sum(dim=(1, 2)) > seen_from**2
-    difference = _mean_bin(guessed_power.sum(dim=2)) - _mean_bin(power.sum(dim=2) + floor[:, None] ** 2)
-    return AmplitudeLosses(
-        logarithmic=(log_amplitude - size).square().mean(),
-        overall=(guessed - total).square().mean(),
-        centroid=(difference * seen).square().mean(),
-        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + seen_from**2)).mean(),
-    )
-
-
-def _mean_bin(power: Float32[Tensor, "R J"]) -> Float32[Tensor, " R"]:
-    bins = torch.arange(1, power.shape[1] + 1, dtype=power.dtype)
-    mean: Tensor = (power * bins).sum(dim=1) / power.sum(dim=1)
-    return mean

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.models.small.amplitude import amplitude_losses
 from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, NUM_PARTS, FoliageNetwork
 from dynamictree.models.wind import log_wind_scale
@@ -14,6 +13,7 @@ from dynamictree.requests import Wind
 from lab.dataset.sample import make_sample
 from lab.dataset.sapling import LEAF
 from lab.dataset.shards import StoredTree, store
+from lab.small.amplitude_loss import amplitude_losses
 from lab.small.examples import example_of
 from lab.small.foliage_targets import ARM_SCALE, true_parts
 from lab.small.train_foliage import (

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from scipy.sparse import csr_array
 
-from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, fit_shares, noise_basis
+from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, noise_basis
 from dynamictree.models.small.features import TreeFeatures, coarsen_features, turn_features
 from dynamictree.models.small.mixer import MixerBlock, SparseOperator, batch_neighbourhoods, neighbourhood
 from dynamictree.sparse.matrices import link_matrices, pool_matrix, raise_matrix, sparse_rows, touching
@@ -54,18 +54,6 @@ def test_noise_has_unit_variance_at_every_node(tree: TreeFeatures) -> None:
     shares = shares / shares.sum(dim=1, keepdim=True)
     drawn = noise_basis(nodes.grids, nodes.links).draw(shares, torch.Generator().manual_seed(0), channels=20_000)
     torch.testing.assert_close(drawn.square().mean(dim=2), torch.ones(len(nodes.scalars), 4), atol=0.06, rtol=0)
-
-
-def test_fitted_shares_are_those_that_made_the_field(tree: TreeFeatures) -> None:
-    nodes = coarsen_features(tree, 1)
-    true = torch.zeros(2, NUM_SCALES)
-    true[0, 0], true[0, -1] = 0.25, 0.75  # white, and one for the whole tree
-    true[1, 0], true[1, 4] = 0.5, 0.5  # white, and along the stems
-    generator = torch.Generator().manual_seed(0)
-    drawn = noise_basis(nodes.grids, nodes.links).draw(true, generator, channels=4000).numpy()
-    spectrum = ((drawn[..., :2000] + 1j * drawn[..., 2000:]) / np.sqrt(2)).astype(np.complex64)
-    shares = fit_shares([spectrum], [nodes], np.random.default_rng(0))
-    np.testing.assert_allclose(shares, true.numpy(), atol=0.08)
 
 
 def test_a_layer_does_not_look_from_tree_to_tree(tree: TreeFeatures) -> None:
