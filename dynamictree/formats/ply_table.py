@@ -192,12 +192,10 @@ def _body(stream: SeekableReader, header: PlyHeader) -> SeekableReader:
     least = sum(2 * element.count * len(element.properties) for element in header.elements)  # a digit and a space each
     if least > size + 1:
         counts = ", ".join(f"{element.count:,} rows in {element.name!r}" for element in header.elements)
-        raise FormatError(
-            f"the PLY header says {counts}, at least {least:,} bytes, but {size:,} follow; it is truncated"
-        )
+        raise FormatError(f"the header says {counts}, at least {least:,} bytes, but {size:,} follow; it is truncated")
     numbers = numbers_of(stream.read())
     if numbers is None:
-        raise FormatError("the rows of the PLY file hold what is no number")
+        raise FormatError("the rows of the file hold what is no number")
     return io.BytesIO(numbers.tobytes())
 
 
@@ -218,7 +216,7 @@ def _rows(body: SeekableReader, header: PlyHeader, element: PlyElement) -> Shape
     if needed > available:
         each, unit = (8, "numbers") if header.encoding == "ascii" else (1, "bytes")
         raise FormatError(
-            f"the PLY header says {element.count:,} rows of {stored.itemsize // each} {unit} in {element.name!r}, "
+            f"the header says {element.count:,} rows of {stored.itemsize // each} {unit} in {element.name!r}, "
             f"{needed // each:,} {unit}, but {available // each:,} are left in the file; it is truncated or its header "
             "is wrong"
         )

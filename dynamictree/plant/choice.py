@@ -87,7 +87,10 @@ def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str])
     most_names = 30  # of a message
     result = [False] * len(names)
     for pattern in patterns or ():
-        fits = [_fits(name.lower(), pattern.lower()) for name in names]
+        fits = [
+            bool(name) and any(fnmatchcase(step.lower(), pattern.lower()) for step in (name, *name.split("/")))
+            for name in names
+        ]
         if not any(fits):
             existing = [name for name in dict.fromkeys(names) if name]
             listed = ", ".join(existing[:most_names]) + (", …" if len(existing) > most_names else "")
@@ -97,10 +100,6 @@ def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str])
             )
         result = [a or b for a, b in zip(result, fits, strict=True)]
     return result
-
-
-def _fits(name: str, pattern: str) -> bool:
-    return bool(name) and any(fnmatchcase(step, pattern) for step in (name, *name.split("/")))
 
 
 def _inside(option: str, points: Float32[np.ndarray, "P 3"], box: Box) -> Bool[np.ndarray, " P"]:

@@ -59,10 +59,11 @@ def test_places_where_nothing_was_measured_are_left_out() -> None:
     [
         (pcd("binary_compressed"), "pcl_convert_pcd_ascii_binary"),
         (pcd("binary")[:-1], "truncated"),
-        (pcd("ascii")[:-40], "no table of numbers"),
+        (pcd("ascii")[:-40], "truncated"),
         (pcd("ascii").replace(b"FIELDS x y z", b"FIELDS a b c"), "x, y and z are needed"),
         (pcd("ascii").replace(b"SIZE 4 4", b"SIZE 4"), "damaged"),
         (pcd("binary").replace(b"SIZE 4", b"SIZE 3"), "of a size"),
+        (pcd("ascii").replace(b"DATA ascii\n", b"DATA ascii\nx "), "what is no number"),
         (pcd("ascii").replace(b"DATA ascii", b"# no data"), "no line DATA"),
         (pcd("ascii").replace(b"POINTS 50", b"POINTS 51"), "truncated"),
     ],

@@ -110,16 +110,13 @@ def _placed_parts(
                 first_vertex=0,
                 num_vertices=len(part.vertices),
                 skinned=skinned,
-                decoded=None if extension is None else _with_indices(read),
+                decoded=None
+                if extension is None or read.indices is None
+                else {**read.attributes, "INDICES": read.indices[:, None]},
             )
         )
     starts = first_vertices(parts)
     return parts, [replace(p, first_vertex=start) for p, start in zip(placed, starts, strict=True)]
-
-
-def _with_indices(read: _Primitive) -> Mapping[str, Shaped[np.ndarray, "n width"]]:
-    assert read.indices is not None
-    return {**read.attributes, "INDICES": read.indices[:, None]}
 
 
 def _part(

@@ -85,7 +85,9 @@ def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Ma
         document=json.dumps(merged.root, separators=(",", ":")).encode(),
         binary=tuple(merged.chunks),
         primitives=np.array(rows, np.int32).reshape(-1, 4),
-        to_primitive=np.stack([_inverse(_linear(p)) for p in placed]),
+        to_primitive=np.stack(  # a skin alone places its vertices
+            [_inverse(np.eye(3) if p.skinned is not None else p.instance.transform[:3, :3]) for p in placed]
+        ),
         to_vertex=_to_vertices(placed),
     )
 
@@ -252,11 +254,6 @@ def _forget_levels(document: GltfDocument, root: dict[str, Any]) -> None:
         "it at every distance; ask for the format lod for levels that move"
     )
     document.warnings.append(SourceWarning(code="levels-left-out", message=message))
-
-
-def _linear(part: PlacedPrimitive) -> Float64[np.ndarray, "3 3"]:
-    """How a displacement of the primitive's own vertices shows in the scene; a skin alone places its vertices."""
-    return np.eye(3) if part.skinned is not None else part.instance.transform[:3, :3]
 
 
 def _inverse(matrices: Float64[np.ndarray, "*n 3 3"]) -> Float64[np.ndarray, "*n 3 3"]:

@@ -75,6 +75,8 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
     if set(statements.material_names) != {""}:
         materials, warnings = read_materials(tuple(statements.material_names), statements.libraries, companions)
     vertices, offset = near_origin(table[:, :3])
+    part = np.array(statements.face_parts, np.int32)
+    part[part < 0] = len(statements.part_names)  # faces above the first name are of the last part, which has none
     return TriangleMesh(
         vertices=vertices[original],
         faces=faces,
@@ -87,17 +89,11 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         ),
         parts=Parts(
             names=(*statements.part_names, "") if statements.part_names else (),
-            of_face=_parts(statements)[source_face] if statements.part_names else None,
+            of_face=part[source_face] if statements.part_names else None,
         ),
         source=Source(up_axis="+Z", offset=offset),
         warnings=(*warnings, *offset_warnings(offset)),
     )
-
-
-def _parts(statements: _Statements) -> Int32[np.ndarray, " P"]:
-    """The part of each polygon; those above the first name are of the last, which has none."""
-    part = np.array(statements.face_parts, np.int32)
-    return np.where(part < 0, len(statements.part_names), part).astype(np.int32)
 
 
 def _sort_lines(lines: list[bytes]) -> _Statements:

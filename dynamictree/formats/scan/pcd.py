@@ -1,25 +1,16 @@
 """Point clouds of the Point Cloud Library (.pcd, version 0.7): ASCII and binary; compressed ones are refused."""
 
-import io
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import UInt8
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.ply_table import PlyElement, PlyHeader, read_elements
 from dynamictree.formats.scan.points import Scan
-from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.formats.seekable import SeekableReader
 from dynamictree.gaussian.cloud import check_count
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _COLOR = ("rgb", "rgba")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Header:
-    fields: np.dtype[np.void]
-    count: int
-    coding: str
 
 
 def read_pcd(stream: SeekableReader) -> Scan:
@@ -30,16 +21,15 @@ def read_pcd(stream: SeekableReader) -> Scan:
         InputError: too many points.
     """
     header = _read_header(stream)
-    check_count(header.count)
-    rows = _rows(stream, header)
+    check_count(header.elements[0].count)
+    (rows,) = read_elements(stream, header, "points")
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
-    single = [name for name in header.fields.names or () if header.fields[name].shape == ()]
-    name = next((name for name in _COLOR if name in single), None)
-    colors = None if name is None else _colors(rows[name])
-    return Scan(points=points, colors=colors)
+    name = next((name for name in _COLOR if name in header.elements[0].names), None)
+    return Scan(points=points, colors=None if name is None else _colors(rows[name]))
 
 
-def _read_header(stream: SeekableReader) -> _Header:
+def _read_header(stream: SeekableReader) -> PlyHeader:
+    """The header as that of a PLY file with one element; each number of a field of several has a name of its own."""
     allowed_sizes = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
     max_header_bytes = 64 * 1024
     max_width = 10_000  # numbers per point
@@ -70,44 +60,13 @@ def _read_header(stream: SeekableReader) -> _Header:
             f"the PCD file's data are {coding[:30]!r}; ascii and binary are read: convert it with "
             "`pcl_convert_pcd_ascii_binary in.pcd out.pcd 1`"
         )
-    fields = [
-        (_unique(name, number, names), f"<{kind}{size}", (width,))
-        for number, (name, kind, size, width) in enumerate(columns)
-    ]
-    return _Header(
-        fields=np.dtype([field if field[2] != (1,) else field[:2] for field in fields]), count=count, coding=coding
+    properties = tuple(  # padding fields are all called `_`; no name in the file has a blank
+        (name if width == 1 and names.index(name) == field else f"{field} {number}", f"{kind}{size}")
+        for field, (name, kind, size, width) in enumerate(columns)
+        for number in range(width)
     )
-
-
-def _unique(name: str, number: int, names: list[str]) -> str:
-    """The field's name; padding fields are all called `_`."""
-    return name if names.index(name) == number else f"{name}#{number}"
-
-
-def _rows(stream: SeekableReader, header: _Header) -> np.ndarray:
-    size = remaining_bytes(stream)
-    if header.coding == "binary":
-        needed = header.count * header.fields.itemsize
-        if size < needed:
-            raise FormatError(
-                f"the PCD file has {size:,} bytes of points where its header says {needed:,}; it is truncated"
-            )
-        return np.frombuffer(stream.read(needed), header.fields)
-    try:
-        table = np.loadtxt(io.BytesIO(stream.read()), np.float64, ndmin=2, comments=None, max_rows=header.count)
-    except ValueError as error:
-        raise FormatError(f"the PCD file's points are no table of numbers: {error}") from error
-    ends = np.cumsum([int(np.prod(header.fields[name].shape, dtype=int)) for name in header.fields.names or ()])
-    if len(table) < header.count or table.shape[1] != ends[-1]:
-        raise FormatError(
-            f"the PCD file has {len(table):,} lines of {table.shape[1]} numbers where its header says "
-            f"{header.count:,} of {ends[-1]}; it is truncated or damaged"
-        )
-    rows = np.zeros(header.count, header.fields)
-    for name, end in zip(header.fields.names or (), ends, strict=True):
-        if header.fields[name].shape == ():
-            rows[name] = table[:, end - 1]
-    return rows
+    encoding = "ascii" if coding == "ascii" else "binary_little_endian"
+    return PlyHeader(encoding=encoding, elements=(PlyElement(name="points", count=count, properties=properties),))
 
 
 def _colors(packed: np.ndarray) -> UInt8[np.ndarray, "G 3"]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
@@ -138,12 +138,8 @@ def _read_section(content: bytes, section: _Section, level: int, bounds: tuple[f
 
 def _bucket_middles(content: bytes, section: _Section) -> Float32[np.ndarray, "G 3"]:
     """The middle of the bucket of each Gaussian: first the full buckets, then the others with their own sizes."""
-    sizes = np.concatenate(
-        [
-            np.full(section.num_full, section.per_bucket, np.int64),
-            _numbers(content, "<u4", section.num_partial, section.buckets_at - 4 * section.num_partial),
-        ]
-    )
+    partial = np.frombuffer(content, "<u4", section.num_partial, section.buckets_at - 4 * section.num_partial)
+    sizes = np.concatenate([np.full(section.num_full, section.per_bucket), partial.astype(np.int64)])
     if sizes.sum() != section.count:
         raise FormatError(
             f"the buckets of a .ksplat section hold {int(sizes.sum()):,} Gaussians; {section.count:,} are there"
@@ -152,7 +148,3 @@ def _bucket_middles(content: bytes, section: _Section) -> Float32[np.ndarray, "G
     middles = np.frombuffer(content, np.dtype((np.void, width)), section.num_buckets, section.buckets_at)
     places = np.ascontiguousarray(middles.view(np.uint8).reshape(-1, width)[:, :12]).view("<f4")
     return places[np.repeat(np.arange(len(sizes)), sizes)[: section.count]].astype(np.float32)
-
-
-def _numbers(content: bytes, kind: str, count: int, place: int) -> Int64[np.ndarray, " n"]:
-    return np.frombuffer(content, kind, count, place).astype(np.int64)
