@@ -284,9 +284,11 @@ def interact(body: InteractRequest, *, accept: str | None = None) -> Call[Intera
     return Call(method="POST", path="/v1/interact", answer=Interact | bytes, headers={"accept": accept}, body=body)
 
 
-def get_modes(id: str) -> Call[bytes]:
+def get_modes(id: str, *, shapes: bool | None = None) -> Call[bytes]:
     """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
-    return Call(method="GET", path=path_of("/v1/spectra/{id}/modes", {"id": id}), answer=bytes)
+    return Call(
+        method="GET", path=path_of("/v1/spectra/{id}/modes", {"id": id}), answer=bytes, query={"shapes": shapes}
+    )
 
 
 def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
@@ -314,9 +316,11 @@ def get_asset_surface(id: str) -> Call[bytes]:
     return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
 
 
-def get_surface(id: str) -> Call[bytes]:
+def get_surface(id: str, *, shapes: bool | None = None) -> Call[bytes]:
     """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
-    return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
+    return Call(
+        method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes, query={"shapes": shapes}
+    )
 
 
 def list_webhook_endpoints() -> Call[EndpointList]:

@@ -1,9 +1,10 @@
 """The source mesh for a viewer: as uploaded, and with the motion of its vertices."""
 
 import json
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from jaxtyping import Complex64, Float64, Int32, Int64
 from safetensors.numpy import save
@@ -24,6 +25,10 @@ router = APIRouter(prefix="/v1", tags=["spectra"])
 
 MAX_OWN_SHAPES = 20_000
 """Vertices up to which each moves as in the products: a few seconds of solving. Larger meshes hang on near voxels."""
+
+Shapes = Annotated[
+    bool, Query(description="false leaves mode shapes out where the surface has bones, which say the same")
+]
 
 BONES = 4
 """A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
@@ -53,12 +58,14 @@ def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     response_class=Response,
     responses=refusals("not-found", "expired") | _FILE,
 )
-def get_surface(id: Id, owned: OwnedDep) -> Response:
+def get_surface(id: Id, owned: OwnedDep, shapes: Shapes = True) -> Response:
     """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
     ready = ready_tree(owned, id)
     mesh = with_mesh(owned, ready, id)
     own = mesh.num_vertices <= MAX_OWN_SHAPES
     motion = _own_motion(owned, id, ready, mesh) if own else _near_motion(ready, mesh)
+    if own and not shapes:
+        del motion["shapes"]
     return _response(mesh_tensors(mesh) | motion, mesh)
 
 

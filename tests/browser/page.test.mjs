@@ -10,8 +10,9 @@ import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
 import { carriedPoint } from "../../web/motion/grip.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
-import { Modes } from "../../web/motion/modes.js";
+import { Modes, modeSum } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
+import { shapesOfBones } from "../../web/motion/swing.js";
 import { vertexInWind } from "../../web/motion/vertex.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { widestGap } from "../../web/page/camera_circle.js";
@@ -495,6 +496,40 @@ test("the side that no photo shows is the widest gap of the circle, across its b
   assert.deepEqual(widestGap([60, 100, 130]), { from: 130, to: 420 });
   assert.deepEqual(widestGap([60]), { from: 60, to: 420 });
   assert.equal(widestGap([]), null);
+});
+
+/** A stem of two bones, the upper one of a vertex that hangs half on its parent. */
+const bent = () => ({
+  turn_parent: Int32Array.from([-1, 0, 1]),
+  turn_foot_m: Float32Array.from([0, 0, 0, 0, 0, 0, 0.2, 0.1, 1.5]),
+  turn_direction: Float32Array.from([0, 0, 1, 0, 0, 1, 0, 0, 1]),
+  turn_scale_rad: Float32Array.from([2e-6, 3e-6]),
+  turn_shapes: Int16Array.from({ length: 36 }, (_, i) => (i < 12 ? 0 : ((i * 7919) % 6000) - 3000)),
+  turn_bone: Int32Array.from([1, 2, 2]),
+  turn_share: Float32Array.from([0, 0.5, 0]),
+  vertices: Float32Array.from([0.1, 0, 0.7, 0.3, 0.2, 1.9, -0.2, 0.4, 3]),
+});
+
+test("shapes out of bones are what small turns of the bones do", () => {
+  const surface = bent();
+  const { shapes, scale_m } = shapesOfBones(surface);
+  const q = [0.8, 0, 0.5, -0.6];
+  for (const v of [0, 1, 2]) {
+    const exact = vertexInWind({ surface }, v, q, 0);
+    assert.ok(distance(exact, [0, 0, 0]) > 0.0002, "it moves");
+    assert.ok(distance(modeSum(shapes, scale_m, v, q), exact) < 0.02 * distance(exact, [0, 0, 0]), `${v}`);
+  }
+});
+
+test("voxels without shapes move as the vertex in them, or as the nearest one", () => {
+  const surface = { ...bent(), ...shapesOfBones(bent()) };
+  const modes = Object.assign(Object.create(Modes.prototype), { V: 2, K: 2, voxelSize: 0.5, origin: [-1, -1, 0] });
+  modes.coords = Int16Array.from([2, 2, 3, 2, 2, 0]); // the second vertex lies in the first voxel
+  modes.centres = Float32Array.from(modes.coords, (step, i) => modes.origin[i % 3] + (step + 0.5) * modes.voxelSize);
+  modes.hangOn(surface);
+  const q = [1, 0, 0.3, -0.8];
+  assert.deepEqual(modes.voxelAt(0, q), modeSum(surface.shapes, surface.scale_m, 1, q));
+  assert.deepEqual(modes.voxelAt(1, q), modeSum(surface.shapes, surface.scale_m, 0, q));
 });
 
 // ---- names, sizes, first bytes, gusts

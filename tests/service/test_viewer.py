@@ -32,7 +32,7 @@ from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
 from service.local.serve import Announcer
-from service.routes import pages, surface
+from service.routes import modes, pages, surface
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
@@ -288,6 +288,20 @@ def test_a_large_surface_hangs_on_the_voxels(
     near = spectrum.grid.centres_m[tensors["tie_rows"][:, 0]] - tensors["vertices"]
     assert np.linalg.norm(near, axis=1).max() <= np.sqrt(0.75) * spectrum.grid.voxel_size_m * 1.001
     assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
+
+
+def test_mode_shapes_are_left_out_where_bones_say_the_same(
+    client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tensors(kind: str, shapes: str) -> dict[str, np.ndarray]:
+        return load(client.get(f"/v1/spectra/{spectrum_id}/{kind}", params={"shapes": shapes}).content)
+
+    assert tensors("surface", "true").keys() - tensors("surface", "false").keys() == {"shapes"}
+    assert tensors("modes", "true").keys() - tensors("modes", "false").keys() == {"shapes", "lean_m"}
+    for module in (surface, modes):
+        monkeypatch.setattr(module, "MAX_OWN_SHAPES", 10)
+    assert "shapes" in tensors("modes", "false"), "a large surface has no bones"
+    assert "tie_rows" in tensors("surface", "false")
 
 
 @pytest.mark.parametrize("kind", ["surface", "modes"])

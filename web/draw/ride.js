@@ -1,5 +1,6 @@
 // How a splat's Gaussians ride on its mesh: with the bones of the page's surface where it has them, so that they bend.
 
+import { nearest } from "../motion/vectors.js";
 import { vertexInWind } from "../motion/vertex.js";
 import { ownRide } from "./splat.js";
 
@@ -36,7 +37,7 @@ function carriersOf(splat, surface, modes, rows) {
   rows.forEach((row, v) => {
     if (row >= 0) setCarrier(carriers, v, surface, row);
     else {
-      carriers[8 * v] = modes.bone_of_voxel[nearest(splat.vertices.subarray(3 * v, 3 * v + 3), modes)];
+      carriers[8 * v] = modes.bone_of_voxel[nearest(modes.centres, splat.vertices.subarray(3 * v, 3 * v + 3))];
       carriers[8 * v + 4] = 1;
     }
   });
@@ -48,15 +49,4 @@ function setCarrier(carriers, v, { bone_rows, bone_weights }, row) {
     carriers[8 * v + i] = bone_rows[4 * row + i];
     carriers[8 * v + 4 + i] = bone_weights[4 * row + i] / 255;
   }
-}
-
-function nearest(point, { centres, V }) {
-  let best = 0;
-  let least = Infinity;
-  for (let v = 0; v < V; v++) {
-    const far =
-      (centres[3 * v] - point[0]) ** 2 + (centres[3 * v + 1] - point[1]) ** 2 + (centres[3 * v + 2] - point[2]) ** 2;
-    if (far < least) [best, least] = [v, far];
-  }
-  return best;
 }

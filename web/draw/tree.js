@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { carried, largestSwing } from "../motion/modes.js";
+import { shapesOfBones } from "../motion/swing.js";
 import { fieldOf } from "./bone_field.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
@@ -77,6 +78,10 @@ export class Tree {
   setModes(modes) {
     this.modes = modes;
     const { surface } = this;
+    if (!modes.shapes) {
+      Object.assign(surface, shapesOfBones(surface));
+      modes.hangOn(surface);
+    }
     this.poses = new PoseTexture(modes.B);
     this.uniforms.poses.value = this.poses.texture;
     if (surface?.shapes || surface?.turn_parent) this.field = fieldOf(surface, modes);

@@ -2,7 +2,7 @@
 
 import { bonesOfGaussian, gaussianInWind } from "./gaussian.js";
 import { carried } from "./modes.js";
-import { plus, rowOf } from "./vectors.js";
+import { nearest, plus, rowOf } from "./vectors.js";
 import { vertexInWind } from "./vertex.js";
 
 /** The place to pull at a voxel of a Tree. */
@@ -76,15 +76,4 @@ export function carriedPoint(poses, { bones, weights }, point) {
     },
     point.map((x) => left * x),
   );
-}
-
-/** Row of the nearest of points [3N], among those that `isOne(row)`. */
-function nearest(points, to, isOne = (_row) => true) {
-  const [x, y, z] = to;
-  let [best, least] = [null, Infinity];
-  for (let i = 0; i < points.length / 3; i++) {
-    const distance = (points[3 * i] - x) ** 2 + (points[3 * i + 1] - y) ** 2 + (points[3 * i + 2] - z) ** 2;
-    if (distance < least && isOne(i)) [best, least] = [i, distance];
-  }
-  return best;
 }

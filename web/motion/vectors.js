@@ -8,6 +8,17 @@ export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * 
 export const length = (a) => Math.sqrt(dot(a, a));
 export const rowOf = (values, i) => [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
 
+/** Row of the nearest of points [3N], among those that `isOne(row)`; null where there is none. */
+export function nearest(points, to, isOne = (_row) => true) {
+  const [x, y, z] = to;
+  let [best, least] = [null, Infinity];
+  for (let i = 0; i < points.length / 3; i++) {
+    const distance = (points[3 * i] - x) ** 2 + (points[3 * i + 1] - y) ** 2 + (points[3 * i + 2] - z) ** 2;
+    if (distance < least && isOne(i)) [best, least] = [i, distance];
+  }
+  return best;
+}
+
 const unit = (v) => scaled(v, 1 / length(v));
 
 /** Axes of a plane through two directions: along the first, across it in the plane, and the normal. */

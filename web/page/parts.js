@@ -5,6 +5,7 @@ import { localSource } from "../motion/local.js";
 import { Modes } from "../motion/modes.js";
 import { bytesOf } from "./example.js";
 
+const SMALL = "shapes=false"; // the bones of the surface say the same
 const NAMES = ["surface", "modes", "splat"];
 const READABLE = /^\/v1\/(spectra|artifacts)\/[0-9A-Z]{26}(\/surface|\/modes)?(\?[\w=&-]*)?$/;
 
@@ -13,16 +14,21 @@ export async function partsOf(client, job) {
   const spectrum = `/v1/spectra/${job.result.spectrum_id}`;
   const artifacts = await client.artifacts(job.id);
   const splat = artifacts.find(({ name }) => name === "tree.animated-splat.safetensors");
-  return { surface: `${spectrum}/surface`, modes: `${spectrum}/modes`, ...(splat && { splat: splat.url }) };
+  const motion = { surface: `${spectrum}/surface?${SMALL}`, modes: `${spectrum}/modes?${SMALL}` };
+  return { ...motion, ...(splat && { splat: splat.url }) };
 }
 
 /** The same paths, each with a signature that opens it without a key, where the service wants one. */
 export async function signedParts(client, parts, expires_s) {
-  const links = await Promise.all(
-    Object.entries(parts).map(async ([name, path]) => [name, await client.link(path, expires_s)]),
-  );
-  const ends = links.map(([, { expires_at }]) => expires_at).filter(Boolean);
-  return { parts: Object.fromEntries(links.map(([name, { url }]) => [name, url])), expires_at: ends[0] ?? null };
+  const sign = async ([name, path]) => {
+    const [file, query] = path.split("?"); // a signature is the path's
+    const { url, expires_at } = await client.link(file, expires_s);
+    const whole = query ? `${url}${url.includes("?") ? "&" : "?"}${query}` : url;
+    return { name, url: whole, expires_at };
+  };
+  const links = await Promise.all(Object.entries(parts).map(sign));
+  const ends = links.map(({ expires_at }) => expires_at).filter(Boolean);
+  return { parts: Object.fromEntries(links.map(({ name, url }) => [name, url])), expires_at: ends[0] ?? null };
 }
 
 /** The parts that a fragment names; null where it names none, or other addresses than those of trees. */

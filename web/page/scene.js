@@ -155,8 +155,8 @@ export class Scene {
     const id = job.result.spectrum_id;
     const [spectrum, modes, surface] = await Promise.all([
       this.client.spectrum(id),
-      this.client.modes(id, { signal }),
-      this.client.surface(id, { signal }),
+      this.client.modes(id, { signal, shapes: false }),
+      this.client.surface(id, { signal, shapes: false }),
     ]);
     const read = await readSurface(surface);
     if (signal.aborted) return;
@@ -169,9 +169,10 @@ export class Scene {
 
   /** Another motion of the tree on the stage, from its spectrum: `{ id, field, bands, wind }`; `wind()` asks for its endless wind. */
   async otherMotion(id, signal) {
-    const [spectrum, surface] = await Promise.all([this.client.spectrum(id), this.client.surface(id, { signal })]);
+    const options = { signal, shapes: false };
+    const [spectrum, surface] = await Promise.all([this.client.spectrum(id), this.client.surface(id, options)]);
     const { tensors } = readTensors(surface);
-    const modes = tensors.shapes ? null : new Modes(await this.client.modes(id, { signal }));
+    const modes = tensors.turn_parent ? null : new Modes(await this.client.modes(id, { signal }));
     const wind = () => this.client.wind(id, { seed: OTHER_WIND });
     return { id, field: fieldOf(tensors, modes), bands: spectrum.wind_bands, wind };
   }
