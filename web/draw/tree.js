@@ -2,13 +2,12 @@
 
 import * as THREE from "three";
 import { carried, largestSwing } from "../motion/modes.js";
-import { shapesOfBones } from "../motion/swing.js";
+import { hang } from "../motion/swing.js";
 import { fieldOf } from "./bone_field.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
 import { PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
-import { topVoxel } from "./pick.js";
 import { LEAST } from "./resolution.js";
 import { leavesItsShadow } from "./shadow.js";
 import { nearBox } from "./surface.js";
@@ -35,11 +34,6 @@ export class Tree {
 
   get usesNearVoxels() {
     return Boolean(this.surface?.tie_rows);
-  }
-
-  /** The voxel that stands highest. */
-  get top() {
-    return topVoxel(this.modes);
   }
 
   // ---- what it consists of
@@ -78,10 +72,7 @@ export class Tree {
   setModes(modes) {
     this.modes = modes;
     const { surface } = this;
-    if (!modes.shapes) {
-      Object.assign(surface, shapesOfBones(surface));
-      modes.hangOn(surface);
-    }
+    if (!modes.shapes) hang(modes, surface);
     this.poses = new PoseTexture(modes.B);
     this.uniforms.poses.value = this.poses.texture;
     if (surface?.shapes || surface?.turn_parent) this.field = fieldOf(surface, modes);

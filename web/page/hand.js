@@ -1,7 +1,7 @@
 // The pointer on the tree: pull a branch or two, let go. The response comes back over the client's Push.
 
 import * as THREE from "three";
-import { pickVoxel } from "../draw/pick.js";
+import { pickVoxel, topVoxel } from "../draw/pick.js";
 import { gripNow } from "../motion/grip.js";
 import { Pull } from "./pull.js";
 
@@ -70,7 +70,7 @@ export class Hand {
     const right = new THREE.Vector3().setFromMatrixColumn(this.stage.camera.matrixWorld, 0);
     right.multiplyScalar(KNOCK.share * this.stage.height);
     const pull = this._free();
-    pull.push.drag({ voxel: this.tree.top }, right.toArray());
+    pull.push.drag({ voxel: topVoxel(this.tree.modes) }, right.toArray());
     setTimeout(() => this.pulls.includes(pull) && !pull.grip && pull.push.release(), KNOCK.seconds * 1000);
   }
 
