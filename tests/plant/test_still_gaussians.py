@@ -13,6 +13,7 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cl
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.cloud import joined as joined_clouds
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, with_still_parts
@@ -55,11 +56,7 @@ def scattered(radius: float, count: int, centre: list[float]) -> GaussianCloud:
 
 def joined(*clouds: GaussianCloud) -> tuple[GaussianCloud, np.ndarray]:
     """One cloud, and which of them each Gaussian is from."""
-    parts = {
-        name: np.concatenate([getattr(cloud, name) for cloud in clouds])
-        for name in ("means", "quaternions", "scales", "opacity", "sh")
-    }
-    return GaussianCloud(**parts), np.repeat(np.arange(len(clouds)), [cloud.num_gaussians for cloud in clouds])
+    return joined_clouds(clouds), np.repeat(np.arange(len(clouds)), [cloud.num_gaussians for cloud in clouds])
 
 
 def splat_of(*meshes: TriangleMesh) -> GaussianCloud:
