@@ -53,7 +53,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "inputs").mkdir(parents=True)
     try:
-        attempt = _Attempt(runtime=runtime, watch=watch, folder=folder, asset=read_asset(runtime.store, job.asset_id))
+        attempt = Attempt(runtime=runtime, watch=watch, folder=folder, asset=read_asset(runtime.store, job.asset_id))
         attempt.fetch()
         for stage in job.stages:
             watch.check()
@@ -90,7 +90,7 @@ def model_sha256(preset: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Attempt:
+class Attempt:
     """One attempt of a job: what its stages have so far."""
 
     runtime: Runtime
@@ -181,7 +181,7 @@ class _Attempt:
             source_sha256="" if self.asset.kind == "photos" else self.asset.parts[0].sha256,
             photos=tuple(self.photos),
             report=partial(self.watch.report, stage),
-            recall=partial(self._recall, stage, own),
+            recall=partial(self.recall, stage, own),
             publish=lambda path: self._offer(stage, self._stored(path)),
         )
         try:
@@ -198,7 +198,7 @@ class _Attempt:
         retention_s = self.runtime.settings.artifact_retention_s
         offer(self.runtime.store, self.watch.claimed, stage, files, retention_s=retention_s)
 
-    def _recall(self, stage: JobType, folder: Path, name: str, make: Callable[[Path], None]) -> Path:
+    def recall(self, stage: JobType, folder: Path, name: str, make: Callable[[Path], None]) -> Path:
         """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
         path = folder / f".{name}"
         learned = name == "reconstruction"

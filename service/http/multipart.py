@@ -1,6 +1,5 @@
 """Stream multipart/form-data to files on disk and hash them; no part is ever whole in memory."""
 
-import asyncio
 import re
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
@@ -16,8 +15,8 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 
 from dynamictree.photo_requests import MAX_PHOTOS
 from service.http.problems import ProblemError
+from service.uploads.batches import write_in_batches
 
-BATCH_BYTES = 1024**2
 MAX_FILES = 2 * MAX_PHOTOS + 40
 """Of one asset, however it is sent: photos, a mask for each, and the files of known cameras."""
 
@@ -60,7 +59,7 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
     receiver = _Receiver(folder)
     parser = MultipartParser(options[b"boundary"], receiver.callbacks())
     try:
-        await _feed(parser, body)
+        await write_in_batches(body, lambda batch: parser.write(b"".join(batch)))
         parser.finalize()
     except FormParserError as error:
         raise ProblemError("bad-request", f"the multipart body is broken: {error}") from error
@@ -69,27 +68,6 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
     if not receiver.ended:
         raise ProblemError("bad-request", "the multipart body ends before its last boundary; send it whole")
     return receiver.form
-
-
-async def _feed(parser: MultipartParser, body: AsyncIterator[bytes]) -> None:
-    """Parse, write and hash one batch in a thread while the next one is received."""
-    loop = asyncio.get_running_loop()
-    working: asyncio.Future[int] | None = None
-    batch: list[bytes] = []
-    unwritten = 0
-    try:
-        async for chunk in body:
-            batch.append(chunk)
-            unwritten += len(chunk)
-            if unwritten >= BATCH_BYTES:
-                if working is not None:
-                    await working
-                working = loop.run_in_executor(None, parser.write, b"".join(batch))
-                batch, unwritten = [], 0
-    finally:
-        if working is not None:
-            await working
-    await loop.run_in_executor(None, parser.write, b"".join(batch))
 
 
 class _Receiver:

@@ -5,7 +5,7 @@ from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response, status
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.concurrency import run_in_threadpool
 
 from jobs.states import JobState, JobType
@@ -91,6 +91,14 @@ class JobFilter(BaseModel):
     external_id: str | None = Field(None, max_length=128, description="only jobs that you named so")
     since: datetime | None = Field(None, description="only jobs created at this time or later")
     cursor: Cursor = None
+
+    @field_validator("since", mode="before")
+    @classmethod
+    def _is_a_time(cls, value: object) -> object:
+        if isinstance(value, str) and value.replace(".", "").lstrip("-").isdecimal():
+            raise ValueError("since is a time as RFC 3339 writes it, such as 2026-11-25T18:00:00Z; seconds were sent")
+        return value
+
     limit: int = Field(20, ge=1, le=MAX_PAGE, description="jobs a page")
 
 

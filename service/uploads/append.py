@@ -16,9 +16,7 @@ from jobs.storage.uploads import UploadRecord, change_upload, upload
 from jobs.store import Store, new_id
 from service.http.problems import ProblemError
 from service.services import Owned
-
-BATCH_BYTES = 4 * 1024**2
-"""So much is handed to a thread at once; two batches at most are in memory."""
+from service.uploads.batches import write_in_batches
 
 LOOK_S = 0.5
 """How often a request asks whether a newer one has taken the upload over."""
@@ -38,7 +36,10 @@ async def append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes],
     writer = await _open(parts, record.id, offset)
     try:
         async with _while_ours(owned.store, parts, record.id, token):
-            return await _write_all(owned, record, writer, body, offset)
+            try:
+                return offset + await write_in_batches(_checked(owned, record, body, offset), writer.write)
+            finally:
+                await asyncio.shield(run_in_threadpool(writer.keep))
     except ClientDisconnect:
         raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
     except OSError as error:
@@ -117,42 +118,18 @@ def _clear_deleted(store: Store, parts: PartStore, upload_id: str) -> None:
         parts.delete(upload_id)
 
 
-async def _write_all(
-    owned: Owned, record: UploadRecord, writer: PartWriter, body: AsyncIterator[bytes], offset: int
-) -> int:
-    """Write one batch in a thread while the next one comes in; whatever ends the body, received bytes stay."""
+async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> AsyncIterator[bytes]:
+    """The body, as long as it is no longer than what was announced."""
     assert record.length is not None
-    length = record.length
-    batch: list[bytes] = []
-    unwritten, size = 0, offset
-    loop = asyncio.get_running_loop()
-    writing: asyncio.Future[None] | None = None
-
-    async def close() -> None:
-        if writing is not None:
-            await writing
-        if batch and size + unwritten <= length:
-            await loop.run_in_executor(None, writer.write, batch)
-        await loop.run_in_executor(None, writer.keep)
-
-    try:
-        async for chunk in body:
-            if chunk and not (size or unwritten):
-                await run_in_threadpool(_stay, owned, record)
-            unwritten += len(chunk)
-            if size + unwritten > length:
-                detail = f"the upload has {length:,} bytes as announced, and more were sent"
-                raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
-            batch.append(chunk)
-            if unwritten < BATCH_BYTES:
-                continue
-            if writing is not None:
-                await asyncio.shield(writing)  # a thread cannot be cancelled: whoever closes the file waits for it
-            writing = loop.run_in_executor(None, writer.write, batch)
-            batch, size, unwritten = [], size + unwritten, 0
-        return size + unwritten
-    finally:
-        await asyncio.shield(close())
+    size = offset
+    async for chunk in body:
+        if chunk and not size:
+            await run_in_threadpool(_stay, owned, record)
+        size += len(chunk)
+        if size > record.length:
+            detail = f"the upload has {record.length:,} bytes as announced, and more were sent"
+            raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
+        yield chunk
 
 
 def _stay(owned: Owned, record: UploadRecord) -> None:

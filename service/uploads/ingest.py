@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
@@ -21,6 +21,7 @@ from service.http.caller import Caller
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.services import Owned, Services
+from service.uploads.batches import write_in_batches
 from service.uploads.intake import FIELDS, admit, sort_out
 from service.uploads.quota import require_bytes, require_room
 
@@ -32,7 +33,6 @@ BYTES_ALLOWED = "bytes_allowed"
 LEASE_S = 60.0
 LOOK_S = 5.0
 CHUNK_BYTES = 1024**2
-BATCH_BYTES = 4 * 1024**2
 
 
 async def make_asset(
@@ -185,24 +185,18 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     assert upload.source_url is not None
     await run_in_threadpool(owned.services.upload_parts.delete, upload.id)
     writer = await run_in_threadpool(owned.services.upload_parts.writer, upload.id, 0)
-    size, batch, unwritten = 0, [], 0
+
+    def write(batch: list[bytes]) -> None:
+        _require_place(owned, sum(map(len, batch)))
+        writer.write(batch)
+
     try:
         async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
             await run_in_threadpool(_require_place, owned, _bytes_of(response.headers.get("content-length", "0")))
-            async for chunk in response.aiter_raw(CHUNK_BYTES):
-                size, unwritten = size + len(chunk), unwritten + len(chunk)
-                if size > settings.max_upload_bytes:
-                    allowed = f"at most {settings.max_upload_bytes:,} are allowed"
-                    raise ProblemError("payload-too-large", f"the file has more bytes than allowed; {allowed}")
-                batch.append(chunk)
-                if unwritten >= BATCH_BYTES:
-                    await run_in_threadpool(_require_place, owned, unwritten)
-                    await run_in_threadpool(writer.write, batch)
-                    batch, unwritten = [], 0
-        if batch:
-            await run_in_threadpool(writer.write, batch)
+            body = _bounded(response.aiter_raw(CHUNK_BYTES), settings.max_upload_bytes)
+            size = await write_in_batches(body, write)
     except TimeoutError as error:
         raise OutboundError(f"the file did not come within {settings.fetch_time_s:g} s") from error
     finally:
@@ -210,6 +204,15 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     return await run_in_threadpool(
         change_upload, owned.store, upload.id, was=("fetching",), state="received", length=size, received=size
     )
+
+
+async def _bounded(body: AsyncIterator[bytes], allowed: int) -> AsyncIterator[bytes]:
+    size = 0
+    async for chunk in body:
+        size += len(chunk)
+        if size > allowed:
+            raise ProblemError("payload-too-large", f"the file has more than the {allowed:,} bytes that are allowed")
+        yield chunk
 
 
 def _bytes_of(length: str) -> int:

@@ -331,7 +331,7 @@ def multi_file_gltf() -> dict[str, bytes]:
 @pytest.mark.parametrize("top", ["", "maple tree/"])
 def test_a_gltf_of_several_files_is_taken_as_a_zip(client: TestClient, services: Services, top: str) -> None:
     archive = zipped(*((top + name, content) for name, content in multi_file_gltf().items()))
-    response = send(client, ("tree.zip", archive))
+    response = send(client, ("tree.zip", archive), unit_m="1")  # else a cube of one unit is doubted
     assert response.status_code == 201, response.text
     assert response.json()["summary"]["warnings"] == []
 
@@ -339,7 +339,7 @@ def test_a_gltf_of_several_files_is_taken_as_a_zip(client: TestClient, services:
 @pytest.mark.parametrize("whole_paths", [True, False])
 def test_a_gltf_of_several_files_is_taken_as_several_parts(client: TestClient, whole_paths: bool) -> None:
     files = [(name if whole_paths else name.rpartition("/")[2], c) for name, c in multi_file_gltf().items()]
-    response = send(client, *files)
+    response = send(client, *files, unit_m="1")
     assert response.status_code == 201, response.text
     assert response.json()["summary"]["warnings"] == []
 
@@ -347,7 +347,7 @@ def test_a_gltf_of_several_files_is_taken_as_several_parts(client: TestClient, w
 def test_a_texture_that_was_not_sent_is_a_warning(client: TestClient) -> None:
     files = multi_file_gltf()
     del files["textures/bark.png"]
-    response = send(client, *files.items())
+    response = send(client, *files.items(), unit_m="1")
     assert response.status_code == 201, response.text
     (warning,) = response.json()["summary"]["warnings"]
     assert warning["code"] == "texture-missing"

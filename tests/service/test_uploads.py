@@ -12,6 +12,7 @@ from service.http.caller import ANYONE
 from service.http.problems import ProblemError
 from service.services import Services
 from service.uploads import append as append_module
+from service.uploads import batches
 from service.uploads.append import append as append_body
 from tests.service.test_assets import MTL, OBJ, left_behind, zipped
 from tests.service.tus import BYTES, TUS, append, begin, metadata, whole
@@ -139,7 +140,7 @@ def test_a_newer_request_takes_an_upload_over(
 ) -> None:
     """Whichever replica it reaches: the older one stores its bytes and ends, though its client sends on."""
     monkeypatch.setattr(append_module, "LOOK_S", 0.02)
-    monkeypatch.setattr(append_module, "BATCH_BYTES", 4)
+    monkeypatch.setattr(batches, "BATCH_BYTES", 4)
     owned = services.owned_by(ANYONE)
     record = upload(services.store, begin(client, 80).rpartition("/")[2])
 

@@ -23,7 +23,7 @@ from tests.reconstruct.conftest import Orbit, orbit  # noqa: F401
 from tests.reconstruct.test_given import write_transforms
 from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
-from worker.attempt import _prepared_sources, _recall, run_stages
+from worker.attempt import Attempt, run_stages
 from worker.cancellation import Watch
 from worker.half_done import alone_in, discard, half_done_folder
 from worker.runtime import Runtime
@@ -139,7 +139,9 @@ def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: Asse
         folder = tmp_path / job.id
         folder.mkdir()
         watching = watch(runtime, hold(runtime, job))
-        path = _recall(runtime, watching, "reconstruct", folder, _prepared_sources(film), "reconstruction", make)
+        attempt = Attempt(runtime=runtime, watch=watching, folder=folder, asset=film)
+        attempt.fetch()
+        path = attempt.recall("reconstruct", folder, "reconstruction", make)
         assert path.read_bytes() == b"learned"
         done.append(job.id)
 

@@ -21,7 +21,7 @@ from tests.reconstruct.finished import BOX, NUM_STEM, write_finished
 from tests.reconstruct.planted import potted, stroke_across, write_planted
 from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
-from worker.attempt import _prepared_sources, _recall, run_stages
+from worker.attempt import Attempt, run_stages
 from worker.runtime import Runtime
 
 
@@ -44,8 +44,9 @@ def reconstruct_job(runtime: Runtime, photos: AssetRecord, **params: object) -> 
 def remember(runtime: Runtime, photos: AssetRecord, job: JobRecord, folder: Path) -> AssetRecord:
     """As if the job had learned what is in the folder `finished`."""
     watching = watch(runtime, hold(runtime, job))
-    recall = partial(_recall, runtime, watching, "reconstruct", folder, _prepared_sources(photos))
-    recall("reconstruction", partial(pack, folder / "finished"))
+    attempt = Attempt(runtime=runtime, watch=watching, folder=folder, asset=photos)
+    attempt.fetch()
+    attempt.recall("reconstruct", folder, "reconstruction", partial(pack, folder / "finished"))
     return photos
 
 
