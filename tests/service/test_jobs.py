@@ -190,6 +190,8 @@ def test_the_list_is_paged_by_cursor_and_filtered(client: TestClient, asset: Ass
     assert seen == ids
     assert [job["id"] for job in client.get("/v1/jobs?state=canceled").json()["data"]] == ids[:1]
     assert client.get("/v1/jobs?type=animate").json()["data"] == []
+    refused = client.get("/v1/jobs?since=0.5")
+    assert (refused.status_code, refused.json()["errors"][0]["pointer"]) == (422, "query:since")
 
 
 @pytest.mark.parametrize(
