@@ -13,7 +13,7 @@ from jaxtyping import Complex64, Float32, UInt8
 from PIL import Image
 from torch import Tensor
 
-from dynamictree.mesh import Surface
+from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.spectrum import NUM_FRAMES, iter_motion
 
@@ -58,7 +58,7 @@ def frame_distances(embedder: ImageEmbedder, view: Picture, frames: Iterable[Pic
 
 def motion_distances(
     embedder: ImageEmbedder,
-    mesh: Surface,
+    mesh: TriangleMesh,
     coefficients: Complex64[np.ndarray, "N K 3"],
     *,
     num_frames: int = NUM_FRAMES,

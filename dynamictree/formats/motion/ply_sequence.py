@@ -7,11 +7,11 @@ from jaxtyping import Float32
 
 from dynamictree.formats.mesh.ply_writer import ply_faces, ply_head, ply_vertices
 from dynamictree.formats.stored_zip import iter_stored_zip
-from dynamictree.mesh import Surface
+from dynamictree.mesh import TriangleMesh
 
 
 def iter_ply_sequence_zip(
-    mesh: Surface, frames: Iterable[Float32[np.ndarray, "N 3"]], *, first_number: int = 0
+    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], *, first_number: int = 0
 ) -> Iterator[bytes]:
     """Chunks of the archive; `frames` are displacements [m] and are asked for one by one.
 
