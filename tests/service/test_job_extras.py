@@ -1,4 +1,4 @@
-"""Waiting for a job, batches, logs, priorities, time left, webhook endpoints, addresses: what goes round a job."""
+"""Waiting for a job, logs, priorities, time left, webhook endpoints, addresses: what goes round a job."""
 
 import threading
 import time
