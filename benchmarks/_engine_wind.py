@@ -38,8 +38,8 @@ class EngineWind:
         half = half_turns(theta, self.direction, wind_turn)
         moved = feet(half, self.foot_m, self.parent)[self.bone]
         share, arm = self.parent_share[:, None], self.vertices - self.foot_m[self.bone]
-        own = (1 - share) * half[self.bone] + share * half[np.maximum(self.parent, 0)[self.bone]]
-        return np.asarray(moved + turned(own, arm) - arm)
+        by_parent = turned(half[np.maximum(self.parent, 0)[self.bone]], arm)
+        return np.asarray(moved + (1 - share) * turned(half[self.bone], arm) + share * by_parent - arm)
 
 
 def read_engine_wind(archive: zipfile.ZipFile) -> EngineWind:

@@ -8,7 +8,6 @@ import numpy as np
 
 from benchmarks._machine import machine
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
-from dynamictree.devoxelize.length_preserving import preserve_lengths
 from dynamictree.devoxelize.nearest import nearest
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import edges_of
@@ -47,10 +46,6 @@ def run() -> dict[str, object]:
                     back = interpolation.apply(voxels.reshape(-1, count, 3))
                     name = f"{resolution}, {way}, K={count}"
                     tables.setdefault(name, []).append(_row(back, truth, sample.mesh.vertices, edges))
-                    if way == "smooth" and count == 16:
-                        preserved = preserve_lengths(sample.mesh, back, grid.voxel_size_m)
-                        name = f"{resolution}, smooth and held, K=16"
-                        tables.setdefault(name, []).append(_row(preserved, truth, sample.mesh.vertices, edges))
     return {
         "value": {
             name: {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}

@@ -1,27 +1,23 @@
 """How much a motion that the model makes for a storm stretches edges and leaf cards, tree by tree.
 
-99th percentiles in per cent over a loop of the motion: of frames as `vat`, `usd` and films have them, of the
-frequencies of these frames at the keys of a `glb` and halfway between, and of the voxels' frequencies added, as
-`/interact` does.
+99th percentiles in per cent over a loop of the motion: of frames as every product has them, and of a sum of the frames'
+K frequencies, as `glb-morph` has them.
 """
-
-from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from benchmarks._machine import machine
 from benchmarks._stretch import Sizes, trees
 from dynamictree import method
-from dynamictree.devoxelize.length_preserving import ignore_progress
-from dynamictree.export.vertex_motion import MotionSource
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.turn_skeleton import turn_skeleton
 from dynamictree.requests import Wind
+from dynamictree.rig.rig import rig_of
+from dynamictree.rig.surface_skeleton import surface_bones
 from dynamictree.spectrum import iter_motion
 
 SPEEDS_M_S = (20.0, 30.0)
 LOOP_FRAMES = 24
-TARGET_PERCENT = 2.0
+TARGET_PERCENT = 1.0
 
 
 def run() -> dict[str, object]:
@@ -37,28 +33,14 @@ def run() -> dict[str, object]:
 
 def _stretch(mesh: TriangleMesh, speed_m_s: float) -> dict[str, float]:
     spectrum = method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=speed_m_s), seed=0)
-    source = MotionSource(mesh=mesh, spectrum=spectrum)
-    motion = source.motion(ignore_progress)
+    rig = rig_of(mesh, spectrum)
     phases = np.arange(LOOP_FRAMES) / LOOP_FRAMES
-    linear = iter_motion(motion.linear, phases, spectrum.num_frames)
-    again = iter_motion(motion.coefficients, phases, spectrum.num_frames)
-    frames = again if motion.bent is None else source.pose(motion).iter_poses(again)
-    sizes = Sizes.of(mesh, turn_skeleton(mesh, spectrum.grid).in_card)
-    kinds: dict[str, Iterable[np.ndarray]] = {
-        "frames": frames,
-        "glb": _keyed(motion.loop, spectrum.num_frames),
-        "added": linear,
+    sizes = Sizes.of(mesh, surface_bones(mesh, spectrum.grid).in_card)
+    kinds = {
+        "frames": (rig.displacement(theta, mesh.vertices, rig.vertices) for theta in rig.theta(phases)),
+        "added": iter_motion(rig.loop(mesh.vertices, rig.vertices), phases, spectrum.num_frames),
     }
-    row = {"glb_targets": 2 * motion.loop.shape[1] - 1.0}
-    for kind, motion_of_kind in kinds.items():
-        row[f"{kind}_edges"], row[f"{kind}_cards"] = sizes.growth_percent(motion_of_kind)
+    row = {}
+    for kind, motion in kinds.items():
+        row[f"{kind}_edges"], row[f"{kind}_cards"] = sizes.growth_percent(motion)
     return row
-
-
-def _keyed(loop: np.ndarray, num_frames: int) -> Iterator[np.ndarray]:
-    """What a player shows of linear keys: LOOP_FRAMES of them, and the middles to the next."""
-    first = np.arange(LOOP_FRAMES) * num_frames // LOOP_FRAMES
-    keys = (iter_motion(loop, (first + step) / num_frames, num_frames) for step in (0, 1))
-    for key, following in zip(*keys, strict=True):
-        yield key.copy()
-        yield (key + following) / 2

@@ -1,8 +1,8 @@
 """The method on one page: from the shape of a tree to its motion. Paper figure 2, left to right.
 
-    mesh ──voxelize──▶ voxels ──generate──▶ spectrum ──devoxelize──▶ spectrum of each vertex ──displace──▶ moving mesh
-                                                                                                  │
-    splat ──bind──▶ each Gaussian on its nearest face ──────────────────────────deform────────────┴──▶ moving splat
+    mesh ──voxelize──▶ voxels ──generate──▶ spectrum ──rig──▶ bones that turn ──move──▶ moving mesh
+                                                                                   │
+    splat ──bind──▶ each Gaussian on its nearest face ──────────────────────────deform─┴──▶ moving splat
 
 A mesh is a `TriangleMesh` or an object of trimesh: in metres, with +Z up. Lengths are metres, times are seconds.
 Importing this module loads no torch; `generate` does.
@@ -11,18 +11,19 @@ Importing this module loads no torch; `generate` does.
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Complex64, Float32
 
-from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.devoxelize.nearest import nearest
 from dynamictree.gaussian.animate import iter_splat_frames
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh, triangle_mesh
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 
     from dynamictree.models import MotionModel
 
+Devoxelization = Literal["rig", "paper"]
+"""From voxels to vertices: by bones that turn, or the nearest voxel's displacement."""
+
 
 def animate(
     mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
@@ -40,12 +44,13 @@ def animate(
     seed: int = 0,
     model: str = "small",
     num_frames: int | None = None,
+    devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
     mesh = triangle_mesh(mesh)
     voxels = voxelize(mesh)
     spectrum = generate(voxels, wind=wind, seed=seed, model=model)
-    for displacement in displace(devoxelize(spectrum, mesh), spectrum, num_frames=num_frames):
+    for displacement in move(spectrum, mesh, num_frames=num_frames, devoxelization=devoxelization):
         yield mesh.vertices + displacement
 
 
@@ -59,8 +64,7 @@ def animate_splat(
     """Frames of a splat that moves with the mesh in it: the paper's output."""
     mesh = triangle_mesh(mesh)
     binding = bind(cloud, mesh)
-    motion = displace(devoxelize(spectrum, mesh), spectrum, num_frames=num_frames)
-    yield from iter_splat_frames(binding, motion)
+    yield from iter_splat_frames(binding, move(spectrum, mesh, num_frames=num_frames))
 
 
 def voxelize(
@@ -117,10 +121,42 @@ def generate(
 
 
 def devoxelize(
-    spectrum: SparseVoxelSpectrum, mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene"
+    spectrum: SparseVoxelSpectrum, mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", how: Devoxelization = "rig"
 ) -> Complex64[np.ndarray, "N K 3"]:
-    """Give each vertex its spectrum [m]: Dev(·) of paper eq. 1, smooth and without stretch."""
-    return length_preserving(spectrum.grid, triangle_mesh(mesh)).apply(spectrum.coefficients)
+    """Give each vertex its spectrum [m]: Dev(·) of paper eq. 1.
+
+    With "rig" that of the bones' loop, whose frames `rig_of(mesh, spectrum)` gives without stretch; with "paper" that
+    of the nearest voxel, eq. 1 to the letter, where neighbours tear apart.
+    """
+    mesh = triangle_mesh(mesh)
+    if how == "rig":
+        rig = rig_of(mesh, spectrum)
+        return rig.loop(mesh.vertices, rig.vertices)
+    moved: Complex64[np.ndarray, "N K 3"] = nearest(spectrum.grid, mesh.vertices).apply(spectrum.coefficients)
+    moved[mesh.still_vertices] = 0
+    return moved
+
+
+def move(
+    spectrum: SparseVoxelSpectrum,
+    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
+    *,
+    num_frames: int | None = None,
+    devoxelization: Devoxelization = "rig",
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """Displacement of each vertex over one loop, frame by frame [m], as every product has it.
+
+    `num_frames` are spread over the loop; by default there is one every 1/24 s. With the devoxelization "paper" the
+    nearest voxels' displacements are added.
+    """
+    mesh = triangle_mesh(mesh)
+    if devoxelization == "paper":
+        yield from displace(devoxelize(spectrum, mesh, "paper"), spectrum, num_frames=num_frames)
+        return
+    num_frames = spectrum.num_frames if num_frames is None else num_frames
+    rig = rig_of(mesh, spectrum)
+    for theta in rig.theta(np.arange(num_frames) / num_frames):
+        yield rig.displacement(theta, mesh.vertices, rig.vertices)
 
 
 def displace(

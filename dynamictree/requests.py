@@ -292,7 +292,9 @@ class ExportParams(Request):
         description="Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that "
         "is smaller, which needs a reader of EXT_texture_webp",
     )
-    joints: Joints = Field(default=64, description="Joints of glb-skinned and usd-skinned, at most")
+    joints: Joints | None = Field(
+        default=None, description="Joints of glb-skinned and usd-skinned, at most; all bones of the tree if unset"
+    )
     shot: Shot = Field(default_factory=Shot)
 
     @property

@@ -13,9 +13,10 @@ from PIL import Image
 
 from dynamictree import method
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
+from dynamictree.modal.turbulence import iter_turbulent_turns, turbulent_wind
 from dynamictree.render.picture import Look, Renderer
 from dynamictree.requests import Wind
+from dynamictree.rig.rig import rig_of
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 
@@ -34,10 +35,11 @@ def main() -> None:
         tree = grow_tree(replace(SPECIES[species], height_m=(height_m, height_m)), np.random.default_rng(GROWN_SEED))
         mesh = tree.mesh
         spectrum = method.generate(method.voxelize(mesh), wind=WIND, seed=SEED)
-        vertex_spectrum = method.devoxelize(spectrum, mesh)
+        rig = rig_of(mesh, spectrum)
         times_s = np.arange(FPS * DURATION_S) / FPS
         wind = turbulent_wind(spectrum, seed=SEED)
-        frames = iter_turbulent_motion(vertex_spectrum, wind, times_s, spectrum.num_frames)
+        turns = iter_turbulent_turns(rig, wind, times_s)
+        frames = (rig.displacement(theta, mesh.vertices, rig.vertices) for theta in turns)
         top = np.argsort(mesh.vertices[:, 2])[-max(round(TOP_SHARE * mesh.num_vertices), 1) :]
         highest: list[np.ndarray] = []
         slices.append(_lines(mesh, frames, top, highest))

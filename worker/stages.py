@@ -9,8 +9,8 @@ from typing import BinaryIO, TypeVar
 
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
+from dynamictree.export.stored_rig import Recall
 from dynamictree.export.table import PRODUCTS
-from dynamictree.export.vertex_motion import Recall
 from dynamictree.export.write import write_products
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES

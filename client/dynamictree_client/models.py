@@ -1011,6 +1011,6 @@ class AnimateParams(DiffuseParams):
     # Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that is smaller,
     # which needs a reader of EXT_texture_webp
     glb_textures: Literal["source", "webp"] = "source"
-    # Joints of glb-skinned and usd-skinned, at most
-    joints: Literal[32, 64, 256] = 64
+    # Joints of glb-skinned and usd-skinned, at most; all bones of the tree if unset
+    joints: Literal[32, 64, 256] | None = None
     shot: "Shot | None" = None

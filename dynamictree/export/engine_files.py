@@ -15,11 +15,13 @@ from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 
 if TYPE_CHECKING:
-    from dynamictree.modal.branch_groups import Capsule
+    from dynamictree.rig.branch_groups import Capsule
     from dynamictree.skin import Skin
 
 COVERAGE = (0.5, 0.25, 0.1, 0.04, 0.0)
 """Share of the screen's height below which the next level is shown."""
+ENGINE_JOINTS = 256
+"""Of the rig for engines that move joints themselves: what Unity, Unreal and Godot take in one skinned mesh."""
 
 
 def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
@@ -60,21 +62,15 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 
 def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """A skin whose joints lie in the branches, Unreal's wind groups of its joints, and collision capsules.
-
-    Raises:
-        InputError: the spectrum tells of no branches.
-    """
+    """A skin whose joints lie in the branches, Unreal's wind groups of its joints, and collision capsules."""
     from dynamictree.export.levels import wood_vertices
-    from dynamictree.modal.bones import bones_of
-    from dynamictree.modal.branch_groups import capsules
-    from dynamictree.modal.branch_skin import JOINT_VOXELS, branch_skin
-    from dynamictree.modal.system import modal_system
+    from dynamictree.rig.branch_groups import capsules
+    from dynamictree.rig.skin import reduced, skin_of
 
-    skin, summary = branch_skin(tree.spectrum, tree.mesh, tree.coefficients)
+    few = reduced(tree.rig, tree.mesh.vertices, ENGINE_JOINTS)
+    skin, summary = skin_of(tree.rig, tree.mesh.vertices, ENGINE_JOINTS)
     report(0.5)
-    bones = bones_of(modal_system(tree.spectrum), length_voxels=JOINT_VOXELS, one_root=True)
-    shapes = capsules(bones, skin, tree.mesh.vertices, wood_vertices(tree.mesh))
+    shapes = capsules(few, tree.mesh.vertices, wood_vertices(tree.mesh))
     rig, collision = io.BytesIO(), io.BytesIO()
     write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps)
     parts = {capsule.joint: _capsule_mesh(capsule) for capsule in shapes}
@@ -96,18 +92,13 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
         InputError: no texture holds the bones.
     """
     from dynamictree.export.engine_wind import iter_engine_wind_zip
-    from dynamictree.modal.branch_pivots import branch_pivots
     from dynamictree.modal.turbulence import turbulent_wind
-    from dynamictree.modal.turn_modes import turn_modes
-    from dynamictree.modal.turn_skeleton import turn_skeleton
+    from dynamictree.rig.branch_pivots import branch_pivots
 
-    pivots = branch_pivots(tree.spectrum, tree.mesh, tree.coefficients)
+    pivots = branch_pivots(tree.rig, tree.mesh.vertices)
     report(0.5)
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
-    num_frames = tree.spectrum.num_frames
-    skeleton = turn_skeleton(tree.mesh, tree.spectrum.grid)
-    bones = skeleton, turn_modes(skeleton, tree.mesh, tree.coefficients, num_frames)
-    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, bones, num_frames=num_frames))
+    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, tree.rig))
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:
@@ -115,7 +106,7 @@ def dynamic_wind(skin: "Skin") -> dict[str, object]:
 
     A group's influence is how far its joints bend in the motion, over the largest of all groups.
     """
-    from dynamictree.modal.branch_groups import bending_rad, branch_orders
+    from dynamictree.rig.branch_groups import bending_rad, branch_orders
 
     order, bending = branch_orders(skin.parent), bending_rad(skin)
     spread = {number: np.quantile(bending[order == number], [0.1, 0.5, 0.9]) for number in np.unique(order).tolist()}

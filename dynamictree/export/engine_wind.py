@@ -23,9 +23,10 @@ from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.branch_pivots import BranchPivots
 from dynamictree.modal.turbulence import TurbulentWind
-from dynamictree.modal.turn_skeleton import TurnSkeleton
+from dynamictree.rig.branch_pivots import BranchPivots
+from dynamictree.rig.pose import Skeleton
+from dynamictree.rig.rig import Rig
 from dynamictree.up_axis import up_rotation
 from dynamictree.wind_bands import DRAG_EXPONENT
 
@@ -72,24 +73,23 @@ def iter_engine_wind_zip(
     coefficients: Complex64[np.ndarray, "N K 3"],
     wind: TurbulentWind,
     pivots: BranchPivots,
-    bones: tuple[TurnSkeleton, Complex64[np.ndarray, "B K 3"]],
-    *,
-    num_frames: int,
+    rig: Rig,
 ) -> Iterator[bytes]:
-    """Chunks of the archive; `num_frames` is T of the spectrum, `bones` are a skeleton and its turn modes [rad].
+    """Chunks of the archive.
 
     Raises:
         InputError: no texture holds the bones.
     """
-    skeleton, turns = bones
-    parts = loop_parts(turns, num_frames).reshape(-1, len(turns), 3)
+    skeleton, turns = rig.skeleton, rig.turns
+    parts = loop_parts(turns, rig.num_frames).reshape(-1, len(turns), 3)
     texture = BoneTexture(
         layout=texture_layout(len(turns), len(parts) + _FIXED_PARTS),
         num_bones=len(turns),
         most_ancestors=int(skeleton.depths.max()),
         farthest_m=2 * float(np.linalg.norm(mesh.vertices, axis=1).max()),
     )
-    lookup = np.stack([(skeleton.bone + 0.5) / texture.num_bones, skeleton.parent_share], axis=1).astype(np.float32)
+    bone, of_parent = rig.vertices.rows[:, 0], rig.vertices.shares[:, 1]
+    lookup = np.stack([(bone + 0.5) / texture.num_bones, of_parent], axis=1).astype(np.float32)
     facts = {
         "format": "engine-wind",
         "version": VERSION,
@@ -115,7 +115,7 @@ def iter_engine_wind_zip(
     )
 
 
-def _picture(skeleton: TurnSkeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:
+def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:
     """All parts in glTF's axes; the parent is its place in a part, in [0, 1], and -1 without one."""
     y_up = up_rotation("+Y").astype(np.float32)  # from the right it turns +Z up into +Y up
     column, row = skeleton.parent % layout.width, skeleton.parent // layout.width

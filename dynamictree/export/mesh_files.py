@@ -2,7 +2,7 @@
 
 import io
 from dataclasses import asdict
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
@@ -10,9 +10,8 @@ from dynamictree.formats.gltf.motion import MorphOptions, MorphSummary, write_mo
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.requests import GlbCompression, GlbTextures
-
-if TYPE_CHECKING:
-    from dynamictree.skin import Skin, SkinSummary
+from dynamictree.rig.skin import skin_of
+from dynamictree.skin import Skin, SkinSummary
 
 REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
 
@@ -27,16 +26,14 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
     write_motion(tree.mesh, tree.frames(report), stream, num_frames=len(tree.phases), fps=tree.params.fps)
 
 
-def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | None:
-    """GLB with two morph targets per frequency: the exact loop. That of a storm has more frequencies."""
+def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
+    """GLB with two morph targets per frequency of the loop, of which a storm has more."""
     params = tree.params
-    summary = _write_glb(tree, stream, compression=params.glb_compression, textures=params.glb_textures)
-    inexact = params.normals or params.glb_compression != "none"
-    return asdict(summary) if inexact else None
+    return asdict(_write_glb(tree, stream, compression=params.glb_compression, textures=params.glb_textures))
 
 
 def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """HTML file that plays the exact loop from disk, without a server."""
+    """HTML file that plays the same loop from disk, without a server."""
     from dynamictree.formats.motion.html import write_html
 
     glb = io.BytesIO()
@@ -73,14 +70,15 @@ def _write_glb(
             compressed=compression == "meshopt",
             as_webp=textures == "webp",
         ),
+        truth=tree.loop_frames,
     )
 
 
 def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """GLB with joints and a skin that approximate the loop."""
+    """GLB whose joints are the bones, or the few of them that lose least."""
     from dynamictree.formats.gltf import skin as skin_file
 
-    skin, summary = _fitted(tree, report)
+    skin, summary = _skin(tree)
     skin_file.write_skinned_glb(
         tree.mesh, skin, summary, stream, fps=tree.loop_fps, as_webp=tree.params.glb_textures == "webp"
     )
@@ -91,24 +89,13 @@ def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Fa
     """USD with the same joints and weights, in a USDZ package."""
     from dynamictree.formats.motion import usd_skin
 
-    skin, summary = _fitted(tree, report)
+    skin, summary = _skin(tree)
     usd_skin.write_skinned_usdz(tree.mesh, skin, stream, fps=tree.loop_fps)
     return asdict(summary)
 
 
-def _fitted(tree: MovingTree, report: Report) -> tuple["Skin", "SkinSummary"]:
-    from dynamictree.modal.fitted_skin import fitted_skin
-
-    num_joints = tree.params.joints
-    if num_joints not in tree.fits:
-        tree.fits[num_joints] = fitted_skin(
-            tree.mesh,
-            tree.coefficients,
-            num_frames=tree.spectrum.num_frames,
-            num_joints=num_joints,
-            on_progress=report,
-        )
-    return tree.fits[num_joints]
+def _skin(tree: MovingTree) -> tuple[Skin, SkinSummary]:
+    return skin_of(tree.rig, tree.mesh.vertices, tree.params.joints or len(tree.rig.skeleton))
 
 
 def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

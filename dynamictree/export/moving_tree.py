@@ -1,22 +1,25 @@
 """Input of every product writer: a tree, its motion and the frames to write."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
-from dynamictree.devoxelize.inextensible import InextensiblePose, TreesPose
 from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
+from dynamictree.modal.turbulence import iter_turbulent_turns, turbulent_wind
 from dynamictree.requests import ExportParams
-from dynamictree.skin import Skin, SkinSummary
-from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.rig.rig import Rig
+from dynamictree.spectrum import SparseVoxelSpectrum
 
 Report = Callable[[float], None]
 """Gets the share done in [0, 1]; what it raises passes through."""
+MOST_LOST = 1e-4
+"""Of the height: what frequencies above those that a sum of them has may move a vertex by, 1 mm at 10 m."""
+_SAMPLED_VERTICES = 10_000  # that tell how many frequencies are needed
+
 Facts = dict[str, int | float]
 """How far a product is from the motion. Empty where it is exact."""
 
@@ -32,18 +35,15 @@ def frame_phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class MovingTree:
-    """A mesh with the spectrum of its vertices; and the splat that it carries, where a product needs one."""
+    """A mesh with the bones that move it; and the splat that it carries, where a product needs one."""
 
     mesh: TriangleMesh
     spectrum: SparseVoxelSpectrum  # of the voxels
-    coefficients: Complex64[np.ndarray, "N K 3"]  # of the vertices [m]
-    loop: Complex64[np.ndarray, "N L 3"]  # the same with the frequencies that a sum of them needs not to stretch
+    rig: Rig
     params: ExportParams
-    pose: InextensiblePose | TreesPose | None = None  # makes each frame bend where it would stretch
     binding: Binding | None = None
     captured: bool = False  # whether pictures show the splat of the binding, or the mesh
     stride: int = 1  # of every so many frames one is written
-    fits: dict[int, tuple[Skin, SkinSummary]] = field(default_factory=dict)  # cache, by the number of joints
 
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:
@@ -55,16 +55,37 @@ class MovingTree:
         """Frames of the spectrum per second of the file's time."""
         return self.spectrum.fps * self.params.speed
 
+    @cached_property
+    def coefficients(self) -> Complex64[np.ndarray, "N K 3"]:
+        """K frequencies of the vertices' loop [m]."""
+        return self.rig.loop(self.mesh.vertices, self.rig.vertices)
+
+    @cached_property
+    def loop(self) -> Complex64[np.ndarray, "N L 3"]:
+        """The vertices' loop as a sum of frequencies [m]: K, 2 K or all, the first of these that lose little."""
+        vertices, weights = self.mesh.vertices, self.rig.vertices
+        some = slice(None, None, -(-len(vertices) // _SAMPLED_VERTICES))
+        fewest, most = self.spectrum.num_frequencies, self.spectrum.num_frames // 2
+        size = 2 * np.linalg.norm(self.rig.loop(vertices[some], weights[some], most), axis=2)  # [n, most]
+        lost = [size[:, enough:].sum(axis=1).max() for enough in (fewest, 2 * fewest)]
+        if lost[0] <= MOST_LOST * self.mesh.height_m:
+            return self.coefficients
+        enough = 2 * fewest if lost[1] <= MOST_LOST * self.mesh.height_m else most
+        return self.rig.loop(vertices, weights, min(enough, most))
+
+    def loop_frames(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """Displacement of the vertices at each frame of the loop [m]."""
+        for theta in self.rig.theta(np.arange(self.spectrum.num_frames) / self.spectrum.num_frames):
+            yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
+
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """Displacement of the vertices, frame by frame [m]."""
-        frames = self._motion() if self.pose is None else self.pose.iter_poses(self._motion())
-        for done, frame in enumerate(frames):
+        for done, theta in enumerate(self._turns()):
             report(done / len(self.phases))
-            yield frame
+            yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
 
-    def _motion(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        num_frames = self.spectrum.num_frames
+    def _turns(self) -> Iterator[Float32[np.ndarray, "B 3"]]:
         if self.params.wind_mode == "loop":
-            return iter_motion(self.coefficients, self.phases, num_frames)
+            return self.rig.theta(self.phases)
         wind = turbulent_wind(self.spectrum, seed=self.spectrum.seed)
-        return iter_turbulent_motion(self.coefficients, wind, self.phases * self.spectrum.period_s, num_frames)
+        return iter_turbulent_turns(self.rig, wind, self.phases * self.spectrum.period_s)

@@ -17,7 +17,7 @@ from PIL import Image
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.branch_pivots import BranchPivots
+from dynamictree.rig.branch_pivots import BranchPivots
 
 MESH, POSITION, DIRECTION = "tree-pivots.glb", "pivot-position-index.exr", "pivot-x-vector-extent.png"
 PIVOT_PAINTER: dict[str, str | int] = {

@@ -10,8 +10,8 @@ import numpy as np
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw, write_mp4
 from dynamictree.export.size import splat_bytes, turbulent_bytes
+from dynamictree.export.stored_rig import Recall, stored_rig
 from dynamictree.export.table import PRODUCTS, require_available
-from dynamictree.export.vertex_motion import Recall, vertex_motion
 from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind
 from dynamictree.mesh import TriangleMesh, triangle_mesh
@@ -22,8 +22,8 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 if TYPE_CHECKING:
     import trimesh
 
-MOTION_SHARE = 0.4
-"""Of the progress: the motion of the vertices, before the first file."""
+RIG_SHARE = 0.2
+"""Of the progress: the rig, before the first file."""
 OnFacts = Callable[[Format, Facts], None]
 """Gets a format that is not exact, and how far its file is from the motion."""
 
@@ -60,19 +60,13 @@ def write_products(
     if binding is not None:
         splat_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
     report = on_progress or (lambda done: None)
-    motion, pose = vertex_motion(
-        mesh,
-        spectrum,
-        every_frame=params.wind_mode == "turbulent",
-        recall=recall,
-        on_progress=lambda done: report(MOTION_SHARE * done),
-    )
+    report(0.0)
+    rig = stored_rig(mesh, spectrum, recall)
+    report(RIG_SHARE)
     tree = MovingTree(
         mesh=mesh,
         spectrum=spectrum,
-        coefficients=motion.coefficients,
-        loop=motion.loop,
-        pose=pose,
+        rig=rig,
         params=params,
         binding=None if binding is None else lighter(binding, share=params.share, sh_degree=params.sh_degree),
         captured=capture is not None,
@@ -81,7 +75,7 @@ def write_products(
     _write(
         tree,
         paths,
-        lambda done: report(MOTION_SHARE + (1 - MOTION_SHARE) * done),
+        lambda done: report(RIG_SHARE + (1 - RIG_SHARE) * done),
         on_facts or (lambda name, facts: None),
     )
     return paths

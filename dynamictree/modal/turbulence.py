@@ -22,6 +22,7 @@ from jaxtyping import Complex64, Complex128, Float32, Float64
 
 from dynamictree.modal.real_trees import natural_damping, natural_frequency_hz
 from dynamictree.requests import Wind
+from dynamictree.rig.rig import Rig
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
 
@@ -128,13 +129,21 @@ def turbulence_length_m(height_m: float) -> float:
     return float(300 * (max(height_m, 2.0) / 200) ** (0.67 + 0.05 * np.log(ROUGHNESS_M)))
 
 
-def iter_turbulent_motion(
+def iter_turbulent_turns(
+    rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"]
+) -> Iterator[Float32[np.ndarray, "B 3"]]:
+    """How far each bone turns, moment by moment [rad]."""
+    for theta, turn in iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames):
+        yield rig.in_wind(theta, turn)
+
+
+def iter_turbulent_sums(
     coefficients: Complex64[np.ndarray, "N K 3"],
     wind: TurbulentWind,
     times_s: Float64[np.ndarray, " T"],
     num_frames: int,
-) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Displacement frame by frame, never the whole motion in memory [m]. `num_frames` is T of the spectrum."""
+) -> Iterator[tuple[Float32[np.ndarray, "N 3"], Float32[np.ndarray, "3 3"]]]:
+    """Re Σ_k w_k c_k q_k at each moment, and the turn of the wind's direction. `num_frames` is T of the spectrum."""
     num_points, num_frequencies, _ = coefficients.shape
     stacked = np.concatenate([coefficients.real, -coefficients.imag], axis=1)  # [N, 2K, 3]
     stacked = np.ascontiguousarray(stacked.transpose(1, 0, 2)).reshape(2 * num_frequencies, num_points * 3)
@@ -144,7 +153,7 @@ def iter_turbulent_motion(
         q = weights * wind.coordinates(some)
         coordinates = np.concatenate([q.real, q.imag], axis=1).astype(np.float32)  # [T, 2K]
         for row, turn in zip(coordinates, wind.turn_rad.at(some), strict=True):
-            yield (row @ stacked).reshape(num_points, 3) @ turned_about_z(float(turn)).T
+            yield (row @ stacked).reshape(num_points, 3), turned_about_z(float(turn))
 
 
 def turned_about_z(angle_rad: float) -> Float32[np.ndarray, "3 3"]:

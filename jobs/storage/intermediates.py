@@ -15,10 +15,10 @@ from jobs.database.retry import patient
 from jobs.lifecycle.attempts import cached_stage, touch_blob
 from jobs.records import JobRecord, OutputFile
 from jobs.storage.artifacts import ArtifactStore
-from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
+from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM, STAGE_VERSION
 from jobs.store import Store
 
-RESULT_SOURCES = {"ties": (VOXELS, MESH_BUNDLE), "motion": (SPECTRUM, MESH_BUNDLE)}
+RESULT_SOURCES = {"rig": (SPECTRUM, MESH_BUNDLE)}
 """The files that each result is computed from."""
 
 

@@ -7,14 +7,16 @@ height. The raw truth, which went through no voxels, is one of the fakes: what i
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Complex64, Float64, Int64
 
-from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.errors import InputError
+from dynamictree.method import devoxelize
 from dynamictree.models import load_model
+from dynamictree.spectrum import SparseVoxelSpectrum
 from lab.evaluation.baselines import fit_by_height
 from lab.evaluation.figures import TreeReference
 from lab.evaluation.held_out_trees import HeldOutTree, SpeciesGroup, iter_held_out
@@ -121,15 +123,15 @@ def classify(
         assert tree.second is not None, "grown trees have one"
         own_seed = seed + len(voxels)
         rng = np.random.default_rng([own_seed, 1])
-        reference, interpolation = TreeReference.of(tree), length_preserving(tree.voxels.grid, tree.mesh)
+        reference, on_vertices = TreeReference.of(tree), partial(_on_vertices, tree)
         generated = generate_for(tree, model, seed=own_seed)
         mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
         motions = {
             # the truth goes the same way, so that the loss by voxels separates nothing
-            "truth": interpolation.apply(reference.on_voxels(tree.truth)),
-            "second wind": interpolation.apply(reference.on_voxels(tree.second)),
-            "model": length_preserving(generated.grid, tree.mesh).apply(generated.coefficients),
-            "by-height mean": interpolation.apply(mean),
+            "truth": on_vertices(reference.on_voxels(tree.truth)),
+            "second wind": on_vertices(reference.on_voxels(tree.second)),
+            "model": devoxelize(generated, tree.mesh),
+            "by-height mean": on_vertices(mean),
         }
         motions["raw truth"] = tree.truth
         for kind, motion in motions.items():
@@ -147,6 +149,10 @@ def classify(
         "valid": right["by-height mean"] >= MIN_RIGHT,
         "rule": RULE,
     }
+
+
+def _on_vertices(tree: HeldOutTree, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+    return devoxelize(SparseVoxelSpectrum(grid=tree.voxels.grid, coefficients=coefficients), tree.mesh)
 
 
 def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTree]:

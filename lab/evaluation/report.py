@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Complex64, Float64
 
-from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.method import devoxelize
 from dynamictree.models import MotionModel, load_model
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -60,15 +60,18 @@ def iter_motions(
     """
     tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])
-    interpolation = length_preserving(tree.voxels.grid, tree.mesh)
+
+    def on_vertices(coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+        return devoxelize(SparseVoxelSpectrum(grid=tree.voxels.grid, coefficients=coefficients), tree.mesh)
+
     generated = generate_for(tree, model, seed=seed, num_steps=num_steps)
-    yield "model", length_preserving(generated.grid, tree.mesh).apply(generated.coefficients)
+    yield "model", devoxelize(generated, tree.mesh)
     if isinstance(model, SmallModel):
-        yield "regression", interpolation.apply(regression(model, tree.voxels, tree.wind, rng))
-        yield "noise only", interpolation.apply(noise_only(model, tree.voxels, tree.wind, seed))
-    yield "by-height mean", interpolation.apply(methods.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
-    yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, methods.training_trees))
-    yield "representation", interpolation.apply(reference.on_voxels(tree.truth))
+        yield "regression", on_vertices(regression(model, tree.voxels, tree.wind, rng))
+        yield "noise only", on_vertices(noise_only(model, tree.voxels, tree.wind, seed))
+    yield "by-height mean", on_vertices(methods.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
+    yield "nearest tree", on_vertices(nearest_tree(tree.voxels, tree.wind, methods.training_trees))
+    yield "representation", on_vertices(reference.on_voxels(tree.truth))
     if tree.second is not None:
         yield "second wind", tree.second
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dynamictree.devoxelize.interpolation import VoxelInterpolation  # brings numba, which only vertices need
     from dynamictree.gaussian.deform import Deformer  # brings numba
     from dynamictree.modal.frames import VertexFrames  # likewise
+    from dynamictree.rig.rig import Rig  # likewise
 
 BYTES_A_VOXEL = 1500  # modes, and the graph that displacements need; measured at K = 16
 BYTES_A_VERTEX = 250  # the mesh, and what ties it to voxels and bones
@@ -41,7 +42,7 @@ class ReadyTree:
     frames: "VertexFrames | None" = None
     attachment: BoneAttachment | None = None
     gaussians: MovingGaussians | None = None
-    wind_bones: dict[str, np.ndarray] = field(default_factory=dict)  # as the surface file has them
+    rig: "Rig | None" = None
 
     @property
     def num_bytes(self) -> int:
@@ -50,7 +51,7 @@ class ReadyTree:
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
         extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
         basis_bytes = 0 if self.frames is None else self.frames.num_bytes
-        bone_bytes = sum(tensor.nbytes for tensor in self.wind_bones.values())
+        bone_bytes = 0 if self.rig is None else self.rig.turns.nbytes
         return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes + bone_bytes
 
 

@@ -20,7 +20,7 @@ from service.interact.stored_trees import (
 from service.services import Owned
 
 if TYPE_CHECKING:
-    from dynamictree.devoxelize.interpolation import VoxelInterpolation
+    from dynamictree.rig.rig import Rig
 
 
 def ready_tree(owned: Owned, spectrum_id: str) -> ReadyTree:
@@ -59,16 +59,20 @@ def with_mesh(owned: Owned, ready: ReadyTree, spectrum_id: str) -> TriangleMesh:
     read_asset(owned.store, owned.store.job(artifact.job_id).asset_id)  # tells when it has expired
     if ready.mesh is None:
         ready.mesh = load_source_mesh(owned, spectrum_id)
-        ready.interpolation = _stored_ties(owned, spectrum_id)
     return ready.mesh
 
 
-def _stored_ties(owned: Owned, spectrum_id: str) -> "VoxelInterpolation | None":
-    """What ties the vertices to the voxels, where a job has computed it."""
-    from dynamictree.formats.tensors.vertex_ties import read_ties  # brings numba
+def rig_for(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "Rig":
+    """The tree's rig: that of the products, or found where no job has needed it yet."""
+    from dynamictree.formats.tensors.rig import read_rig  # brings numba
+    from dynamictree.rig.rig import rig_of
 
-    stream = load_result(owned, spectrum_id, "ties")
-    return None if stream is None else read_ties(stream)
+    if ready.rig is None:
+        mesh = with_mesh(owned, ready, spectrum_id)
+        stream = load_result(owned, spectrum_id, "rig")
+        spectrum = load_spectrum(owned, spectrum_id)
+        ready.rig = rig_of(mesh, spectrum) if stream is None else read_rig(stream)
+    return ready.rig
 
 
 def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> MovingGaussians:

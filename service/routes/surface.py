@@ -6,19 +6,19 @@ from typing import Annotated
 import numpy as np
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
-from jaxtyping import Complex64, Float64, Int32, Int64
+from jaxtyping import Float64, Int32, Int64
 from safetensors.numpy import save
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
-from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from dynamictree.spectrum import bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
-from service.interact.ready_tree import ReadyTree, bone_ties, vertex_ties
-from service.interact.stored_trees import load_asset_mesh, load_result, load_spectrum
-from service.interact.tree_cache import ready_tree, with_mesh
+from service.interact.ready_tree import ReadyTree, bone_ties
+from service.interact.stored_trees import load_asset_mesh
+from service.interact.tree_cache import ready_tree, rig_for, with_mesh
 from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
@@ -84,12 +84,11 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
 
 
 def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    """A spectrum for each vertex, and the bones that carry it."""
-    spectrum = load_spectrum(owned, spectrum_id)
-    constrained = _motion_of_products(owned, spectrum_id, ready, mesh)  # [N, K, 3]
-    ready.wind_bones = ready.wind_bones or _wind_bones(spectrum, ready, mesh, constrained)
-    weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
-    shapes, scale = quantised(constrained * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
+    """A spectrum for each vertex, the bones that turn in the wind, and those that carry it under a push."""
+    rig = rig_for(owned, ready, spectrum_id)
+    weights = bin_weights(rig.turns.shape[1], rig.num_frames)[:, None]  # bin 0 is the lean, the others φ_k = 2 c_k
+    shapes, scale = quantised(rig.loop(mesh.vertices, rig.vertices) * weights)
+    turns, step_rad = quantised(rig.turns * weights)
     carried = bone_ties(ready, mesh)
     strongest = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
     return {
@@ -97,48 +96,14 @@ def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: Triangle
         "scale_m": scale,
         "bone_rows": np.take_along_axis(carried.rows, strongest, axis=1).astype(np.uint16),
         "bone_weights": _bytes(np.take_along_axis(carried.weights, strongest, axis=1)),
-        **ready.wind_bones,
+        "turn_shapes": turns,
+        "turn_scale_rad": step_rad,
+        "turn_parent": rig.skeleton.parent,
+        "turn_foot_m": rig.skeleton.foot_m,
+        "turn_direction": rig.skeleton.directions,
+        "turn_bone": rig.vertices.rows[:, 0],
+        "turn_share": rig.vertices.shares[:, 1],
     }
-
-
-def _wind_bones(
-    spectrum: SparseVoxelSpectrum, ready: ReadyTree, mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
-) -> dict[str, np.ndarray]:
-    """Bones that turn in the wind, so that branches bend; docs/viewer.md names the tensors."""
-    from dynamictree.modal.turn_modes import turn_modes  # imports numba
-    from dynamictree.modal.turn_skeleton import turn_skeleton
-
-    skeleton = turn_skeleton(mesh, spectrum.grid, vertex_ties(ready, mesh).attachments)
-    turns = turn_modes(skeleton, mesh, coefficients, spectrum.num_frames)
-    weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
-    shapes, scale = quantised(turns * weights[:, None])
-    return {
-        "turn_shapes": shapes,
-        "turn_scale_rad": scale,
-        "turn_parent": skeleton.parent,
-        "turn_foot_m": skeleton.foot_m,
-        "turn_direction": skeleton.directions,
-        "turn_bone": skeleton.bone,
-        "turn_share": skeleton.parent_share,
-    }
-
-
-def _motion_of_products(
-    owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh
-) -> Complex64[np.ndarray, "N K 3"]:
-    """The vertices' motion as in the products: that of the job, or computed where no job has needed it yet."""
-    from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation  # imports numba
-    from dynamictree.export.vertex_motion import MotionSource
-    from dynamictree.formats.tensors.vertex_motion import read_vertex_motion
-
-    stream = load_result(owned, spectrum_id, "motion")
-    if stream is not None:
-        return read_vertex_motion(stream).coefficients
-    spectrum = load_spectrum(owned, spectrum_id)
-    ties = None
-    if mesh.face_tree is None:
-        ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
-    return MotionSource(mesh=mesh, spectrum=spectrum, ties=ties).motion(lambda done: None).coefficients
 
 
 def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:

@@ -53,9 +53,9 @@ def test_the_page_bends_as_the_library_does(view: Open, url: str, job_id: str) -
     half = half_turns(theta, tensors["turn_direction"].astype(np.float64), TURN_RAD)
     parent, foot = tensors["turn_parent"], tensors["turn_foot_m"].astype(np.float64)
     bone, share = tensors["turn_bone"], tensors["turn_share"][:, None]
-    own = (1 - share) * half[bone] + share * half[np.maximum(parent, 0)[bone]]
     arm = tensors["vertices"] - foot[bone]
-    expected = feet(half, foot, parent)[bone] + turned(own, arm) - arm
+    by_parent = turned(half[np.maximum(parent, 0)[bone]], arm)
+    expected = feet(half, foot, parent)[bone] + (1 - share) * turned(half[bone], arm) + share * by_parent - arm
     assert np.linalg.norm(expected, axis=1).max() > 0.1
     for moved in there[[0, 2, 3]]:
         assert np.abs(moved - expected).max() < 1e-3 * np.abs(expected).max()

@@ -15,7 +15,7 @@ from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree import method
 from dynamictree.export.levels import SHARES
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.write import MOTION_SHARE, write_products
+from dynamictree.export.write import RIG_SHARE, write_products
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import iter_motion
@@ -33,7 +33,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     options = ExportParams(formats=("lod",))
     shares: list[float] = []
     path = write_products(sample.mesh, spectrum, options, folder, shares.append, on_facts=facts.__setitem__)["lod"]
-    own = [share for share in shares if MOTION_SHARE < share < 1]
+    own = [share for share in shares if RIG_SHARE < share < 1]
     assert own == sorted(own)
     assert len(set(own)) > 10
     truth = np.stack(list(iter_motion(method.devoxelize(spectrum, sample.mesh), np.arange(100) / 100)))
@@ -55,7 +55,7 @@ def test_levels_have_their_share_of_triangles_and_report_it(written: Written) ->
         assert count == stated[number]["num_triangles"]
         assert count == pytest.approx(share * mesh.num_faces, rel=0.25)
     errors = [entry["relative_error"] for entry in stated]
-    assert errors[0] == 0 < errors[1] < errors[2] < errors[3] < 0.35
+    assert errors[0] == 0 < errors[1] < errors[2] < errors[3] < 0.36  # leaves turn each by itself
     assert [entry["coverage"] for entry in stated] == sorted((entry["coverage"] for entry in stated), reverse=True)
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 from dynamictree.errors import InputError
 from dynamictree.export.size import turbulent_bytes
 from dynamictree.export.table import PRODUCTS, available_products
-from dynamictree.export.write import MOTION_SHARE, write_products
+from dynamictree.export.write import RIG_SHARE, write_products
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
@@ -144,7 +144,7 @@ def test_a_long_film_is_written_as_it_is_drawn(
     assert capture.mesh is not None
     paths = write_products(capture.mesh, spectrum, params, tmp_path, drawn.append, capture=capture)
     assert all(path.stat().st_size > 1000 for path in paths.values())
-    assert len([share for share in drawn if share > MOTION_SHARE]) < 20 + 8 + 4
+    assert len([share for share in drawn if share > RIG_SHARE]) < 20 + 8 + 4
 
 
 def test_files_of_a_turbulent_motion_have_a_largest_size(

@@ -1,12 +1,13 @@
 """Endless wind has the loop's statistics, and any moment of it stands by itself."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.signal
 
-from dynamictree.modal.turbulence import TurbulentWind, iter_turbulent_motion, turbulent_wind
+from dynamictree.modal.turbulence import TurbulentWind, iter_turbulent_sums, turbulent_wind
 from dynamictree.requests import MAX_TURBULENT_FRAMES, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum
 
@@ -39,7 +40,7 @@ def test_energy_lies_at_the_bins_frequencies(spectrum: SparseVoxelSpectrum, wind
 def test_neighbours_keep_the_loops_cross_phase(spectrum: SparseVoxelSpectrum, wind: TurbulentWind) -> None:
     pair = spectrum.coefficients[[20, 39]].copy()
     pair[1] *= np.exp(0.9j)  # it moves 0.9 rad before its neighbour
-    motion = np.stack(list(iter_turbulent_motion(pair, wind, TEN_MINUTES, spectrum.num_frames)))
+    motion = np.stack(list(_motion(pair, wind, TEN_MINUTES, spectrum.num_frames)))
     up = motion[:, :, 2]  # the turn of the wind's direction leaves it alone
     frequency_hz, cross = scipy.signal.csd(up[:, 0], up[:, 1], FPS, nperseg=400)
     for k in (2, 6, 12):
@@ -48,8 +49,8 @@ def test_neighbours_keep_the_loops_cross_phase(spectrum: SparseVoxelSpectrum, wi
 
 
 def test_a_moment_needs_no_moment_before_it(spectrum: SparseVoxelSpectrum, wind: TurbulentWind) -> None:
-    whole = list(iter_turbulent_motion(spectrum.coefficients, wind, TEN_MINUTES[:700], spectrum.num_frames))
-    alone = next(iter_turbulent_motion(spectrum.coefficients, wind, TEN_MINUTES[650:651], spectrum.num_frames))
+    whole = list(_motion(spectrum.coefficients, wind, TEN_MINUTES[:700], spectrum.num_frames))
+    alone = next(_motion(spectrum.coefficients, wind, TEN_MINUTES[650:651], spectrum.num_frames))
     assert np.array_equal(whole[650], alone)
 
 
@@ -93,9 +94,15 @@ def test_gusts_turn_and_strengthen_what_a_steady_wind_does_not(spectrum: SparseV
 def test_the_direction_turns_the_whole_displacement(spectrum: SparseVoxelSpectrum, wind: TurbulentWind) -> None:
     straight = replace(wind, turn_rad=replace(wind.turn_rad, amplitude=0 * wind.turn_rad.amplitude))
     time = TEN_MINUTES[1000:1001]
-    turned, plain = (
-        next(iter_turbulent_motion(spectrum.coefficients, one, time, spectrum.num_frames)) for one in (wind, straight)
-    )
+    turned, plain = (next(_motion(spectrum.coefficients, one, time, spectrum.num_frames)) for one in (wind, straight))
     angle = wind.turn_rad.at(time)[0]
     complex_plain, complex_turned = plain[:, 0] + 1j * plain[:, 1], turned[:, 0] + 1j * turned[:, 1]
     np.testing.assert_allclose(complex_turned, complex_plain * np.exp(1j * angle), atol=1e-6)
+
+
+def _motion(
+    coefficients: np.ndarray, wind: TurbulentWind, times_s: np.ndarray, num_frames: int
+) -> Iterator[np.ndarray]:
+    """Plain sums, turned with the wind's direction."""
+    for moved, turn in iter_turbulent_sums(coefficients, wind, times_s, num_frames):
+        yield moved @ turn.T

@@ -7,10 +7,11 @@ import pytest
 from trimesh.creation import icosphere
 from trimesh.geometry import align_vectors
 
-from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree import method
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.plant.names import is_still_name
 from dynamictree.plant.still_mesh import find_still_parts
+from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -71,7 +72,9 @@ def test_a_plant_in_a_scene_moves_as_it_does_alone_and_the_scene_stands_still() 
     rng = np.random.default_rng(0)
     size = 0.1 * (grid.centres_m[:, 2] / plant.height_m)[:, None, None]
     spectrum = (size * (1 + 0.1 * rng.normal(size=(len(grid), 4, 3)))).astype(np.complex64)
-    moved, by_itself = (length_preserving(grid, mesh).apply(spectrum) for mesh in (scene, plant))
+    moved, by_itself = (
+        method.devoxelize(SparseVoxelSpectrum(grid=grid, coefficients=spectrum), mesh) for mesh in (scene, plant)
+    )
     assert not moved[owner > 0].any()
     largest = np.abs(by_itself).max()
     np.testing.assert_allclose(moved[owner == 0], by_itself, atol=0.02 * largest)

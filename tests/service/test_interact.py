@@ -12,9 +12,7 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
-from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.branch_skin import branch_skin
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
@@ -342,14 +340,6 @@ def test_vertices_of_still_parts_do_not_move_under_pushes(
             frames = np.stack(list(ready.tree.superposed(answer, vertex_frames(ready, mesh))))
         assert not frames[:, -4:].any()
         assert np.abs(frames[-1, :-4]).max() > 1e-4
-
-
-def test_a_skin_does_not_move_still_parts(grown, spectrum: SparseVoxelSpectrum) -> None:
-    mesh = on_a_plane(grown.mesh)
-    skin, _ = branch_skin(spectrum, mesh, smooth(spectrum.grid, mesh).apply(spectrum.coefficients))
-    np.testing.assert_allclose(skin.weights.sum(axis=1), 1, atol=1e-5)
-    assert not skin.displacement(mesh.vertices, 10)[-4:].any()
-    assert np.abs(skin.displacement(mesh.vertices, 10)[:-4]).max() > 1e-3
 
 
 def test_the_work_of_an_answer_is_bounded(

@@ -25,8 +25,7 @@ from safetensors.numpy import load
 
 import web
 from dynamictree import method
-from dynamictree.modal.turn_modes import turn_modes
-from dynamictree.modal.turn_skeleton import turn_skeleton
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
 from jobs.settings import Settings
@@ -264,13 +263,17 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(
     client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum
 ) -> None:
     tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
-    skeleton = turn_skeleton(grown.mesh, spectrum.grid)
-    turns = turn_modes(skeleton, grown.mesh, method.devoxelize(spectrum, grown.mesh), spectrum.num_frames)
+    rig = rig_of(grown.mesh, spectrum)
+    skeleton, turns = rig.skeleton, rig.turns.copy()
     turns[:, 1:] *= 2
     parts = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None]  # [B, K, 3, 2]
     apart = np.abs(parts[..., 0] + 1j * parts[..., 1] - turns).max(axis=(0, 2))
     assert (apart <= 1e-3 * np.abs(turns).max(axis=(0, 2)) + 1e-6).all()
-    for name, expected in (("parent", skeleton.parent), ("bone", skeleton.bone), ("share", skeleton.parent_share)):
+    for name, expected in (
+        ("parent", skeleton.parent),
+        ("bone", rig.vertices.rows[:, 0]),
+        ("share", rig.vertices.shares[:, 1]),
+    ):
         np.testing.assert_allclose(tensors[f"turn_{name}"], expected, atol=1e-6)
     np.testing.assert_allclose(tensors["turn_foot_m"], skeleton.foot_m, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(tensors["turn_direction"], axis=1), 1, atol=1e-6)

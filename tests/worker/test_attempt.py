@@ -17,7 +17,7 @@ import sqlalchemy as sa
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, CheckpointError, MeshError
-from dynamictree.export.vertex_motion import MotionSource
+from dynamictree.export import stored_rig
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.requests import AnimateParams, VoxelizeParams
@@ -131,10 +131,8 @@ def test_another_format_does_not_compute_the_motion_again(
     runtime: Runtime, asset: AssetRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     computed = []
-    whole = MotionSource._computed
-    monkeypatch.setattr(
-        MotionSource, "_computed", lambda self, report: computed.append(self.spectrum) or whole(self, report)
-    )
+    whole = stored_rig.rig_of
+    monkeypatch.setattr(stored_rig, "rig_of", lambda mesh, spectrum: computed.append(spectrum) or whole(mesh, spectrum))
     contents = {}
     for number, formats in enumerate((["ply"], ["motion"], ["ply", "motion"])):
         folder = tmp_path / str(number)

@@ -11,15 +11,16 @@ vec3 swingOf(int b, int i, int copy) {
   int at = 2 * b + i;
   return texelFetch(swings, ivec2(at % ${WIDTH}, at / ${WIDTH} + copy * BONE_ROWS), 0).xyz;
 }
+vec3 swung(vec3 v, vec3 arm) { return 2.0 * cross(v, cross(v, arm) + sqrt(1.0 - dot(v, v)) * arm); }
 vec3 motionOf(int point, int copy) {
   vec4 place = placeOf(point); // its fourth number: its bone plus half the parent's share
   int b = int(place.w);
   vec4 foot = texelFetch(feet, ivec2(b % ${WIDTH}, b / ${WIDTH}), 0);
   vec3 arm = place.xyz - foot.xyz;
   float share = 2.0 * fract(place.w);
-  vec3 v = swingOf(b, 0, copy);
-  if (share > 0.0) v = mix(v, swingOf(int(foot.w + 0.5), 0, copy), share);
-  return swingOf(b, 1, copy) + 2.0 * cross(v, cross(v, arm) + sqrt(1.0 - dot(v, v)) * arm);
+  vec3 moved = swung(swingOf(b, 0, copy), arm);
+  if (share > 0.0) moved = mix(moved, swung(swingOf(int(foot.w + 0.5), 0, copy), arm), share);
+  return swingOf(b, 1, copy) + moved;
 }`;
 
 export class BoneField extends Field {

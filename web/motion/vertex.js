@@ -36,9 +36,9 @@ function bentBy(surface, vertex, q, turn) {
   const bone = turn_bone[vertex];
   const share = turn_share[vertex];
   const halfTurn = (b) => halfTurnOf(surface, b, q, turn);
-  const own = halfTurn(bone);
-  const mixed = share > 0 ? plus(scaled(own, 1 - share), scaled(halfTurn(parent[bone]), share)) : own;
-  let moved = swung(mixed, minus(rowOf(vertices, vertex), rowOf(feet, bone)));
+  const arm = minus(rowOf(vertices, vertex), rowOf(feet, bone));
+  let moved = swung(halfTurn(bone), arm);
+  if (share > 0) moved = plus(scaled(moved, 1 - share), scaled(swung(halfTurn(parent[bone]), arm), share));
   for (let b = bone; parent[b] >= 0; b = parent[b]) {
     moved = plus(moved, swung(halfTurn(parent[b]), minus(rowOf(feet, b), rowOf(feet, parent[b]))));
   }

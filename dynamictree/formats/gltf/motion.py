@@ -7,7 +7,8 @@ default, are the mesh at rest. 2K - 1 targets carry the motion, exact at every k
 reduced variant is the mean with the 7 parts that lose least.
 """
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
@@ -59,12 +60,13 @@ def write_motion_glb(
     num_frames: int = NUM_FRAMES,
     fps: float = FPS,
     options: MorphOptions | None = None,
+    truth: Callable[[], Iterator[Float32[np.ndarray, "N 3"]]] | None = None,
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
     A mesh that was read from glTF stays in its document, which gets targets and an animation, see `template.py`.
     `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
-    The file tells its summary in its `asset.extras`.
+    How far the file is from the frames of `truth`, by default those of the spectrum, it tells in its `asset.extras`.
 
     Raises:
         InputError: the number of targets is out of range, or meshoptimizer is not installed.
@@ -74,36 +76,33 @@ def write_motion_glb(
     if num_targets is not None and not 1 <= num_targets <= 2 * num_frequencies - 1:
         raise InputError(f"num_targets is {num_targets}; 1 to {2 * num_frequencies - 1} are allowed for this spectrum")
     parts, moduli = loop_parts(coefficients, num_frames), loop_weights(num_frequencies, num_frames)
-    few, few_moduli, (total, missing) = _reduced(parts, moduli, num_targets or len(parts))
-    summary = MorphSummary(
-        num_targets=len(few),
-        num_keys=num_frames + 1,
-        relative_error=float(np.sqrt(missing / total)) if total > 0 else 0.0,
-        rms_error_m=float(np.sqrt(missing / (num_frames * len(coefficients)))),
-        max_error_m=_distances(parts, moduli, few, few_moduli)[1],
-    )
+    few, few_moduli = _reduced(parts, moduli, num_targets or len(parts))
+    phases = np.arange(num_frames) / num_frames
     targets = clipped_targets(few).reshape(len(few), -1, 3)
     moving = (targets != 0).any(axis=(0, 2))
     template = open_template(mesh)
     nodes, places = template.attach_targets(targets, moving if moving.any() else ~moving)
     weights = clipped_weights(few_moduli)
     if options.with_normals:
-        phases = np.arange(num_frames) / num_frames
         error = template.attach_normals(
             rest_normals(mesh), lambda: iter_normals(mesh, iter_motion(coefficients, phases, num_frames)), weights
         )
-        summary = ShadedMorphSummary(**asdict(summary), **asdict(error))
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
     sway = template.add_sway(nodes, (np.arange(num_frames + 1) / fps).astype(np.float32), keys)
     sway["extras"] = {"num_vertices": mesh.num_vertices, "primitives": places}
     if options.as_webp:
         webp_textures(template.writer)
+    change = None
     if options.compressed:
-        change = template.changes(compress(template.writer), nodes, len(targets), mesh.num_vertices)
-        rms, largest = _distances(parts, moduli, few, few_moduli, (change, weights))
-        motion = np.sqrt(total / (num_frames * len(coefficients)))
-        share = rms / motion if motion > 0 else 0.0
-        summary = replace(summary, relative_error=float(share), rms_error_m=rms, max_error_m=largest)
+        change = template.changes(compress(template.writer), nodes, len(targets), mesh.num_vertices), weights
+    exact = truth is None and few is parts and change is None
+    frames = truth() if truth is not None else iter_motion(coefficients, phases, num_frames)
+    share, rms, largest = (0.0, 0.0, 0.0) if exact else _distances(frames, few, few_moduli, change)
+    summary = MorphSummary(
+        num_targets=len(few), num_keys=num_frames + 1, relative_error=share, rms_error_m=rms, max_error_m=largest
+    )
+    if options.with_normals:
+        summary = ShadedMorphSummary(**asdict(summary), **asdict(error))
     shift = {"source_offset": list(mesh.source.offset)} if any(mesh.source.offset) else {}
     template.writer.extras = asdict(summary) | shift
     template.writer.finish(stream)
@@ -145,48 +144,37 @@ def clipped_weights(weights: Float64[np.ndarray, "T M"]) -> Float64[np.ndarray, 
 
 def _reduced(
     parts: Float32[np.ndarray, "M N3"], weights: Float64[np.ndarray, "T M"], count: int
-) -> tuple[Float32[np.ndarray, "R N3"], Float64[np.ndarray, "T R"], tuple[float, float]]:
-    """The mean with the best parts of that number (Eckart and Young 1936); squared sums of the motion and the loss."""
-    swaying, swaying_weights = parts[1:], weights[:, 1:]
-    gram = (swaying @ swaying.T).astype(np.float64)
-    swing = float(np.einsum("ti,tj,ij->", swaying_weights, swaying_weights, gram, optimize=True))
-    total = swing + len(weights) * float((parts[0].astype(np.float64) ** 2).sum())
+) -> tuple[Float32[np.ndarray, "R N3"], Float64[np.ndarray, "T R"]]:
+    """The mean with the best parts of that number (Eckart and Young 1936)."""
     if count == len(parts):
-        return parts, weights, (total, 0.0)
-    values, vectors = np.linalg.eigh(gram)
-    root = vectors * np.sqrt(np.maximum(values, 0))  # gram = root rootᵀ
-    u, s, _ = np.linalg.svd(swaying_weights @ root, full_matrices=False)
-    u, lost = u[:, : count - 1], float((s[count - 1 :] ** 2).sum())
+        return parts, weights
+    swaying, swaying_weights = parts[1:], weights[:, 1:]
+    values, vectors = np.linalg.eigh((swaying @ swaying.T).astype(np.float64))
+    root = vectors * np.sqrt(np.maximum(values, 0))  # root rootᵀ is the Gram matrix
+    u = np.linalg.svd(swaying_weights @ root, full_matrices=False)[0][:, : count - 1]
     largest = np.abs(u).max(axis=0, initial=0)  # weights then stay within -1 and 1
     best = (u.T @ swaying_weights).astype(np.float32) @ swaying * largest[:, None].astype(np.float32)
-    return (
-        np.concatenate([parts[:1], best]),
-        np.concatenate([weights[:, :1], u / largest], axis=1),
-        (total, lost),
-    )
+    return np.concatenate([parts[:1], best]), np.concatenate([weights[:, :1], u / largest], axis=1)
 
 
 def _distances(
-    parts: Float32[np.ndarray, "M N3"],
-    weights: Float64[np.ndarray, "T M"],
-    few: Float32[np.ndarray, "R N3"],
-    few_weights: Float64[np.ndarray, "T R"],
-    change: tuple[Float32[np.ndarray, "S N3"], Float64[np.ndarray, "T R"]] | None = None,
-) -> tuple[float, float]:
-    """Distances between the same vertex at the same frame, with all parts and with a few: rms and largest [m].
+    frames: Iterator[Float32[np.ndarray, "N 3"]],
+    parts: Float32[np.ndarray, "R N3"],
+    weights: Float64[np.ndarray, "T R"],
+    change: tuple[Float32[np.ndarray, "S N3"], Float64[np.ndarray, "T R"]] | None,
+) -> tuple[float, float, float]:
+    """How far parts are from frames: as a share of the motion, rms and largest [m].
 
     `change` is what a compression does to the rest pose and to each target, and the targets' weights.
     """
-    if few is parts and change is None:
-        return 0.0, 0.0
-    squares, largest = 0.0, 0.0
-    for number, (row, few_row) in enumerate(
-        zip(weights.astype(np.float32), few_weights.astype(np.float32), strict=True)
-    ):
-        gap = np.zeros(parts.shape[1], np.float32) if few is parts else row @ parts - few_row @ few
+    total = squares = largest = 0.0
+    for number, (frame, row) in enumerate(zip(frames, weights.astype(np.float32), strict=True)):
+        gap = frame.ravel() - row @ parts
         if change is not None:
             gap = gap - change[0][0] - change[1][number].astype(np.float32) @ change[0][1:]
         lengths = (gap.reshape(-1, 3) ** 2).sum(axis=1)
         squares += float(lengths.sum(dtype=np.float64))
         largest = max(largest, float(lengths.max()))
-    return float(np.sqrt(squares / (len(weights) * parts.shape[1] / 3))), float(np.sqrt(largest))
+        total += float((frame**2).sum(dtype=np.float64))
+    rms = np.sqrt(squares / (len(weights) * parts.shape[1] / 3))
+    return float(np.sqrt(squares / total)) if total > 0 else 0.0, float(rms), float(np.sqrt(largest))

@@ -17,6 +17,7 @@ from dynamictree.rotation import matrix_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from dynamictree.up_axis import up_rotation
 
+_STILL_M = 1e-6
 _FIRST = 2  # node of joint 0: after the mesh and the skeleton
 
 
@@ -83,6 +84,8 @@ def _add_sway(writer: GlbWriter, skin: Skin, fps: float) -> None:
     for joint in range(len(skin.parent)):
         keys = {"rotation": steady(matrix_quaternions(rotation[:, joint])), "translation": translation[:, joint]}
         for path, values in keys.items():
+            if path == "translation" and np.ptp(values, axis=0).max() < _STILL_M:
+                continue  # its parent carries it, as at rest
             looped = np.concatenate([values, values[:1]]).astype(np.float32)
             channels.append({"sampler": len(samplers), "target": {"node": _FIRST + joint, "path": path}})
             samplers.append({"input": clock, "output": writer.add_accessor(looped), "interpolation": "LINEAR"})

@@ -28,7 +28,7 @@ MAX_FILE_BYTES = 1 << 30
 MAX_FRAMES = 1_000_000
 MAX_RESOLUTION = 4096  # its keys still fit int64 many times over
 
-_DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32, "U8": np.uint8}
+_DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32, "I16": np.int16, "U8": np.uint8}
 _NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
 
 

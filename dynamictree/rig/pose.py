@@ -1,12 +1,13 @@
 """Forward kinematics of a skeleton, and where its bones carry points. The equations are in the package's docstring."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
-from dynamictree.modal.turn_skeleton import TurnSkeleton
 from dynamictree.parallel import compiled, in_bands
 
 GROUND = 0
@@ -20,16 +21,37 @@ class Skeleton:
     parent: Int32[np.ndarray, " B"]  # -1 of the ground
     foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
     reach_m: Float32[np.ndarray, "B 3"]  # from the foot to the bone's end
-    directions: Float32[np.ndarray, "B 3"]  # whose swing turns with the wind's direction
-    levels: list[slice]  # bones of each depth, from 1
+    in_surface: Bool[np.ndarray, " B"]  # of a crown that is one surface
 
     def __len__(self) -> int:
         return len(self.parent)
 
     @property
+    def depths(self) -> Int64[np.ndarray, " B"]:
+        """Number of ancestors of each bone."""
+        return depths_of(self.parent.astype(np.int64))
+
+    @property
     def above(self) -> Int32[np.ndarray, " B"]:
         """Parent of each bone; the ground's own is itself."""
         return np.asarray(np.maximum(self.parent, 0))
+
+    @property
+    def directions(self) -> Float32[np.ndarray, "B 3"]:
+        """Unit vector whose swing turns with the wind's direction: from each foot to the bone's end.
+
+        Up where both are one, and in a surface, so that all its bones turn alike and it does not tear.
+        """
+        length = np.linalg.norm(self.reach_m, axis=1, keepdims=True)
+        upward = (length == 0) | self.in_surface[:, None]
+        up = np.array([0, 0, 1], np.float32)
+        return np.asarray(np.where(upward, up, self.reach_m / np.maximum(length, 1e-12)), np.float32)
+
+    @cached_property
+    def levels(self) -> list[slice]:
+        """Bones of each depth, from 1."""
+        edges = np.append(np.flatnonzero(np.diff(self.depths)) + 1, len(self.parent)).tolist()
+        return [slice(first, end) for first, end in pairwise(edges)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +64,9 @@ class Weights:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def __getitem__(self, some: slice) -> "Weights":
+        return Weights(rows=self.rows[some], shares=self.shares[some])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Poses:
@@ -51,18 +76,13 @@ class Poses:
     place_m: Float64[np.ndarray, "T B 3"]
 
 
-def bones_of(turning: TurnSkeleton) -> tuple[Skeleton, Weights]:
-    """The bones of a mesh, and the two that carry each vertex."""
-    skeleton = Skeleton(
-        parent=turning.parent,
-        foot_m=turning.foot_m,
-        reach_m=turning.reach_m,
-        directions=turning.directions,
-        levels=turning.levels,
-    )
-    rows = np.stack([turning.bone, skeleton.above[turning.bone]], axis=1)
-    shares = np.stack([1 - turning.parent_share, turning.parent_share], axis=1)
-    return skeleton, Weights(rows=rows, shares=shares)
+def depths_of(parent: Int64[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
+    """Number of ancestors, in any order of the bones."""
+    depth = np.where(parent < 0, 0, 1)
+    above = parent.copy()
+    while (above := np.where(above < 0, -1, parent[above])).max(initial=-1) >= 0:
+        depth += above >= 0
+    return depth
 
 
 def poses(skeleton: Skeleton, theta: Float32[np.ndarray, "T B 3"]) -> Poses:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
-from dynamictree.modal.bones import Bones
+from dynamictree.rig.rig import Rig
 from dynamictree.skin import Skin
 
 MAX_ORDER = 3  # finer branches count as these
@@ -70,23 +70,22 @@ def bending_rad(skin: Skin) -> Float64[np.ndarray, " B"]:
     return np.asarray(np.sqrt((np.arccos(np.clip(cosine, -1, 1)) ** 2).mean(axis=0)))
 
 
-def capsules(
-    bones: Bones, skin: Skin, vertices: Float32[np.ndarray, "N 3"], wood: Bool[np.ndarray, " N"]
-) -> list[Capsule]:
+def capsules(rig: Rig, vertices: Float32[np.ndarray, "N 3"], wood: Bool[np.ndarray, " N"]) -> list[Capsule]:
     """A capsule for each bone that carries wood; those of a trunk, not its twigs, set the radius."""
-    strongest = skin.rows[np.arange(len(vertices)), skin.weights.argmax(axis=1)]
+    bones, weights = rig.skeleton, rig.vertices
+    strongest = weights.rows[np.arange(len(vertices)), weights.shares.argmax(axis=1)]
     capsules_of_wood = []
-    for joint in range(len(bones.parent)):
+    for joint in range(1, len(bones.parent)):
         own = vertices[wood & (strongest == joint)].astype(np.float64)
         if len(own):
-            start, reach = bones.joint_m[joint].astype(np.float64), bones.reach_m[joint].astype(np.float64)
+            start, reach = bones.foot_m[joint].astype(np.float64), bones.reach_m[joint].astype(np.float64)
             along = np.clip((own - start) @ reach / max(float(reach @ reach), 1e-12), 0, 1)
             distance = np.linalg.norm(own - start - along[:, None] * reach, axis=1)
             capsules_of_wood.append(
                 Capsule(
                     joint=joint,
-                    start_m=bones.joint_m[joint],
-                    end_m=bones.joint_m[joint] + bones.reach_m[joint],
+                    start_m=bones.foot_m[joint],
+                    end_m=bones.foot_m[joint] + bones.reach_m[joint],
                     radius_m=max(float(np.quantile(distance, _INSIDE)), _THINNEST_M),
                 )
             )

@@ -7,16 +7,15 @@ carries it; that of a trunk begins on the ground.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from dynamictree.devoxelize.attachment import CARD_VERTICES, SMALL_PART_VOXELS, Attachments, find_attachments
 from dynamictree.mesh import Surface, edges_of, part_bounds, weld
+from dynamictree.rig.pose import GROUND, Skeleton, Weights, depths_of
 from dynamictree.voxel.grid import VoxelGrid
 
 FINENESS = 128
@@ -26,43 +25,6 @@ SMALLEST_NODE, NEAR_VOXELS = 3, 6.0
 """A node with fewer vertices that is this near to its parent is a part of it."""
 WIDE_VOXELS, PATCH_VOXELS = 8.0, 4.0
 """A node that is wider, as in a crown that is one surface, is cut into patches."""
-GROUND = 0
-"""The bone that never moves. It carries what is no plant."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TurnSkeleton:
-    """B bones in the order of their depth, so parents before children. Built by `turn_skeleton`."""
-
-    parent: Int32[np.ndarray, " B"]  # -1 of the ground
-    foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
-    reach_m: Float32[np.ndarray, "B 3"]  # from the foot to the bone's end
-    in_surface: Bool[np.ndarray, " B"]  # of a crown that is one surface
-    bone: Int32[np.ndarray, " N"]  # that carries each vertex
-    parent_share: Float32[np.ndarray, " N"]  # of the turn that a vertex has, the parent's
-    in_card: Bool[np.ndarray, " N"]
-
-    @property
-    def depths(self) -> Int64[np.ndarray, " B"]:
-        """Number of ancestors of each bone."""
-        return _depths(self.parent.astype(np.int64))
-
-    @property
-    def directions(self) -> Float32[np.ndarray, "B 3"]:
-        """Unit vector whose swing turns with the wind's direction: from each foot to the bone's end.
-
-        Up where both are one, and in a surface, so that all its bones turn alike and it does not tear.
-        """
-        length = np.linalg.norm(self.reach_m, axis=1, keepdims=True)
-        upward = (length == 0) | self.in_surface[:, None]
-        up = np.array([0, 0, 1], np.float32)
-        return np.asarray(np.where(upward, up, self.reach_m / np.maximum(length, 1e-12)), np.float32)
-
-    @cached_property
-    def levels(self) -> list[slice]:
-        """Bones of each depth, from 1."""
-        edges = np.append(np.flatnonzero(np.diff(self.depths)) + 1, len(self.parent)).tolist()
-        return [slice(first, end) for first, end in pairwise(edges)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +39,19 @@ class _Parts:
     begins: Bool[np.ndarray, " n"]  # where a part that bends begins
 
 
-def turn_skeleton(mesh: Surface, grid: VoxelGrid, attached: Attachments | None = None) -> TurnSkeleton:
-    """Find the bones of a mesh; `grid` is that of its motion, `attached` are its attachments, if at hand."""
+@dataclass(frozen=True, kw_only=True)
+class SurfaceBones:
+    """Bones of a mesh, the two that carry each of its N vertices, and which vertices are of rigid cards."""
+
+    skeleton: Skeleton
+    vertices: Weights
+    in_card: Bool[np.ndarray, " N"]
+
+
+def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
+    """Find the bones of a mesh of one tree; `grid` is that of its motion."""
     surface, vertex = weld(mesh.moving_part)
-    surface, attached, row = _without_loose_vertices(surface, attached or find_attachments(surface, grid))
+    surface, attached, row = _without_loose_vertices(surface, find_attachments(surface, grid))
     vertex = row[vertex]
     places = surface.vertices.astype(np.float64)
     voxel_m = float(np.ptp(places, axis=0).max()) / FINENESS
@@ -93,7 +64,9 @@ def turn_skeleton(mesh: Surface, grid: VoxelGrid, attached: Attachments | None =
     bone, share = _carriers(places, node, parent, foot, centre - foot)
     hangs = is_base & (parts.above[part] >= 0)
     standing = is_base & parts.stands[part]
-    share[(is_base & ~standing)[bone] & (share <= 0.5)] = 0  # a twig or a card turns by itself from its foot on
+    hinged = parts.is_card[part] & is_base & ~standing  # turns by itself from its foot on
+    share[hinged[bone] & (share <= 0.5)] = 0
+    share[is_base[bone] & ~hinged[bone]] *= 2  # the foot of a branch is in the bark, that of a trunk in the ground
 
     above = parts.above[part[hangs]]
     low = share[above] > 0.5
@@ -109,17 +82,24 @@ def turn_skeleton(mesh: Surface, grid: VoxelGrid, attached: Attachments | None =
     foot = np.concatenate([foot, np.tile(ground, (num_floating + 1, 1))])
     in_surface = np.concatenate([is_surface[part], np.zeros(num_floating + 1, bool)])
 
-    order = np.argsort(_depths(parent), kind="stable")
+    order = np.argsort(depths_of(parent), kind="stable")
     number = np.empty(len(order), np.int64)
     number[order] = np.arange(len(order))
     still = mesh.still_vertices | (vertex < 0)
-    return TurnSkeleton(
-        parent=np.where(parent < 0, -1, number[parent])[order].astype(np.int32),
-        foot_m=foot[order].astype(np.float32),
-        reach_m=reach[order].astype(np.float32),
-        in_surface=in_surface[order],
-        bone=np.where(still, GROUND, number[bone][vertex]).astype(np.int32),
-        parent_share=np.where(still, 0, share[vertex]).astype(np.float32),
+    parent = np.where(parent < 0, -1, number[parent])[order].astype(np.int32)
+    own = np.where(still, GROUND, number[bone][vertex]).astype(np.int32)
+    of_parent = np.where(still, 0, np.rint(255 * share[vertex]) / 255).astype(np.float32)  # a byte in files
+    return SurfaceBones(
+        skeleton=Skeleton(
+            parent=parent,
+            foot_m=foot[order].astype(np.float32),
+            reach_m=reach[order].astype(np.float32),
+            in_surface=in_surface[order],
+        ),
+        vertices=Weights(
+            rows=np.stack([own, np.maximum(parent[own], GROUND)], axis=1),
+            shares=np.stack([1 - of_parent, of_parent], axis=1),
+        ),
         in_card=parts.is_card[parts.of][vertex] & ~still,
     )
 
@@ -147,6 +127,9 @@ def _parts_of(surface: Surface, attached: Attachments, voxel_m: float) -> _Parts
     low, high = part_bounds(of, surface.vertices)
     small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
     stands = ~small & (low[:, 2] < low[:, 2].min() + voxel_m)
+    extent = (high - low).max(axis=1)
+    extent[attached.children] = 0
+    stands[extent.argmax()] = True  # the trunk, also where leaves hang lower than its foot
     is_card = (small | (np.bincount(of) <= CARD_VERTICES)) & ~stands
     near_foot = surface.vertices[:, 2] <= low[of, 2] + voxel_m
     foot = _means(of[near_foot], surface.vertices[near_foot].astype(np.float64), len(low))
@@ -261,12 +244,3 @@ def _means(
 ) -> Float64[np.ndarray, "B 3"]:
     total = np.stack([np.bincount(group, column, count) for column in places.T], axis=1)
     return np.asarray(total / np.maximum(np.bincount(group, minlength=count), 1)[:, None])
-
-
-def _depths(parent: Int64[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
-    """Number of ancestors, in any order of the bones."""
-    depth = np.where(parent < 0, 0, 1)
-    above = parent.copy()
-    while (above := np.where(above < 0, -1, parent[above])).max(initial=-1) >= 0:
-        depth += above >= 0
-    return depth

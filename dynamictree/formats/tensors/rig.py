@@ -1,0 +1,73 @@
+"""`tree.rig.safetensors`: bones, their turn modes, and what they carry. See docs/formats.md."""
+
+import numpy as np
+
+from dynamictree.byte_stream import ByteReader, ByteWriter
+from dynamictree.errors import FormatError
+from dynamictree.formats.tensors.container import MAX_FRAMES, integer, read_tensors, take_tensor, write_tensors
+from dynamictree.rig.pose import Skeleton, Weights
+from dynamictree.rig.rig import BONES_A_VOXEL, Rig, turn_steps
+
+FORMAT, VERSION = "tree-rig", "1"
+
+
+def write_rig(rig: Rig, stream: ByteWriter) -> None:
+    """Write; undone bit by bit by `read_rig` for rigs of `rig_of`, whose numbers are in the file's steps."""
+    steps = turn_steps(rig.turns)
+    parts = np.stack([rig.turns.real, rig.turns.imag], axis=-1) / steps[:, None, None]  # [B, K, 3, 2]
+    tensors = {
+        "parent": rig.skeleton.parent,
+        "foot_m": rig.skeleton.foot_m,
+        "reach_m": rig.skeleton.reach_m,
+        "in_surface": rig.skeleton.in_surface.astype(np.uint8),
+        "turns": np.rint(parts).astype(np.int16),
+        "turn_step_rad": steps,
+        "vertex_bone": rig.vertices.rows[:, 0],
+        "vertex_parent_share": _bytes(rig.vertices.shares[:, 1]),
+        "voxel_bones": rig.voxels.rows,
+        "voxel_shares": _bytes(rig.voxels.shares),
+    }
+    write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION, "num_frames": str(rig.num_frames)})
+
+
+def read_rig(stream: ByteReader) -> Rig:
+    """Read.
+
+    Raises:
+        FormatError: the file is no rig of a known version, or its bones do not fit together.
+    """
+    tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
+    parent = take_tensor(tensors, "parent", dtypes=("int32",), shape=(None,))
+    num_bones = len(parent)
+    steps = take_tensor(tensors, "turn_step_rad", dtypes=("float32",), shape=(None,))
+    parts = take_tensor(tensors, "turns", dtypes=("int16",), shape=(num_bones, len(steps), 3, 2))
+    bone = take_tensor(tensors, "vertex_bone", dtypes=("int32",), shape=(None,))
+    of_parent = take_tensor(tensors, "vertex_parent_share", dtypes=("uint8",), shape=(len(bone),)) / np.float32(255)
+    voxel_bones = take_tensor(tensors, "voxel_bones", dtypes=("int32",), shape=(None, BONES_A_VOXEL))
+    voxel_shares = take_tensor(tensors, "voxel_shares", dtypes=("uint8",), shape=voxel_bones.shape)
+    before = np.arange(num_bones)
+    if num_bones == 0 or parent[0] != -1 or (parent[1:] < 0).any() or (parent >= before).any():
+        raise FormatError("the rig's bones are not in order: the ground first, parents before children")
+    for rows in (bone, voxel_bones):
+        if len(rows) and not 0 <= rows.min() <= rows.max() < num_bones:
+            raise FormatError(f"the rig names bone {rows.max()} of {num_bones}")
+    turns = parts * steps[:, None, None]
+    return Rig(
+        skeleton=Skeleton(
+            parent=parent,
+            foot_m=take_tensor(tensors, "foot_m", dtypes=("float32",), shape=(num_bones, 3)),
+            reach_m=take_tensor(tensors, "reach_m", dtypes=("float32",), shape=(num_bones, 3)),
+            in_surface=take_tensor(tensors, "in_surface", dtypes=("uint8",), shape=(num_bones,)) > 0,
+        ),
+        turns=(turns[..., 0] + 1j * turns[..., 1]).astype(np.complex64),
+        vertices=Weights(
+            rows=np.stack([bone, np.maximum(parent[bone], 0)], axis=1),
+            shares=np.stack([1 - of_parent, of_parent], axis=1).astype(np.float32),
+        ),
+        voxels=Weights(rows=voxel_bones, shares=(voxel_shares / np.float32(255)).astype(np.float32)),
+        num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
+    )
+
+
+def _bytes(shares: np.ndarray) -> np.ndarray:
+    return np.asarray(np.rint(255 * shares), np.uint8)

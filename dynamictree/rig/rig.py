@@ -1,0 +1,207 @@
+"""A tree that moves: its bones, how they turn in each mode, and which bones carry its vertices and voxels."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Complex64, Float32, Float64, Int32, Int64
+
+from dynamictree.mesh import Surface, edges_of
+from dynamictree.rig.pose import GROUND, Skeleton, Weights, carried, poses
+from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
+from dynamictree.rig.turn_fit import Target, fit_turns
+from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, iter_motion
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import surface_average, voxel_trees
+
+BONES_A_VOXEL = 4
+"""A voxel is the mean of what lies in it; its strongest bones carry it, as many as an engine's vertex takes."""
+_POINTS_AT_ONCE = 10_000  # 12 MB of frames
+STEPS = 32767
+"""Of a turn's largest value in a bin: 16 bits. A step turns a bone by less than 0.1 mm per metre of its length."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """B bones with K turn modes each, for N vertices of a mesh and V voxels of a grid."""
+
+    skeleton: Skeleton
+    turns: Complex64[np.ndarray, "B K 3"]  # [rad], as a spectrum: Re c_0 + 2 Re Σ c_k e^{2πik·phase}
+    vertices: Weights
+    voxels: Weights
+    num_frames: int  # T of the spectrum, which has frequencies up to T / 2
+
+    def theta(self, phases: Float64[np.ndarray, " M"]) -> Iterator[Float32[np.ndarray, "B 3"]]:
+        """How far each bone turns at phases of the loop, in periods [rad]."""
+        return iter_motion(self.turns, phases, self.num_frames)
+
+    def in_wind(
+        self, theta: Float32[np.ndarray, "B 3"], turn: Float32[np.ndarray, "3 3"]
+    ) -> Float32[np.ndarray, "B 3"]:
+        """θ in a wind that a matrix about the vertical has turned: a bone's end swings as much, in its direction."""
+        direction = self.skeleton.directions
+        along = (theta * direction).sum(axis=1, keepdims=True) * direction
+        return np.asarray(np.cross(direction, np.cross(theta, direction) @ turn.T) + along, np.float32)
+
+    def loop(
+        self, points: Float32[np.ndarray, "n 3"], weights: Weights, num_frequencies: int | None = None
+    ) -> Complex64[np.ndarray, "n L 3"]:
+        """Spectrum of points that the bones carry over one loop [m]; by default with K frequencies.
+
+        A turn that adds frequencies moves a point along an arc, so some of the motion lies above the K.
+        """
+        stance = poses(self.skeleton, np.stack(list(self.theta(np.arange(self.num_frames) / self.num_frames))))
+        count = num_frequencies or self.turns.shape[1]
+        result = np.empty((len(points), count, 3), np.complex64)
+        for start in range(0, len(points), _POINTS_AT_ONCE):
+            some = slice(start, start + _POINTS_AT_ONCE)
+            moved = [carried(self.skeleton, stance, t, points[some], weights[some]) for t in range(self.num_frames)]
+            result[some] = from_motion(np.stack(moved), count)
+        return result
+
+    def displacement(
+        self, theta: Float32[np.ndarray, "B 3"], points: Float32[np.ndarray, "n 3"], weights: Weights
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Displacement of points that the bones carry where they turn by θ [m]."""
+        return carried(self.skeleton, poses(self.skeleton, theta[None]), 0, points, weights)
+
+
+def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum) -> Rig:
+    """Find the bones of a mesh and fit their turns to the spectrum of its voxels.
+
+    Each of several trees has bones of its own, and voxels in which it has most of the surface.
+
+    Raises:
+        InputError: a voxel of the grid holds none of the mesh's surface.
+    """
+    if mesh.face_tree is None:
+        return _of_one(mesh, spectrum.grid, spectrum.coefficients, spectrum.num_frames)
+    moving = mesh.moving_part
+    assert moving.face_tree is not None
+    tree_of_voxel = voxel_trees(moving, spectrum.grid)
+    every = []
+    for number in np.unique(tree_of_voxel[tree_of_voxel >= 0]):
+        rows = np.flatnonzero(tree_of_voxel == number)
+        vertices, corner = np.unique(moving.faces[moving.face_tree == number], return_inverse=True)
+        alone = Surface(vertices=moving.vertices[vertices], faces=corner.reshape(-1, 3).astype(np.int32))
+        grid = replace(spectrum.grid, coords=spectrum.grid.coords[rows])
+        coefficients = np.ascontiguousarray(spectrum.coefficients[rows])
+        every.append((vertices, rows, _of_one(alone, grid, coefficients, spectrum.num_frames)))
+    return _together(every, mesh.num_vertices, len(spectrum.grid))
+
+
+def turn_steps(turns: Complex64[np.ndarray, "B K 3"]) -> Float32[np.ndarray, " K"]:
+    """The step [rad] in which turns of each bin are stored in 16 bits."""
+    parts = np.maximum(np.abs(turns.real), np.abs(turns.imag)).max(axis=(0, 2), initial=0)
+    return np.asarray(np.maximum(parts / STEPS, np.finfo(np.float32).tiny), np.float32)
+
+
+def in_steps(turns: Complex64[np.ndarray, "B K 3"]) -> Complex64[np.ndarray, "B K 3"]:
+    """Turns as the file has them, so that whoever reads it shows the same places."""
+    steps = turn_steps(turns)[:, None]
+    return np.asarray(np.rint(turns.real / steps) * steps + 1j * np.rint(turns.imag / steps) * steps, np.complex64)
+
+
+def in_bytes(shares: Float64[np.ndarray, "n W"]) -> Float32[np.ndarray, "n W"]:
+    """Shares in steps of 1/255, which sum to 1; what rounding leaves over goes to the first."""
+    whole = np.rint(255 * shares / shares.sum(axis=1, keepdims=True))
+    whole[:, 0] += 255 - whole.sum(axis=1)
+    return np.asarray(whole / 255, np.float32)
+
+
+def _of_one(mesh: Surface, grid: VoxelGrid, coefficients: Complex64[np.ndarray, "V K 3"], num_frames: int) -> Rig:
+    moving = mesh.moving_part
+    bones = surface_bones(mesh, grid)
+    mean = surface_average(moving, grid).astype(np.float64)
+    target = Target(
+        points=mesh.vertices,
+        edges=edges_of(moving.faces),
+        mean=mean,
+        coefficients=coefficients,
+        num_frames=num_frames,
+        voxel_m=float(np.ptp(mesh.vertices[np.unique(moving.faces)], axis=0).max()) / FINENESS,
+    )
+    turns = in_steps(fit_turns(bones.skeleton, bones.vertices, target))
+    voxels = _strongest(mean, bones.vertices, len(bones.skeleton))
+    return Rig(skeleton=bones.skeleton, turns=turns, vertices=bones.vertices, voxels=voxels, num_frames=num_frames)
+
+
+def _strongest(mean: scipy.sparse.csr_array, vertices: Weights, num_bones: int) -> Weights:
+    """Of each voxel, the bones that carry most of the surface in it."""
+    num_vertices, width = vertices.rows.shape
+    ends = width * np.arange(num_vertices + 1)
+    carries = scipy.sparse.csr_array(
+        (vertices.shares.ravel(), vertices.rows.ravel(), ends), shape=(num_vertices, num_bones)
+    )
+    shares = (mean @ carries).tocsr()
+    shares.sum_duplicates()
+    row = np.repeat(np.arange(shares.shape[0]), np.diff(shares.indptr))
+    order = np.lexsort((-shares.data, row))
+    rank = np.arange(len(row)) - shares.indptr[row]
+    remaining = rank < BONES_A_VOXEL
+    rows = np.zeros((shares.shape[0], BONES_A_VOXEL), np.int32)
+    strongest = np.zeros(rows.shape)
+    rows[row[remaining], rank[remaining]] = shares.indices[order][remaining]
+    strongest[row[remaining], rank[remaining]] = shares.data[order][remaining]
+    return Weights(rows=rows, shares=in_bytes(strongest))
+
+
+def _together(
+    every: Sequence[tuple[Int32[np.ndarray, " _"], Int64[np.ndarray, " _"], Rig]], num_vertices: int, num_voxels: int
+) -> Rig:
+    """Several rigs as one, on one ground; what is of none stands still. Each with its rows of vertices and voxels."""
+    bones = np.cumsum([1, *(len(rig.skeleton) - 1 for _, _, rig in every)])
+    ground = every[0][2]
+
+    def moved(rows: np.ndarray, first: int) -> np.ndarray:
+        return np.where(rows <= GROUND, rows, rows + first - 1)
+
+    parent = [ground.skeleton.parent[:1]]
+    vertices, voxels = _on_ground(num_vertices, 2), _on_ground(num_voxels, BONES_A_VOXEL)
+    for first, (own, grid_rows, rig) in zip(bones.tolist(), every, strict=False):
+        parent.append(moved(rig.skeleton.parent[1:], first))
+        for all_of_them, some, weights in ((vertices, own, rig.vertices), (voxels, grid_rows, rig.voxels)):
+            all_of_them.rows[some], all_of_them.shares[some] = moved(weights.rows, first), weights.shares
+    rigs = [rig for _, _, rig in every]
+    skeleton, order = _by_depth(
+        Skeleton(
+            parent=np.concatenate(parent),
+            foot_m=_joined(ground.skeleton.foot_m, [rig.skeleton.foot_m for rig in rigs]),
+            reach_m=_joined(ground.skeleton.reach_m, [rig.skeleton.reach_m for rig in rigs]),
+            in_surface=_joined(ground.skeleton.in_surface, [rig.skeleton.in_surface for rig in rigs]),
+        )
+    )
+    number = np.argsort(order).astype(np.int32)
+    return Rig(
+        skeleton=skeleton,
+        turns=_joined(ground.turns, [rig.turns for rig in rigs])[order],
+        vertices=replace(vertices, rows=number[vertices.rows]),
+        voxels=replace(voxels, rows=number[voxels.rows]),
+        num_frames=ground.num_frames,
+    )
+
+
+def _by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
+    order = np.argsort(skeleton.depths, kind="stable")
+    number = np.argsort(order)
+    parent = np.where(skeleton.parent < 0, -1, number[skeleton.parent])[order].astype(np.int32)
+    return (
+        Skeleton(
+            parent=parent,
+            foot_m=skeleton.foot_m[order],
+            reach_m=skeleton.reach_m[order],
+            in_surface=skeleton.in_surface[order],
+        ),
+        order.astype(np.int32),
+    )
+
+
+def _joined(ground: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate([ground[:1], *(part[1:] for part in parts)])
+
+
+def _on_ground(count: int, width: int) -> Weights:
+    shares = np.zeros((count, width), np.float32)
+    shares[:, 0] = 1
+    return Weights(rows=np.full((count, width), GROUND, np.int32), shares=shares)

@@ -1,0 +1,112 @@
+"""A rig as joints with keys, for files and engines: all bones, or the few that lose least."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Int64
+
+from dynamictree.rig.pose import Skeleton, Weights, carried, poses
+from dynamictree.rig.rig import Rig
+from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
+from dynamictree.spectrum import bin_weights
+
+
+def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> tuple[Skin, SkinSummary]:
+    """A skin of at most `num_joints` joints, T keys over the loop, and how far it is from the rig.
+
+    With as many joints as the rig has bones it is the rig: joints turn as the bones do, and weights are the same.
+    """
+    few = reduced(rig, vertices, num_joints)
+    phases = np.arange(rig.num_frames) / rig.num_frames
+    stance = poses(few.skeleton, np.stack(list(few.theta(phases))))
+    shift = stance.place_m - np.einsum("tbij,bj->tbi", stance.rotation, few.skeleton.foot_m)
+    width = few.vertices.rows.shape[1]
+    padding = ((0, 0), (0, JOINTS_PER_VERTEX - width))
+    skin = Skin(
+        parent=few.skeleton.parent,
+        joint_m=few.skeleton.foot_m,
+        rows=np.pad(few.vertices.rows, padding),
+        weights=np.pad(few.vertices.shares, padding),
+        rotation=stance.rotation.astype(np.float32),
+        translation_m=shift.astype(np.float32),
+    )
+    total = missing = largest = 0.0
+    if few is not rig:
+        whole = poses(rig.skeleton, np.stack(list(rig.theta(phases))))
+        for frame in range(rig.num_frames):
+            moved = carried(rig.skeleton, whole, frame, vertices, rig.vertices)
+            gap = ((carried(few.skeleton, stance, frame, vertices, few.vertices) - moved) ** 2).sum(axis=1)
+            total, missing = total + float((moved**2).sum()), missing + float(gap.sum())
+            largest = max(largest, float(gap.max()))
+    summary = SkinSummary(
+        num_joints=len(skin.parent),
+        num_keys=rig.num_frames + 1,
+        relative_error=float(np.sqrt(missing / total)) if total > 0 else 0.0,
+        rms_error_m=float(np.sqrt(missing / (rig.num_frames * len(vertices)))),
+        max_error_m=float(np.sqrt(largest)),
+    )
+    return skin, summary
+
+
+def reduced(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> Rig:
+    """The rig with at most `num_bones` bones: those stay whose turn against their parent moves most of the mesh."""
+    skeleton = rig.skeleton
+    if len(skeleton) <= num_bones:
+        return rig
+    cost = _losses(rig, vertices)
+    cost[0] = np.inf
+    remaining = np.sort(np.argsort(-cost, kind="stable")[:num_bones])
+    target = np.arange(len(skeleton))
+    stays = np.zeros(len(skeleton), np.bool_)
+    stays[remaining] = True
+    for bone in np.flatnonzero(~stays):  # parents come before children
+        target[bone] = target[skeleton.parent[bone]]
+    number = np.searchsorted(remaining, target).astype(np.int32)
+    parent = np.where(remaining == 0, -1, number[skeleton.above[remaining]]).astype(np.int32)
+    few = Skeleton(
+        parent=parent,
+        foot_m=skeleton.foot_m[remaining],
+        reach_m=skeleton.reach_m[remaining],
+        in_surface=skeleton.in_surface[remaining],
+    )
+    order = np.argsort(few.depths, kind="stable")
+    place = np.argsort(order).astype(np.int32)
+    ordered = Skeleton(
+        parent=np.where(parent[order] < 0, -1, place[parent[order]]).astype(np.int32),
+        foot_m=few.foot_m[order],
+        reach_m=few.reach_m[order],
+        in_surface=few.in_surface[order],
+    )
+    return replace(
+        rig,
+        skeleton=ordered,
+        turns=rig.turns[remaining][order],
+        vertices=_merged(rig.vertices, place[number]),
+        voxels=_merged(rig.voxels, place[number]),
+    )
+
+
+def _losses(rig: Rig, vertices: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " B"]:
+    """Sum of squares [m²] of what is lost where a bone turns as its parent does, to first order."""
+    skeleton, count = rig.skeleton, len(rig.skeleton)
+    bone = rig.vertices.rows[np.arange(len(vertices)), rig.vertices.shares.argmax(axis=1)]
+    arm = ((vertices - skeleton.foot_m[bone]).astype(np.float64) ** 2).sum(axis=1)
+    lever, carries = np.bincount(bone, arm, count), np.bincount(bone, minlength=count)
+    for child in range(count - 1, 0, -1):
+        above = skeleton.parent[child]
+        foot = ((skeleton.foot_m[child] - skeleton.foot_m[above]).astype(np.float64) ** 2).sum()
+        carries[above] += carries[child]
+        lever[above] += carries[child] * foot
+    apart = np.abs(rig.turns - rig.turns[skeleton.above]) ** 2
+    return np.asarray(lever * (apart.sum(axis=2) @ bin_weights(rig.turns.shape[1], rig.num_frames)))
+
+
+def _merged(weights: Weights, number: Int32[np.ndarray, " B"]) -> Weights:
+    """Weights by other numbers of the bones; shares of bones that became one are added."""
+    rows, shares = number[weights.rows], weights.shares.copy()
+    for later in range(1, rows.shape[1]):
+        for earlier in range(later):
+            same: Int64[np.ndarray, " n"] = np.flatnonzero(rows[:, later] == rows[:, earlier])
+            shares[same, earlier] += shares[same, later]
+            shares[same, later] = 0
+    return Weights(rows=rows, shares=shares)
