@@ -603,7 +603,7 @@ class Reached(Model):
     # where the point rests in the bent shape, from rest [m]
     reached_m: tuple[float, float, float]
     error_m: float
-    # why it goes less far; null where it is within 5 %
+    # why it goes less far; null where it is within 1 % of the pull
     why: str | None
 
 

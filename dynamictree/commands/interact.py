@@ -20,7 +20,7 @@ from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.bone_attachment import attach_mesh
+from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
@@ -69,7 +69,10 @@ def interact(
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second, each one step.")] = 60.0,
     as_json: AsJson = False,
 ) -> None:
-    """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
+    """Push a tree: spectrum + forces → modal coordinates, moving mesh.
+
+    With --mesh and --warp the place of a point is the nearest vertex, which --displacement moves.
+    """
     wanted = _formats(formats, has_mesh=mesh is not None)
     with opened(spectrum) as stream:
         system = modal_system(
@@ -79,10 +82,15 @@ def interact(
             frequency_hz=params.frequency_hz,
             foliage=params.foliage,
         )
+    source = None if mesh is None else load_mesh(mesh, reading)
+    tree = InteractiveTree(system)
+    carried = None if source is None or not params.warp else _carried(tree, source)
     at = _contact(system, point, voxel, radius)
+    if source is not None and carried is not None and point is not None:
+        nearest = int(np.linalg.norm(source.vertices - np.asarray(point), axis=1).argmin())
+        at = tree.contact_at_vertex(carried, source.vertices, nearest, radius_m=radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
     groups = group_forces(forces, falloff_m=chosen_falloff_m(system, params))
-    tree = InteractiveTree(system)
     answer = respond(
         system,
         groups,
@@ -92,15 +100,14 @@ def interact(
         start="held" if held else "rest",
         bent=tree if params.warp else None,
     )
-    source = None if mesh is None else load_mesh(mesh, reading)
-    files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=params.warp)
+    files = _write(tree, answer, source, carried, output, wanted=wanted, fps=fps)
     facts = {
         "files": [str(path) for path in files],
         "num_frames": frames,
         "groups": len(groups),
         "mass_kg": system.mass_kg,
         "reached_m": [[round(float(x), 4) for x in one.reached_m] for one in answer.reached],
-        "place_m": [round(float(x), 4) for x in system.grid.centres_m[at.rows[0]]],
+        "place_m": [round(float(x), 4) for x in (at.drawn.point_m if at.drawn else system.grid.centres_m[at.rows[0]])],
     }
     tell(facts, as_json=as_json)
 
@@ -156,11 +163,11 @@ def _write(
     tree: InteractiveTree,
     answer: Answer,
     mesh: TriangleMesh | None,
+    carried: BoneAttachment | None,
     output: Path,
     *,
     wanted: tuple[str, ...],
     fps: float,
-    warp: bool,
 ) -> list[Path]:
     with published(output) as folder:
         for name in wanted:
@@ -169,7 +176,7 @@ def _write(
                     stream.write(save(answer_tensors(answer), {"fps": repr(fps)}))
                     continue
                 assert mesh is not None
-                frames = _vertex_frames(tree, answer, mesh, warp=warp)
+                frames = _vertex_frames(tree, answer, mesh, carried)
                 if name == "motion":
                     write_motion(mesh, frames, stream, num_frames=len(answer.q), fps=fps)
                 else:
@@ -178,13 +185,14 @@ def _write(
 
 
 def _vertex_frames(
-    tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, *, warp: bool
+    tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, carried: BoneAttachment | None
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Displacement of the mesh's vertices, frame after frame [m]."""
+    """Displacement of the mesh's vertices, frame after frame [m]: bent where bones carry them."""
+    if carried is None:
+        return tree.superposed(answer, VertexFrames(tree.system, smooth(tree.system.grid, mesh)))
+    return tree.bent(answer, mesh.vertices, carried)
+
+
+def _carried(tree: InteractiveTree, mesh: TriangleMesh) -> BoneAttachment:
     grid = tree.system.grid
-    ties = smooth(grid, mesh)
-    if not warp:
-        yield from tree.superposed(answer, VertexFrames(tree.system, ties))
-        return
-    carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
-    yield from tree.bent(answer, mesh.vertices, carried)
+    return attach_mesh(tree.bones, mesh, smooth(grid, mesh), voxel_size_m=grid.voxel_size_m)

@@ -1,26 +1,30 @@
-"""Forward kinematics of the bones between the root and one point, with derivatives.
+"""Forward kinematics of the bones under one point that several of them carry, with derivatives.
 
-Bone b of the chain turns by R_b = A_b exp[θ_b]×, A_b = A_{b-1} exp[κ_b]×: θ_b comes from the modes and turns this bone
-only, κ_b is the local bend of its joint and also turns everything beyond it. The point goes to
+Bone b turns by R_b = A_b exp[θ_b]×, A_b = A_a exp[κ_b]×, a its parent: θ_b comes from the modes and turns this bone
+only, κ_b is the local bend of its joint and also turns everything beyond it. A point that bones j carry with the
+weights w_j goes to
 
-    x = x_0 + Σ_b R_b s_b,        s_b from the joint of b to the next joint, or to the point.
+    x = x_0 + Σ_b R_b s_b,        s_b = Σ_j w_j s_bj,
+
+s_bj from the joint of b to the next joint on the way to j, or to the point.
 """
 
 from dataclasses import dataclass
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.modal.bones import Bones
 from dynamictree.parallel import compiled
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chain:
-    """Bones from the grip's own towards the root, which cannot turn and is left out."""
+class Place:
+    """A point and the n bones under it, parents before children. A root cannot turn and is left out."""
 
     bones: Int64[np.ndarray, " n"]
+    above: Int64[np.ndarray, " n"]  # row of each one's parent here; -1 of a root
     segments_m: Float64[np.ndarray, "n 3"]  # s
 
     def __len__(self) -> int:
@@ -36,43 +40,52 @@ def rows_to_root(bones: Bones, bone: int) -> Int64[np.ndarray, " n"]:
     return np.array(rows, np.int64)
 
 
-def chain_to(bones: Bones, bone: int, point_m: Float32[np.ndarray, " 3"]) -> Chain:
-    """The chain under a point that a bone carries."""
-    rows = rows_to_root(bones, bone)
-    ends = np.concatenate([point_m[None], bones.joint_m[rows[:-1]]])[: len(rows)].astype(np.float64)
-    return Chain(bones=rows, segments_m=ends - bones.joint_m[rows])
+def place_of(
+    bones: Bones, point_m: Float32[np.ndarray, " 3"], rows: Int32[np.ndarray, " W"], weights: Float32[np.ndarray, " W"]
+) -> Place:
+    """The bones under a point that bones `rows` carry, and its arm about each."""
+    joint, arms = bones.joint_m.astype(np.float64), dict[int, Float64[np.ndarray, " 3"]]()
+    for first, weight in zip(rows.tolist(), weights.astype(np.float64).tolist(), strict=True):
+        end = point_m.astype(np.float64)
+        for bone in rows_to_root(bones, first).tolist() if weight > 0 else ():
+            arms[bone] = arms.get(bone, np.zeros(3)) + weight * (end - joint[bone])
+            end = joint[bone]
+    under = np.array(sorted(arms), np.int64)
+    parent = bones.parent[under]
+    return Place(
+        bones=under,
+        above=np.where(np.isin(parent, under), under.searchsorted(parent), -1),
+        segments_m=np.array([arms[bone] for bone in under.tolist()]).reshape(-1, 3),
+    )
 
 
 def reach(
-    chain: Chain, turns: Float64[np.ndarray, "n 3"], bends: Float64[np.ndarray, "n 3"]
+    place: Place, turns: Float64[np.ndarray, "n 3"], bends: Float64[np.ndarray, "n 3"]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, "3 n3"], Float64[np.ndarray, "3 n3"]]:
     """Displacement of the point [m], and its derivatives by the turns θ and by the bends κ [m/rad]."""
-    moved, by_turns, by_bends = _reach(chain.segments_m[::-1].copy(), turns[::-1].copy(), bends[::-1].copy())
-    n = len(chain)
-    return moved, by_turns[:, ::-1].reshape(3, 3 * n), by_bends[:, ::-1].reshape(3, 3 * n)
+    moved, by_turns, by_bends = _reach(place.above, place.segments_m, turns, bends)
+    return moved, by_turns.reshape(3, -1), by_bends.reshape(3, -1)
 
 
 @compiled
 @no_type_check
-def _reach(segments, turns, bends):
+def _reach(above, segments, turns, bends):
     n = len(segments)
-    before = np.empty((n, 3, 3))  # A_{b-1}
-    arms = np.empty((n, 3))  # R_b s_b
+    frame, before = np.empty((n, 3, 3)), np.empty((n, 3, 3))  # A, and that of the parent
+    arms = np.empty((n, 3))  # R_b s_b, and then the sum over all that b carries
     by_turns, by_bends = np.empty((3, n, 3)), np.empty((3, n, 3))
-    frame = np.eye(3)
-    moved, arm = np.zeros(3), np.zeros(3)
+    moved = np.zeros(3)
     for b in range(n):
-        before[b] = frame
-        bend, _ = _rotation(bends[b])
+        before[b] = np.eye(3) if above[b] < 0 else frame[above[b]]
+        frame[b] = _product(before[b], _rotation(bends[b])[0])
         turn, by_turn = _rotation(turns[b])
-        frame = _product(frame, bend)
-        arms[b] = _carried(frame, _carried(turn, segments[b]))
+        arms[b] = _carried(frame[b], _carried(turn, segments[b]))
         moved += arms[b] - segments[b]
-        by_turns[:, b] = -_product(_cross(arms[b]), _product(frame, by_turn))  # [R v]× R = R [v]×
-    for b in range(n - 1, -1, -1):
-        arm += arms[b]  # from the joint of b to the point, as they stand
-        _, by_bend = _rotation(bends[b])
-        by_bends[:, b] = -_product(_cross(arm), _product(before[b], by_bend))
+        by_turns[:, b] = -_product(_cross(arms[b]), _product(frame[b], by_turn))  # [R v]× R = R [v]×
+    for b in range(n - 1, -1, -1):  # children come after their parents
+        by_bends[:, b] = -_product(_cross(arms[b]), _product(before[b], _rotation(bends[b])[1]))
+        if above[b] >= 0:
+            arms[above[b]] += arms[b]
     return moved, by_turns, by_bends
 
 

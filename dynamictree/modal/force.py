@@ -7,7 +7,7 @@ steps, and each step gets the force's mean over it, so an impulse keeps its newt
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex128, Float64, Int32
+from jaxtyping import Complex128, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.modal.step import State
@@ -23,11 +23,21 @@ STIFF_SHARE = 0.1  # a direction that gives way by this share of the softest is 
 
 
 @dataclass(frozen=True, kw_only=True)
+class CarriedPoint:
+    """A point of the mesh that a drag by displacement holds, and the bones that carry it."""
+
+    point_m: Float32[np.ndarray, " 3"]
+    bones: Int32[np.ndarray, " W"]
+    weights: Float32[np.ndarray, " W"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Contact:
     """Voxels that a force is spread over; the weights sum to 1, the first row is where it is aimed."""
 
     rows: Int32[np.ndarray, " P"]
     weights: Float64[np.ndarray, " P"]
+    drawn: CarriedPoint | None = None  # what a drag by displacement holds; the first voxel where there is none
 
 
 @dataclass(frozen=True, kw_only=True)

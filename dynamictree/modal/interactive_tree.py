@@ -1,7 +1,7 @@
 """A tree prepared for interaction: which bones and voxels each group of forces moves, and how far."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ from jaxtyping import Complex128, Float32, Float64, Int64
 
 from dynamictree.modal.bone_attachment import BoneAttachment
 from dynamictree.modal.bones import Bones, bones_of
-from dynamictree.modal.force import Contact, Force
+from dynamictree.modal.force import CarriedPoint, Contact, Force, contact_at_point, contact_at_voxel
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.locality import Branching, branching, poke_weights
 from dynamictree.modal.step import State
@@ -152,4 +152,18 @@ class InteractiveTree:
         from dynamictree.modal.warp import bone_weights
 
         weights = bone_weights(self.bones, self.weights([group]))
-        return grip_at(system, self.bones, at, weights, local=group.locality is not None)
+        return grip_at(system, self.bones, at, weights, self.chain(group))
+
+    def contact_at_vertex(
+        self, attachment: BoneAttachment, vertices: Float32[np.ndarray, "N 3"], vertex: int, *, radius_m: float = 0.0
+    ) -> Contact:
+        """Where a vertex is pulled: the force acts at the nearest voxel of the bone that carries most of it."""
+        x, y, z = vertices[vertex].tolist()
+        bones, weights = attachment.rows[vertex], attachment.weights[vertex]
+        own = np.flatnonzero(self.bones.bone_of_voxel == bones[weights.argmax()])
+        if weights.any() and radius_m == 0:
+            away = np.linalg.norm(self.system.grid.centres_m[own] - vertices[vertex], axis=1)
+            at = contact_at_voxel(self.system.grid, int(own[away.argmin()]))
+        else:
+            at = contact_at_point(self.system.grid, (x, y, z), radius_m=radius_m)
+        return replace(at, drawn=CarriedPoint(point_m=vertices[vertex], bones=bones, weights=weights))

@@ -5,11 +5,11 @@ root. Of all that bring the point to its target x*, the solution has the least e
 
     |x* − x(f, κ)|² / 2ε  +  ½ fᵀ C f (1 + ½ s²)  +  ½ Σ_b |κ_b|² (1 + ½ |κ_b|² / κ_max²) / g_b
 
-with g_b = β |s_b| / carried_b^p, |s_b| the bone's length and carried_b the number of voxels beyond the joint. C is the
-compliance of the modes and s the largest turn that they give a bone, over `LARGEST_TURN`. So a branch bends at its thin
-end more than at its thick one, and no joint folds. ε is so small that it only matters for a target that cannot be
-reached, such as one along a stem. Levenberg-Marquardt; because the point has three coordinates, each step is the
-solution of a 3 × 3 system.
+with x the drawn point, which its own bones carry, g_b = β |r_b| / carried_b^p, |r_b| the bone's length and carried_b
+the number of voxels beyond the joint. C is the compliance of the modes and s the largest turn that they give a bone,
+over `LARGEST_TURN`. So a branch bends at its thin end more than at its thick one, and no joint folds. ε is so small
+that it only matters for a target that cannot be reached, such as one along a stem. Levenberg-Marquardt; because the
+point has three coordinates, each step is the solution of a 3 × 3 system.
 """
 
 from dataclasses import dataclass, field
@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from dynamictree.modal.bone_chain import Chain, chain_to, reach
+from dynamictree.modal.bone_chain import Place, place_of, reach
 from dynamictree.modal.bones import Bones
-from dynamictree.modal.force import Contact, compliance, generalised
+from dynamictree.modal.force import CarriedPoint, Contact, compliance, generalised
 from dynamictree.modal.system import ModalSystem
 from dynamictree.modal.warp import bone_turns
 
@@ -41,7 +41,7 @@ class Pull:
     """A point at rest under a drag. `bend` is κ of the bones from the grip's own towards the root."""
 
     force_n: Float64[np.ndarray, " 3"]
-    bend: Float64[np.ndarray, "n 3"]
+    bend: Float64[np.ndarray, "c 3"]
     unknowns: Float64[np.ndarray, " D"]  # a first guess for a target near this one
     reached_m: Float64[np.ndarray, " 3"]
     beyond_m: float  # how much too short the chain is, drawn straight [m]
@@ -49,11 +49,12 @@ class Pull:
 
 @dataclass(frozen=True, kw_only=True)
 class Grip:
-    """One place that can be pulled, prepared once for any target. `local` is False where joints must not bend."""
+    """One place that can be pulled, prepared once for any target."""
 
-    chain: Chain
+    place: Place
+    joints: Int64[np.ndarray, " c"]  # row of each joint that may bend among the place's bones, from the tip to the root
     force_per_unit: Float64[np.ndarray, "3 S"]  # f of unit energy in each soft direction of the modes
-    turns_per_unit: Float64[np.ndarray, "n3 S"]  # θ of the chain's bones, likewise
+    turns_per_unit: Float64[np.ndarray, "n3 S"]  # θ of the place's bones, likewise
     give: Float64[np.ndarray, " n3"]  # g, three times [rad²/J]
     tolerance_m2_j: float
     largest: float = field(default=1.0)  # units at which some bone turns by `LARGEST_TURN`
@@ -69,11 +70,22 @@ def carried_voxels(bones: Bones) -> Int64[np.ndarray, " B"]:
 
 
 def grip_at(
-    system: ModalSystem, bones: Bones, at: Contact, weights: Float32[np.ndarray, "1 B"], *, local: bool = True
+    system: ModalSystem,
+    bones: Bones,
+    at: Contact,
+    weights: Float32[np.ndarray, "1 B"],
+    chain: Int64[np.ndarray, " c"],
 ) -> Grip:
-    """Prepare a place; `weights` are those of its group's bones."""
+    """Prepare a place; `weights` are those of its group's bones, and the joints of the chain may bend."""
     row = int(at.rows[0])
-    chain = chain_to(bones, int(bones.bone_of_voxel[row]), system.grid.centres_m[row])
+    own = CarriedPoint(
+        point_m=system.grid.centres_m[row],
+        bones=bones.bone_of_voxel[row : row + 1],
+        weights=np.ones(1, np.float32),
+    )
+    drawn = at.drawn or own
+    place = place_of(bones, drawn.point_m, drawn.bones, drawn.weights)
+    n = len(place)
     softness, axes = np.linalg.eigh(compliance(system, at))
     soft = (softness > SOFT * softness[-1]) & (softness > 0)
     force = axes[:, soft] / np.sqrt(softness[soft])
@@ -82,20 +94,22 @@ def grip_at(
     for index, q in enumerate(coordinates):
         turns[:, :, index] = bone_turns(bones, weights, q)
     largest_turn = np.sqrt((turns**2).sum(axis=(1, 2))).max(initial=0)
-    per_unit = turns[chain.bones].reshape(3 * len(chain), len(coordinates))
-    _, by_turns, by_bends = reach(chain, np.zeros((len(chain), 3)), np.zeros((len(chain), 3)))
+    per_unit = turns[place.bones].reshape(3 * n, len(coordinates))
+    _, by_turns, by_bends = reach(place, np.zeros((n, 3)), np.zeros((n, 3)))
     modal = by_turns @ per_unit
     through_modes = modal @ modal.T
-    if local and len(chain):
-        shape = np.linalg.norm(chain.segments_m, axis=1) / carried_voxels(bones)[chain.bones] ** STIFFENING
-        give = np.repeat(shape, 3)
+    joints = np.where(np.isin(chain, place.bones), place.bones.searchsorted(chain), -1)
+    shape = np.zeros(n)
+    shape[joints[joints >= 0]] = 1
+    length = np.linalg.norm(bones.reach_m[place.bones], axis=1)
+    give = np.repeat(shape * length / carried_voxels(bones)[place.bones] ** STIFFENING, 3)
+    if give.any():
         alike = np.trace(through_modes) or 1.0  # where no mode moves the point, only the shape of the bend matters
         give *= BEND_SHARE * alike / np.trace((by_bends * give) @ by_bends.T)
-    else:
-        give = np.zeros(3 * len(chain))
     softest = np.linalg.eigvalsh(through_modes + (by_bends * give) @ by_bends.T)[-1]
     return Grip(
-        chain=chain,
+        place=place,
+        joints=joints,
         force_per_unit=force,
         turns_per_unit=per_unit,
         give=give,
@@ -106,12 +120,12 @@ def grip_at(
 
 def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Pull | None = None) -> Pull:
     """Bring the point as near to its target as it can go [m from rest]; `near` is the answer for a target close by."""
-    n, num_soft = len(grip.chain), grip.force_per_unit.shape[1]
+    n, num_soft = len(grip.place), grip.force_per_unit.shape[1]
     y = np.zeros(num_soft + 3 * n) if near is None else near.unknowns  # units of the modes, then κ
     if n == 0 or grip.tolerance_m2_j <= 0:
         still = np.zeros(3)
-        return Pull(force_n=still, bend=np.zeros((n, 3)), unknowns=y, reached_m=still, beyond_m=0.0)
-    within, beyond = _within_length(grip.chain, target_m)
+        return Pull(force_n=still, bend=_of_chain(grip, y), unknowns=y, reached_m=still, beyond_m=0.0)
+    within, beyond = _within_length(grip.place, target_m)
     damping = 0.1
     now = _Linear(grip, y, within)
     settled = SETTLED * float(np.linalg.norm(target_m))
@@ -131,22 +145,27 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Pull | Non
             break
     return Pull(
         force_n=grip.force_per_unit @ y[:num_soft],
-        bend=y[num_soft:].reshape(n, 3),
+        bend=_of_chain(grip, y),
         unknowns=y,
         reached_m=now.reached,
         beyond_m=beyond,
     )
 
 
-def _within_length(chain: Chain, target_m: Float64[np.ndarray, " 3"]) -> tuple[Float64[np.ndarray, " 3"], float]:
+def _of_chain(grip: Grip, unknowns: Float64[np.ndarray, " D"]) -> Float64[np.ndarray, "c 3"]:
+    bends = unknowns[grip.force_per_unit.shape[1] :].reshape(-1, 3)
+    return np.asarray(np.concatenate([bends, np.zeros((1, 3))])[grip.joints])
+
+
+def _within_length(place: Place, target_m: Float64[np.ndarray, " 3"]) -> tuple[Float64[np.ndarray, " 3"], float]:
     """The place nearest to a target that the chain reaches with some slack, and how far the target is beyond it [m].
 
     Towards a place at the whole length or beyond, forces grow without bounds. A straight chain that bends evenly
     until its chord has turned by φ is as short as sin φ / φ of its length.
     """
-    chord = chain.segments_m.sum(axis=0)
+    chord = place.segments_m.sum(axis=0)
     arm = chord + target_m  # from the root to the target
-    distance, length = float(np.linalg.norm(arm)), float(np.linalg.norm(chain.segments_m, axis=1).sum())
+    distance, length = float(np.linalg.norm(arm)), float(np.linalg.norm(place.segments_m, axis=1).sum())
     straight = float(np.linalg.norm(chord))
     turned = float(np.arctan2(np.linalg.norm(np.cross(chord, arm)), chord @ arm))  # φ
     longest = max(length - SLACK * float(np.linalg.norm(target_m)), straight * float(np.sinc(turned / np.pi)))
@@ -162,7 +181,7 @@ class _Linear:
         units, bend = y[:num_soft], y[num_soft:].reshape(-1, 3)
         turns = (grip.turns_per_unit @ units).reshape(-1, 3)
         self.y = y
-        self.reached, by_turns, by_bends = reach(grip.chain, turns, bend)
+        self.reached, by_turns, by_bends = reach(grip.place, turns, bend)
         self.jacobian = np.concatenate([by_turns @ grip.turns_per_unit, by_bends], axis=1)
         self.gap = target_m - self.reached
         self.tolerance = grip.tolerance_m2_j

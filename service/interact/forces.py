@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, Locality, Reached
 from dynamictree.modal.local_bend import Bend
@@ -21,7 +20,7 @@ from service.schemas.base import Finite, Payload
 MAX_FORCES = 32
 MAX_GROUPS = 64
 MAX_WIND_SAMPLES = 600
-CLOSE_SHARE = 0.05  # of a pull: what is nearer counts as reached
+CLOSE_SHARE = 0.01  # of a pull: what is nearer counts as reached
 MAX_BENDS = 1024  # joints under one place
 
 Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
@@ -123,8 +122,8 @@ class InteractRequest(InteractParams):
     output: Output = "modal"
 
 
-def library_force(force: ForcePayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -> Force:
-    """Convert to the library's force.
+def library_force(force: ForcePayload, grid: VoxelGrid, vertex_contact: Callable[[int, float], Contact]) -> Force:
+    """Convert to the library's force; `vertex_contact` gives the place of a vertex, and a radius around it.
 
     Raises:
         InputError, ProblemError: it acts nowhere on this tree.
@@ -133,7 +132,7 @@ def library_force(force: ForcePayload, grid: VoxelGrid, mesh: Callable[[], Trian
         samples = force.wind_m_s if isinstance(force.wind_m_s, list) else [force.wind_m_s]
         return WindField(velocity_m_s=np.array(samples), start_s=force.start_s, duration_s=force.duration_s)
     assert force.at is not None
-    at = _contact(force.at, grid, mesh)
+    at = _contact(force.at, grid, vertex_contact)
     if force.impulse_n_s is not None:
         return Impulse(at=at, impulse_n_s=force.impulse_n_s, start_s=force.start_s, duration_s=force.duration_s or 0.0)
     return Drag(
@@ -188,7 +187,7 @@ def locality_payload(locality: Locality | None) -> dict[str, object] | None:
     return None if locality is None else {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
 
 
-def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -> Contact:
+def _contact(at: AtPayload, grid: VoxelGrid, vertex_contact: Callable[[int, float], Contact]) -> Contact:
     if at.voxel is not None:
         contact = contact_at_voxel(grid, at.voxel)
         if at.radius_m == 0:
@@ -197,13 +196,8 @@ def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -
         return contact_at_point(grid, (centre[0], centre[1], centre[2]), radius_m=at.radius_m)
     if at.point_m is not None:
         return contact_at_point(grid, at.point_m, radius_m=at.radius_m)
-    vertices = mesh().vertices
     assert at.vertex is not None
-    if at.vertex >= len(vertices):
-        detail = f"vertex {at.vertex} does not exist; the mesh has vertices 0 to {len(vertices) - 1}"
-        raise ProblemError("invalid-input", detail)
-    x, y, z = vertices[at.vertex].tolist()
-    return contact_at_point(grid, (x, y, z), radius_m=at.radius_m)
+    return vertex_contact(at.vertex, at.radius_m)
 
 
 def _locality(payload: LocalityPayload | None) -> Locality | None:

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.force import Drag, finite, generalised, generalised_force
+from dynamictree.modal.force import Contact, Drag, finite, generalised, generalised_force
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality, Reached
 from dynamictree.modal.local_bend import Bend, own_omega, ring
 from dynamictree.modal.response import group_forces, with_bin_zero
@@ -73,7 +72,8 @@ class Grips:
         from dynamictree.modal.pull import pull_to  # brings numba
 
         assert drag.displacement_m is not None
-        key = (group.locality, drag.at.rows.tobytes())
+        drawn = None if drag.at.drawn is None else drag.at.drawn.point_m.tobytes()
+        key = (group.locality, drag.at.rows.tobytes(), drawn)
         if self._last is None or self._last[0] != key:
             grip = self.tree.grip(self.system, group, drag.at)
             self._last = (key, grip, own_omega(self.system, drag.at), None)
@@ -95,7 +95,7 @@ def force_of(
     *,
     dt_s: float,
     falloff_m: float | None,
-    mesh: Callable[[], TriangleMesh],
+    vertex_contact: Callable[[int, float], Contact],
     grips: Grips,
 ) -> ModalForce:
     """Project a message's force onto the modes.
@@ -105,7 +105,7 @@ def force_of(
     """
     if payload.start_s != 0 or payload.duration_s is not None:
         raise ProblemError("validation-failed", "forces of a stream begin now; leave start_s and duration_s out")
-    force = library_force(payload, system.grid, mesh)
+    force = library_force(payload, system.grid, vertex_contact)
     (group,) = group_forces([force], falloff_m=falloff_m)
     if isinstance(force, Drag) and force.displacement_m is not None:
         still = np.zeros(system.num_modes, np.complex128)

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.force import Contact, contact_at_point
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import modal_system
 from jobs.storage.assets import read_asset
-from service.interact.ready_tree import MovingGaussians, ReadyTree
+from service.http.problems import ProblemError
+from service.interact.ready_tree import MovingGaussians, ReadyTree, bone_ties
 from service.interact.stored_trees import (
     load_result,
     load_source_cloud,
@@ -60,6 +62,25 @@ def with_mesh(owned: Owned, ready: ReadyTree, spectrum_id: str) -> TriangleMesh:
     if ready.mesh is None:
         ready.mesh = load_source_mesh(owned, spectrum_id)
     return ready.mesh
+
+
+def vertex_contact(
+    owned: Owned, ready: ReadyTree, spectrum_id: str, vertex: int, radius_m: float, *, bent: bool
+) -> Contact:
+    """Where a force at a vertex acts; in the bent shape a drag by displacement holds the vertex itself.
+
+    Raises:
+        GoneError: the asset has expired.
+        InputError, ProblemError: there is no such vertex, or no voxel near it.
+    """
+    mesh = with_mesh(owned, ready, spectrum_id)
+    if vertex >= mesh.num_vertices:
+        detail = f"vertex {vertex} does not exist; the mesh has vertices 0 to {mesh.num_vertices - 1}"
+        raise ProblemError("invalid-input", detail)
+    if bent:
+        return ready.tree.contact_at_vertex(bone_ties(ready, mesh), mesh.vertices, vertex, radius_m=radius_m)
+    x, y, z = mesh.vertices[vertex].tolist()
+    return contact_at_point(ready.tree.system.grid, (x, y, z), radius_m=radius_m)
 
 
 def rig_for(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "Rig":

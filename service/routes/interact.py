@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -44,7 +45,7 @@ from service.interact.forces import (
     with_state,
 )
 from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
-from service.interact.tree_cache import living_tree, moving_gaussians, ready_tree, with_mesh
+from service.interact.tree_cache import living_tree, moving_gaussians, ready_tree, vertex_contact, with_mesh
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
 
@@ -84,7 +85,7 @@ class ReachedPayload(Payload):
     wanted_m: Vector
     reached_m: Vector = Field(description="where the point rests in the bent shape, from rest [m]")
     error_m: float
-    why: str | None = Field(description="why it goes less far; null where it is within 5 %")
+    why: str | None = Field(description="why it goes less far; null where it is within 1 % of the pull")
 
 
 class InteractPayload(Payload):
@@ -238,9 +239,9 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
         frequency_hz=body.frequency_hz,
         foliage=body.foliage,
     )
-    forces = [
-        library_force(force, system.grid, lambda: with_mesh(owned, ready, body.spectrum_id)) for force in body.forces
-    ]
+
+    at_vertex = partial(vertex_contact, owned, ready, body.spectrum_id, bent=body.warp)
+    forces = [library_force(force, system.grid, at_vertex) for force in body.forces]
     groups = group_forces(forces, falloff_m=chosen_falloff_m(system, body))
     begin: Start | State = body.start
     bends: tuple[Bend, ...] = ()

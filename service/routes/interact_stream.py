@@ -49,7 +49,7 @@ from service.http.validation_errors import field_errors, summed_up
 from service.interact.forces import ForcePayload
 from service.interact.ready_tree import ReadyTree
 from service.interact.session import Grips, Session, force_of
-from service.interact.tree_cache import ready_tree, with_mesh
+from service.interact.tree_cache import ready_tree, vertex_contact
 from service.schemas.base import Finite, Payload
 from service.services import Owned, owned_by_caller
 
@@ -174,7 +174,7 @@ async def _receive(socket: WebSocket, owned: Owned, opened: OpenMessage, ready: 
         system=session.system,
         dt_s=session.step.dt_s,
         falloff_m=chosen_falloff_m(session.system, opened),
-        mesh=partial(with_mesh, owned, ready, opened.spectrum_id),
+        vertex_contact=partial(vertex_contact, owned, ready, opened.spectrum_id, bent=True),
         grips=Grips(ready.tree, session.system),
     )
     while True:

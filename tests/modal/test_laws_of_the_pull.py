@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dynamictree.modal.bone_chain import chain_to, reach
+from dynamictree.modal.bone_chain import place_of, reach
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
 from dynamictree.modal.local_bend import own_omega
@@ -73,18 +73,19 @@ def test_the_other_branch_only_rides_on_the_stem(forked):
     assert size[parts["left"][-1]] < 0.3 * size[parts["right"][-1]]
 
 
-def test_the_derivatives_of_the_chain_are_those_of_its_reach(forked, rng):
+def test_the_derivatives_of_a_place_that_two_branches_carry_are_those_of_its_reach(forked, rng):
     tree, parts = forked
     bones, row = tree.bones, int(parts["right"][-1])
-    chain = chain_to(bones, int(bones.bone_of_voxel[row]), tree.system.grid.centres_m[row])
-    turns, bends = rng.normal(size=(2, len(chain), 3))
-    _, by_turns, by_bends = reach(chain, turns, bends)
+    carriers = bones.bone_of_voxel[[row, int(parts["left"][-1])]]
+    place = place_of(bones, tree.system.grid.centres_m[row], carriers, np.float32([0.7, 0.3]))
+    turns, bends = rng.normal(size=(2, len(place), 3))
+    _, by_turns, by_bends = reach(place, turns, bends)
     for which, derivative in ((0, by_turns), (1, by_bends)):
-        for column in range(3 * len(chain)):
-            step = np.zeros((2, len(chain), 3))
+        for column in range(3 * len(place)):
+            step = np.zeros((2, len(place), 3))
             step[which].flat[column] = 1e-6
-            ahead = reach(chain, turns + step[0], bends + step[1])[0]
-            behind = reach(chain, turns - step[0], bends - step[1])[0]
+            ahead = reach(place, turns + step[0], bends + step[1])[0]
+            behind = reach(place, turns - step[0], bends - step[1])[0]
             np.testing.assert_allclose(derivative[:, column], (ahead - behind) / 2e-6, atol=1e-6)
 
 

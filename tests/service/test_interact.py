@@ -128,6 +128,18 @@ def test_a_push_at_a_vertex_is_a_push_at_its_place(client: TestClient, spectrum_
     assert by_vertex.json()["groups"] == by_point.json()["groups"]
 
 
+def test_a_pulled_vertex_is_drawn_where_the_answer_says(client: TestClient, spectrum_id: str, grown) -> None:
+    """Its bones are not those of the nearest voxel, which alone was pulled before."""
+    options = {"warp": True, "start": "held", "num_frames": 1}
+    for vertex in np.random.default_rng(0).choice(grown.mesh.num_vertices, 6, replace=False).tolist():
+        wanted = [0.05 * grown.mesh.height_m, 0.03 * grown.mesh.height_m, 0.0]
+        pull = {"kind": "drag", "at": {"vertex": vertex}, "displacement_m": wanted}
+        (reached,) = post(client, spectrum_id, pull, **options).json()["reached"]
+        drawn = read_binary(post(client, spectrum_id, pull, accept="*/*", output="vertices", **options))
+        np.testing.assert_allclose(drawn["displacement"][0, vertex], reached["reached_m"], atol=1e-4)
+        assert reached["why"] or reached["error_m"] <= 0.01 * np.linalg.norm(wanted)
+
+
 def test_a_radius_about_a_voxel_is_about_its_centre(
     client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict
 ) -> None:

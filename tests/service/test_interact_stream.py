@@ -153,7 +153,14 @@ def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(
     row = int(np.argmax(spectrum.grid.coords[:, 2]))
     session = interact_session.Session(system=system, step=exact_step(system, dt_s))
     grips = interact_session.Grips(tree, system)
-    force_of = partial(interact_session.force_of, system=system, dt_s=dt_s, falloff_m=2.0, mesh=list, grips=grips)
+    force_of = partial(
+        interact_session.force_of,
+        system=system,
+        dt_s=dt_s,
+        falloff_m=2.0,
+        vertex_contact=lambda vertex, radius_m: None,
+        grips=grips,
+    )
 
     def place() -> np.ndarray:
         """Where the grip is in the shape that a client draws."""
