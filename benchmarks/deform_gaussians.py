@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks._machine import copied, machine, over_floor, timed
 from benchmarks._scene import sheet
-from dynamictree.gaussian.deform import Deformer, Pose, shape_error
+from dynamictree.gaussian.deform import Deformer, Pose
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.turn import turn_sh_fast
 
@@ -37,7 +37,6 @@ def run() -> dict[str, object]:
         "shuffled_ms": round(in_any_order.median_ms, 3),
         "shuffled_processor_ms": round(in_any_order.cpu_ms, 3),
         "turn_sh3_ms": round(timed(lambda: turn_sh_fast(sh, turns), runs=10).median_ms * 5, 1),
-        "shape_error_median": round(float(np.median(shape_error(binding, displacement))), 4),
         "num_gaussians": binding.cloud.num_gaussians,
         "num_faces": len(binding.triangles),
         **machine("numpy", "numba"),

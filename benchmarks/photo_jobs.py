@@ -24,7 +24,7 @@ from benchmarks._photo_set import photograph
 from benchmarks._whole_service import WholeService, stage_seconds, whole_service
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.rasterize import render_cloud
-from dynamictree.reconstruct.seen_from import read_cameras
+from dynamictree.reconstruct.photo_cameras import read_cameras
 
 TARGET_IOU = 0.9
 PHOTOS, SIDE_PX = 30, 640
@@ -106,7 +106,7 @@ def _through_http(service: WholeService, name: str, folder: Path, masks: Masks) 
 
 def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> float:
     """Of all photos held out together."""
-    plant = read_gaussian_ply(BytesIO(got["splat.ply"]))
+    plant = read_gaussian_ply(BytesIO(got["splat.ply"]), up_axis="+Z")
     both = either = 0
     for view in read_cameras(json.loads(got["cameras.json"])):
         if view.photo not in held_out:

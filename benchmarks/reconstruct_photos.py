@@ -16,9 +16,10 @@ from scipy.ndimage import binary_dilation
 
 from benchmarks._machine import BRIEF, machine, timed
 from benchmarks._photo_set import photograph, stem_widths, surface_score
-from dynamictree.gaussian.rasterize import render_cloud
-from dynamictree.reconstruct import Reconstruction, ReconstructOptions, reconstruct
-from dynamictree.reconstruct.gradient import Shapes, draw, gradients_of
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.rasterize import draw, render_cloud
+from dynamictree.reconstruct import Reconstruction, reconstruct
+from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.render.camera import Camera
 
@@ -53,8 +54,7 @@ def generated_tree(number: int, side_px: int, **tree: Any) -> dict[str, object]:
         start = time.perf_counter()
         out = folder / "out"
         out.mkdir()
-        options = ReconstructOptions(height_m=taken.tree.height_m)
-        result = reconstruct(taken.photos, out, options=options, root=folder)
+        result = reconstruct(taken.photos, out, root=folder)
         minutes = (time.perf_counter() - start) / 60
     by_name = {path.name: camera for path, camera in zip(taken.photos, taken.cameras, strict=True)}
     ours = np.array([view.camera.position_m for view in result.views])
@@ -114,7 +114,7 @@ def step_ms() -> list[dict[str, object]]:
         means = rng.normal(size=(number, 3))
         means *= rng.uniform(0.3, 0.9, (number, 1)) / np.linalg.norm(means, axis=1, keepdims=True)
         turns = rng.normal(size=(number, 4))
-        shapes = Shapes(
+        cloud = GaussianCloud(
             means=means.astype(np.float32),
             quaternions=(turns / np.linalg.norm(turns, axis=1, keepdims=True)).astype(np.float32),
             scales=(np.exp(0.5 * rng.normal(size=(number, 3))) * 0.8 / np.sqrt(number)).astype(np.float32),
@@ -122,8 +122,8 @@ def step_ms() -> list[dict[str, object]]:
             sh=(0.2 * rng.normal(size=(number, 4, 3))).astype(np.float32),
         )
         slope = rng.normal(size=(height, width, 5)).astype(np.float32)
-        drawing = draw(shapes, camera, width=width, height=height)
-        forward = timed(partial(draw, shapes, camera, width=width, height=height), runs=9)
+        drawing = draw(cloud, camera, width=width, height=height)
+        forward = timed(partial(draw, cloud, camera, width=width, height=height), runs=9)
         backward = timed(partial(gradients_of, drawing, slope), runs=9)
         rows.append(
             {

@@ -41,7 +41,7 @@ def reconstruct(
     An interrupted run leaves its finished stages in a folder beside the output; the same command continues there.
     """
     from dynamictree.commands.stage_progress import stage_progress
-    from dynamictree.reconstruct import Progress
+    from dynamictree.reconstruct import Callbacks, Progress
     from dynamictree.reconstruct.from_request import learn_scene
     from dynamictree.reconstruct.recut import recut
 
@@ -60,7 +60,8 @@ def reconstruct(
                 report(progress)
                 check()
 
-            learn_scene(files, folder, params, root=photos, work=work, on_progress=on_progress)
+            callbacks = Callbacks(on_progress=on_progress)
+            learn_scene(files, folder, params, root=photos, work=work, callbacks=callbacks)
             cut = CutParams.part_of(params.model_dump())
             if cut.cuts or cut.scales:
                 recut(folder, folder, cut)

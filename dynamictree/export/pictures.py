@@ -11,9 +11,9 @@ from dynamictree.export.splat_scene import SplatScene
 from dynamictree.export.splat_sheet import splat_sheet
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
-from dynamictree.render import Backdrop, Look, Renderer, preview_sheet, write_animation, write_png
+from dynamictree.render import Backdrop, Look, Renderer, draw_contact_sheet, write_animation, write_png
 from dynamictree.render.camera import Camera
-from dynamictree.render.shot import cameras_of
+from dynamictree.render.camera_path import cameras_of
 
 Picture = UInt8[np.ndarray, "H W 3"]
 Film = UInt8[np.ndarray, "M H W 3"]
@@ -24,7 +24,7 @@ def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     if tree.captured and tree.binding is not None:
         sheet = splat_sheet(tree, tree.binding, report)
     else:
-        sheet = preview_sheet(tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames)
+        sheet = draw_contact_sheet(tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames)
     write_png(sheet, stream)
 
 

@@ -12,14 +12,14 @@ from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.render.camera import Camera
-from dynamictree.render.sheet import (
+from dynamictree.render.contact_sheet import (
     HALF_PX,
     NUM_STRIP,
     SIDE_PX,
     STILL_PX,
     STRIP_PX,
+    ContactSheet,
     amplitude_colors,
-    composed_sheet,
     plant_height,
     slice_phases,
     slice_window,
@@ -50,7 +50,7 @@ def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.
     strip = [scene.picture(small, STRIP_PX, deformer.pose(frame), backdrop) for frame in splat.displacements(phases)]
     report(0.6)
     standing = f" ({np.count_nonzero(~moving):,} stand still)" if not moving.all() else ""
-    return composed_sheet(
+    sheet = ContactSheet(
         still=still,
         sway=_sway_picture(scene, amplitude, _camera(tree, scene, SIDE_PX / HALF_PX)),
         time_slice=_space_time_slice(scene, splat, amplitude, window),
@@ -61,6 +61,7 @@ def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.
         some_stand=not moving.all(),
         num_frames=num_frames,
     )
+    return sheet.picture()
 
 
 def _camera(tree: MovingTree, scene: SplatScene, aspect: float) -> Camera:

@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import nearest_faces
-from dynamictree.mesh import Surface, TriangleMesh
-from dynamictree.rotation import quaternion_matrices
+from dynamictree.mesh import Surface
 
 STILL = -1
 FLOATER_SHARE = 0.06
@@ -53,7 +52,6 @@ def bind(
     mesh: Surface,
     *,
     mask: Bool[np.ndarray, " G"] | None = None,
-    max_distance_m: float | None = None,
 ) -> Binding:
     """Bind each Gaussian of a capture to its nearest face.
 
@@ -61,17 +59,13 @@ def bind(
         cloud: its Gaussians stay in their order.
         mesh: at rest, where the cloud is [m].
         mask: which Gaussians may move; all by default.
-        max_distance_m: farther ones stay still; by default a share of the mesh's extent, or what a large Gaussian
-            itself reaches.
 
     Raises:
         InputError: nothing is left to move, or the mesh has no face that is a triangle at all.
     """
     extent = float(np.ptp(mesh.vertices, axis=0).max())
-    if max_distance_m is not None and not max_distance_m > 0:
-        raise InputError(f"max_distance_m is {max_distance_m:g}; it must be positive")
     rows = np.arange(cloud.num_gaussians) if mask is None else np.flatnonzero(mask)
-    reach = _own_reach(cloud.scales[rows], extent) if max_distance_m is None else np.full(len(rows), max_distance_m)
+    reach = _own_reach(cloud.scales[rows], extent)
     triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
     nearest = nearest_faces(cloud.means[rows], mesh.vertices, triangles, reach)
     if (nearest.faces == STILL).all():
@@ -100,31 +94,6 @@ def bind_to_faces(
     shift = np.argmax(rolled[:, :1] == mesh.faces, axis=1)  # [F]
     rolled_weights = np.take_along_axis(weights, (shift[faces][:, None] + np.arange(3)) % 3, axis=1)
     return _compact(cloud, mesh.vertices, rolled, faces, np.ascontiguousarray(rolled_weights))
-
-
-def pseudo_mesh(cloud: GaussianCloud, *, reach: float = 1.0) -> TriangleMesh:
-    """A triangle a Gaussian, for clouds that no mesh fits: μ, μ + s₂ R₂, μ + s₃ R₃, s₂ and s₃ the larger scales.
-
-    GaMeS section 3.3. Displacement is wanted at its 3 G vertices; `bind_to_pseudo_mesh` hangs the cloud on it.
-    """
-    axes = quaternion_matrices(cloud.quaternions) * cloud.scales[:, None, :] * np.float32(reach)  # columns [G, 3, 3]
-    order = np.argsort(-cloud.scales, axis=1)  # largest first
-    first, second = (np.take_along_axis(axes, order[:, None, i : i + 1], axis=2)[:, :, 0] for i in (0, 1))
-    corners = np.stack([cloud.means, cloud.means + first, cloud.means + second], axis=1)  # [G, 3, 3]
-    faces = np.arange(3 * cloud.num_gaussians, dtype=np.int32).reshape(-1, 3)
-    return TriangleMesh(vertices=np.ascontiguousarray(corners.reshape(-1, 3)), faces=faces)
-
-
-def bind_to_pseudo_mesh(cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | None = None) -> Binding:
-    """Bind each Gaussian to its own triangle of `pseudo_mesh`; those without extent stand still."""
-    weights = np.tile(np.array([1, 0, 0], np.float32), (cloud.num_gaussians, 1))
-    own = bind_to_faces(cloud, mesh, np.arange(cloud.num_gaussians, dtype=np.int32), weights)
-    keep = _is_solid(mesh.vertices, mesh.faces)
-    if mask is not None:
-        keep &= mask
-    return _compact(
-        cloud, mesh.vertices, own.triangles, np.where(keep, own.face_of, STILL).astype(np.int32), own.weights
-    )
 
 
 def solid_faces(mesh: Surface) -> Int32[np.ndarray, "U 3"]:

@@ -4,7 +4,7 @@ from functools import cache
 from importlib.util import find_spec
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, NEAR_M, PIXEL_PX2
@@ -21,6 +21,13 @@ def gsplat_is_there() -> bool:
     return torch.cuda.is_available()
 
 
+def world_to_camera_matrix(camera: Camera) -> Float64[np.ndarray, "4 4"]:
+    """The camera's pose as gsplat takes it."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = camera.world_to_camera, -camera.world_to_camera @ camera.position_m
+    return matrix
+
+
 def render_with_gsplat(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, antialias: bool
 ) -> tuple[Float32[np.ndarray, "H W 3"], Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
@@ -31,9 +38,6 @@ def render_with_gsplat(
     def on_device(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32)).cuda()
 
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = camera.world_to_camera
-    world_to_camera[:3, 3] = -camera.world_to_camera @ camera.position_m
     with torch.no_grad():
         seen, alpha, _ = gsplat.rasterization(
             means=on_device(cloud.means),
@@ -41,7 +45,7 @@ def render_with_gsplat(
             scales=on_device(cloud.scales),
             opacities=on_device(cloud.opacity),
             colors=on_device(cloud.sh),
-            viewmats=on_device(world_to_camera)[None],
+            viewmats=on_device(world_to_camera_matrix(camera))[None],
             Ks=on_device(camera.intrinsics_px(width, height))[None],
             width=width,
             height=height,

@@ -3,28 +3,22 @@
 A face's deformation gradient F has a polar decomposition F = R S. A Gaussian turns by R, its scales become |F e_i|
 along its own axes e_i, its mean keeps its weights in the face and its offset turns by R. Along the normal F is 1.
 
-`Deformer` is the fast form: everything that rests is laid out once, in blocks that vector units read. `deform_slowly`
-is the readable one, which the tests compare it with.
+`Deformer` lays out everything that rests once, in blocks that vector units read.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32
+from jaxtyping import Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.deform_kernel import BLOCK, COLLAPSED, MAX_STRETCH, turn_faces, turn_gaussians
+from dynamictree.gaussian.deform_kernel import BLOCK, turn_faces, turn_gaussians
 from dynamictree.gaussian.turn import turn_sh_fast
 from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES, LANES
 from dynamictree.parallel import in_bands
-from dynamictree.rotation import (
-    matrix_quaternions,
-    polar_rotations,
-    quaternion_matrices,
-    quaternion_products,
-)
+from dynamictree.rotation import matrix_quaternions, quaternion_products
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,24 +110,6 @@ class Deformer:
         )
 
 
-def deform_slowly(binding: Binding, displacement: Float32[np.ndarray, "N 3"]) -> Pose:
-    """The readable twin of `Deformer.pose`, in numpy and double precision."""
-    cloud, moving = binding.cloud, binding.moving
-    gradients, rotations = (per_face[binding.face_of[moving]] for per_face in face_gradients(binding, displacement))
-    corners = (binding.vertices + displacement).astype(np.float64)[binding.triangles]  # [U, 3, 3]
-    offsets = (cloud.means.astype(np.float64) - _places(binding))[moving]
-    axes = quaternion_matrices(cloud.quaternions[moving].astype(np.float64))  # columns e_i [M, 3, 3]
-    stretch = np.linalg.norm(gradients @ axes, axis=1)  # |F e_i| [M, 3]
-    means, quaternions, scales = cloud.means.copy(), cloud.quaternions.copy(), cloud.scales.copy()
-    places = np.einsum("mc,mcx->mx", binding.weights[moving], corners[binding.face_of[moving]])
-    means[moving] = places + np.einsum("mxy,my->mx", rotations, offsets)
-    quaternions[moving] = quaternion_products(
-        matrix_quaternions(rotations), cloud.quaternions[moving].astype(np.float64)
-    )
-    scales[moving] *= np.clip(stretch, 1 / MAX_STRETCH, MAX_STRETCH)
-    return Pose(means=means, quaternions=quaternions, scales=scales)
-
-
 def posed(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
     """The cloud as it is in a pose, colours turned with their Gaussians: what is written to a file."""
     turns = quaternion_products(pose.quaternions, cloud.quaternions * np.array([1, -1, -1, -1], np.float32))
@@ -144,38 +120,6 @@ def posed(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
         scales=pose.scales,
         sh=turn_sh_fast(cloud.sh, turns),
     )
-
-
-def shape_error(binding: Binding, displacement: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " M"]:
-    """How far each moving Gaussian's shape is from F Σ Fᵀ, which need not have its axes where R takes them.
-
-    Relative, in the Frobenius norm. What GaMeS and we give up so that a Gaussian stays a rotation and three scales.
-    """
-    moving = binding.moving
-    gradients, _ = face_gradients(binding, displacement)
-    gradients = gradients[binding.face_of[moving]]
-    pose = deform_slowly(binding, displacement)
-    before = _covariances(binding.cloud.quaternions[moving], binding.cloud.scales[moving])
-    after = _covariances(pose.quaternions[moving], pose.scales[moving])
-    exact = gradients @ before @ gradients.transpose(0, 2, 1)
-    error: Float64[np.ndarray, " M"] = np.linalg.norm(after - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
-    return error
-
-
-def face_gradients(
-    binding: Binding, displacement: Float32[np.ndarray, "N 3"]
-) -> tuple[Float64[np.ndarray, "U 3 3"], Float64[np.ndarray, "U 3 3"]]:
-    """F of every face, and R of its polar decomposition. A face that collapsed turns as its longer edge does."""
-    before = binding.vertices.astype(np.float64)[binding.triangles]  # [U, 3, 3]
-    after = before + displacement.astype(np.float64)[binding.triangles]
-    at_rest, _ = _with_normal(before)
-    moved, collapsed = _with_normal(after)  # columns: edges 01 and 02, normal
-    rest_inverse = np.linalg.inv(at_rest)
-    rotations = polar_rotations(moved @ rest_inverse)
-    for face in np.flatnonzero(collapsed):
-        rotations[face] = _shortest_arc(at_rest[face, :, :2].T, moved[face, :, :2].T)
-        moved[face, :, 2] = rotations[face] @ at_rest[face, :, 2]
-    return moved @ rest_inverse, rotations
 
 
 def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64[np.ndarray, "U 3"]]:
@@ -194,33 +138,6 @@ def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64
     return np.stack([along, across, normal], axis=2), flat
 
 
-def _with_normal(
-    corners: Float64[np.ndarray, "U 3 3"],
-) -> tuple[Float64[np.ndarray, "U 3 3"], Bool[np.ndarray, " U"]]:
-    """Two edges and the unit normal as columns, and whether the face has collapsed to a line or a point."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(first, second)
-    area = np.linalg.norm(normal, axis=1)
-    collapsed = area <= COLLAPSED * ((first * first).sum(axis=1) + (second * second).sum(axis=1))
-    normal /= np.maximum(area, np.finfo(np.float64).tiny)[:, None]
-    return np.stack([first, second, normal], axis=2), collapsed
-
-
-def _shortest_arc(before: Float64[np.ndarray, "2 3"], after: Float64[np.ndarray, "2 3"]) -> Float64[np.ndarray, "3 3"]:
-    """The least rotation that takes the longer edge where it points now; none where it has no length either."""
-    longer = int(np.argmax((after * after).sum(axis=1)))
-    length = np.linalg.norm(after[longer])
-    if length == 0:
-        return np.eye(3)
-    a, b = before[longer] / np.linalg.norm(before[longer]), after[longer] / length
-    quaternion = np.concatenate([[1 + a @ b], np.cross(a, b)])
-    norm = np.linalg.norm(quaternion)
-    if norm < COLLAPSED:
-        return np.eye(3)
-    result: Float64[np.ndarray, "3 3"] = quaternion_matrices(quaternion[None] / norm)[0]
-    return result
-
-
 def _places(binding: Binding) -> Float64[np.ndarray, "G 3"]:
     """Where each Gaussian's mean would be without its offset [m]."""
     if len(binding.triangles) == 0:
@@ -228,15 +145,6 @@ def _places(binding: Binding) -> Float64[np.ndarray, "G 3"]:
     corners = binding.vertices.astype(np.float64)[binding.triangles[binding.face_of]]  # [G, 3, 3]
     places: Float64[np.ndarray, "G 3"] = np.einsum("gc,gcx->gx", binding.weights.astype(np.float64), corners)
     return places
-
-
-def _covariances(
-    quaternions: Float32[np.ndarray, "M 4"], scales: Float32[np.ndarray, "M 3"]
-) -> Float64[np.ndarray, "M 3 3"]:
-    rotations = quaternion_matrices(quaternions.astype(np.float64))
-    axes = rotations * scales[:, None, :]  # columns s_i e_i
-    result: Float64[np.ndarray, "M 3 3"] = axes @ axes.transpose(0, 2, 1)
-    return result
 
 
 def _blocked(rows: Float64[np.ndarray, "M W"]) -> Float32[np.ndarray, "blocks WB"]:

@@ -3,7 +3,7 @@
 On the CPU, or by gsplat where CUDA is.
 
 A Gaussian is projected to an ellipse, the ellipses are sorted by depth and listed by tiles of 16 × 16 pixels, each tile
-blends its list front to back. `render_slowly` is the readable twin: every Gaussian at every pixel, in double precision.
+blends its list front to back.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,7 @@ from dynamictree.gaussian.cuda import gsplat_is_there, render_with_gsplat
 from dynamictree.gaussian.deform import Pose, posed
 from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.rasterize_kernel import (
-    BLUR_PX2,
-    MAX_ALPHA,
     MIN_ALPHA,
-    NEAR_M,
-    PIXEL_PX2,
     TILE,
     WIDEST,
     blend,
@@ -30,7 +26,6 @@ from dynamictree.gaussian.rasterize_kernel import (
 )
 from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
-from dynamictree.rotation import quaternion_matrices
 
 MAX_PIXELS = 16_777_216  # 4096²
 
@@ -85,23 +80,31 @@ def render_on_cpu(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
 ) -> SplatPicture:
     """`render_cloud` without CUDA, whatever is there."""
-    ellipses, bounds = projected(cloud, camera, width=width, height=height, pose=pose, antialias=antialias)
-    order, starts = tile_lists(ellipses, bounds, width, height)
-    picture = np.zeros((height, width, 5), np.float32)
-    in_bands(blend, len(starts) - 1, ellipses, bounds, order, starts, picture)
-    return _finished(picture)
+    return _finished(draw(cloud, camera, width=width, height=height, pose=pose, antialias=antialias).picture)
 
 
-def projected(
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A rendered picture and the intermediate results, which the backward pass of `reconstruct.gradient` reads."""
+
+    cloud: GaussianCloud
+    view: Float32[np.ndarray, " 19"]
+    antialias: bool
+    ellipses: Float32[np.ndarray, "G 10"]  # centre, conic, opacity, colour, depth
+    bounds: Int32[np.ndarray, "G 4"]  # left, right, top, bottom [px]; empty where not seen
+    order: Int32[np.ndarray, " listed"]  # Gaussians of each tile, the nearest first
+    starts: Int64[np.ndarray, " tiles_and_one"]  # tile t lists order[starts[t]:starts[t + 1]]
+    picture: Float32[np.ndarray, "H W 5"]  # colour and depth, both times alpha, and what is left of the light
+
+
+def draw(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
-) -> tuple[Float32[np.ndarray, "G 10"], Int32[np.ndarray, "G 4"]]:
-    """Ellipses in the picture (centre, conic, opacity, colour, depth), and left, right, top and bottom of each [px].
-
-    Nothing is written where a Gaussian is not seen, so its bounds are empty.
-    """
+) -> Drawing:
+    """Project the Gaussians, list them by tiles, and blend each tile, on the CPU; arguments as of `render_cloud`."""
     now = pose or Pose(means=cloud.means, quaternions=cloud.quaternions, scales=cloud.scales)
     ellipses = np.zeros((cloud.num_gaussians, 10), np.float32)
     bounds = np.zeros((cloud.num_gaussians, 4), np.int32)
+    view = _view(camera, width, height)
     in_bands(
         project,
         cloud.num_gaussians,
@@ -111,13 +114,25 @@ def projected(
         cloud.opacity,
         cloud.sh,
         cloud.quaternions,
-        _view(camera, width, height),
+        view,
         antialias,
         pose is not None,
         ellipses,
         bounds,
     )
-    return ellipses, bounds
+    order, starts = tile_lists(ellipses, bounds, width, height)
+    picture = np.zeros((height, width, 5), np.float32)
+    in_bands(blend, len(starts) - 1, ellipses, bounds, order, starts, picture)
+    return Drawing(
+        cloud=cloud,
+        view=view,
+        antialias=antialias,
+        ellipses=ellipses,
+        bounds=bounds,
+        order=order,
+        starts=starts,
+        picture=picture,
+    )
 
 
 def tile_lists(
@@ -133,52 +148,6 @@ def tile_lists(
     order = np.empty(int(starts[-1]), np.int32)
     list_tiles(nearest_first, bounds, columns, starts[:-1].copy(), order, True)
     return order, starts
-
-
-def render_slowly(
-    cloud: GaussianCloud,
-    camera: Camera,
-    *,
-    width: int,
-    height: int,
-    antialias: bool = True,
-    min_alpha: float = MIN_ALPHA,
-) -> SplatPicture:
-    """The readable twin of `render_cloud`; with `min_alpha=0` nothing at all is left out."""
-    in_camera = (cloud.means - camera.position_m) @ camera.world_to_camera.T  # [G, 3]
-    intrinsics = camera.intrinsics_px(width, height)
-    focal = intrinsics[0, 0]
-    x, y, z = in_camera.T
-    safe_z = np.maximum(z, NEAR_M)
-    limits = WIDEST * 0.5 * np.array([width, height]) / focal
-    slope_x, slope_y = (np.clip(v / safe_z, -limit, limit) for v, limit in zip((x, y), limits, strict=True))
-    zero = np.zeros_like(z)
-    jacobian = np.array([[1 + zero, zero, -slope_x], [zero, 1 + zero, -slope_y]]).transpose(2, 0, 1)
-    jacobian *= focal / safe_z[:, None, None]  # [G, 2, 3]
-    axes = camera.world_to_camera @ quaternion_matrices(cloud.quaternions.astype(np.float64)) * cloud.scales[:, None, :]
-    half = jacobian @ axes  # [G, 2, 3]
-    sharp = half @ half.transpose(0, 2, 1)
-    blurred = sharp + (PIXEL_PX2 if antialias else BLUR_PX2) * np.eye(2)
-    opacity = cloud.opacity.astype(np.float64)
-    if antialias:
-        opacity = opacity * np.sqrt(np.maximum(np.linalg.det(sharp), 0) / np.linalg.det(blurred))
-    conics = np.linalg.inv(blurred)
-    centres = in_camera @ intrinsics.T / safe_z[:, None]
-    colors = colors_seen(cloud, camera)
-    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)  # [H, W, 2]
-    picture = np.zeros((height, width, 5))
-    picture[..., 4] = 1
-    for g in np.argsort(z, kind="stable"):
-        if z[g] < NEAR_M:
-            continue
-        away = pixels - centres[g, :2]
-        alpha = opacity[g] * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", away, conics[g], away))
-        alpha = np.minimum(np.where(alpha < min_alpha, 0, alpha), MAX_ALPHA)
-        contribution = alpha * picture[..., 4]
-        picture[..., :3] += contribution[..., None] * colors[g]
-        picture[..., 3] += contribution * z[g]
-        picture[..., 4] -= contribution
-    return _finished(picture.astype(np.float32))
 
 
 def colors_seen(cloud: GaussianCloud, camera: Camera) -> Float64[np.ndarray, "G 3"]:
@@ -201,7 +170,7 @@ def check_size(width: int, height: int) -> None:
 
 
 def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, " 19"]:
-    """The camera as the kernel takes it: rotation by rows, position, focal length, centre, size."""
+    """The camera as the kernels take it: rotation by rows, position, focal length, centre, size, widest slopes."""
     intrinsics = camera.intrinsics_px(width, height)
     return np.concatenate(
         [

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.rasterize import projected
+from dynamictree.gaussian.rasterize import draw
 from dynamictree.gaussian.rasterize_kernel import MAX_ALPHA, MIN_ALPHA
 from dynamictree.render.camera import Camera
 
@@ -21,7 +21,8 @@ def weights_at(
         width: of the picture [px].
         height: of the picture [px].
     """
-    ellipses, bounds = projected(cloud, camera, width=width, height=height)
+    drawing = draw(cloud, camera, width=width, height=height)
+    ellipses, bounds = drawing.ellipses, drawing.bounds
     largest = np.zeros(cloud.num_gaussians, np.float32)
     for column, row in pixels:
         left, right, top, bottom = bounds.T

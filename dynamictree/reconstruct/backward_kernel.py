@@ -8,6 +8,7 @@ from typing import no_type_check
 
 import numpy as np
 
+from dynamictree.gaussian.harmonics import SH_CONSTANTS
 from dynamictree.gaussian.rasterize_kernel import (
     BLUR_PX2,
     MAX_ALPHA,
@@ -34,21 +35,8 @@ _SIZE = TILE * TILE
 # unsigned, so that no index can wrap around and LLVM makes vectors of the loop
 _LANES = np.uint32(TILE)
 _TO_COME, _RED, _GREEN, _BLUE, _DEPTH = (np.uint32(plane * _SIZE) for plane in range(1, 6))
-_SH = tuple(
-    np.float32(c)
-    for c in (
-        0.4886025119029199,
-        1.0925484305920792,
-        0.31539156525252005,
-        0.5462742152960396,
-        0.5900435899266435,
-        2.890611442640554,
-        0.4570457994644658,
-        0.3731763325901154,
-        1.445305721320277,
-    )
-)
-_THREE, _FOUR, _SIX = np.float32(3), np.float32(4), np.float32(6)
+_SH = tuple(np.float32(constant) for constant in SH_CONSTANTS[1:5])
+_FOUR = np.float32(4)
 
 
 @compiled_reordered
@@ -150,7 +138,7 @@ def project_back(
 ):
     """From gradients of ellipses to those of mean, quaternion, ln scale, logit opacity (11 numbers), then harmonics."""
     degree = round(np.sqrt(sh.shape[1])) - 1
-    values, slopes = np.empty(16, np.float32), np.zeros((16, 3), np.float32)
+    values, slopes = np.empty(9, np.float32), np.zeros((9, 3), np.float32)
     axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
     half, half_g = np.empty((3, 2), np.float32), np.empty((3, 2), np.float32)
     depth = np.empty(3, np.float32)
@@ -255,7 +243,7 @@ def _rotation_back(q, m, out):
 @compiled_reordered
 @no_type_check
 def harmonic_slopes(degree, x, y, z, out):
-    """Derivatives of `turn.harmonic_values` by the direction's x, y and z."""
+    """Derivatives of `turn.harmonic_values` by x, y and z; no splat is learned with more than degree 2."""
     if degree >= 1:
         out[1, 1], out[2, 2], out[3, 0] = -_SH[0], _SH[0], -_SH[0]
     if degree >= 2:
@@ -264,15 +252,3 @@ def harmonic_slopes(degree, x, y, z, out):
         out[6, 0], out[6, 1], out[6, 2] = -_TWO * _SH[2] * x, -_TWO * _SH[2] * y, _FOUR * _SH[2] * z
         out[7, 0], out[7, 2] = -_SH[1] * z, -_SH[1] * x
         out[8, 0], out[8, 1] = _TWO * _SH[3] * x, -_TWO * _SH[3] * y
-    if degree >= 3:
-        xx, yy, zz = x * x, y * y, z * z
-        out[9, 0], out[9, 1] = -_SIX * _SH[4] * x * y, -_THREE * _SH[4] * (xx - yy)
-        out[10, 0], out[10, 1], out[10, 2] = _SH[5] * y * z, _SH[5] * x * z, _SH[5] * x * y
-        out[11, 0], out[11, 1] = _TWO * _SH[6] * x * y, -_SH[6] * (_FOUR * zz - xx - _THREE * yy)
-        out[11, 2] = -_TWO * _FOUR * _SH[6] * y * z
-        out[12, 0], out[12, 1] = -_SIX * _SH[7] * x * z, -_SIX * _SH[7] * y * z
-        out[12, 2] = _SH[7] * (_SIX * zz - _THREE * xx - _THREE * yy)
-        out[13, 0], out[13, 1] = -_SH[6] * (_FOUR * zz - _THREE * xx - yy), _TWO * _SH[6] * x * y
-        out[13, 2] = -_TWO * _FOUR * _SH[6] * x * z
-        out[14, 0], out[14, 1], out[14, 2] = _TWO * _SH[8] * x * z, -_TWO * _SH[8] * y * z, _SH[8] * (xx - yy)
-        out[15, 0], out[15, 1] = -_THREE * _SH[4] * (xx - yy), _SIX * _SH[4] * x * y

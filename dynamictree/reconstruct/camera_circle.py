@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image, ImageDraw
 
-from dynamictree.reconstruct.stage import nearest_to_axes
+from dynamictree.reconstruct.photo_cameras import nearest_to_axes
 from dynamictree.render.camera import Camera
 
 LARGEST_GAP_DEG = 40.0

@@ -11,19 +11,21 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from itertools import combinations
 from pathlib import Path
 
 from dynamictree.errors import CameraSearchError, ReconstructionError
-from dynamictree.reconstruct.given import GivenCamera
+from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.views import SparseModel, read_model
 
 MIN_REGISTERED = 5
+EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
+_NEXT_PHOTOS = 8
 _LISTEN_S = 0.25  # between two calls of the caller's progress function
 _GRACE_S = 3.0  # from SIGTERM to SIGKILL
 _TIME_LIMIT_S = 3600.0
 _SHARES = {"features": (0.0, 0.5), "matches": (0.5, 0.4), "cameras": (0.9, 0.08), "undistort": (0.98, 0.02)}
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 ADVICE = (
     "take sharp photos of a thing that stands still, in even light, from all around, one every 10 to 20 degrees, "
@@ -35,7 +37,7 @@ def find_cameras(
     photos: Sequence[Photo],
     folder: Path,
     *,
-    given: Sequence[GivenCamera] | None = None,
+    given: Sequence[InputCamera] | None = None,
     on_progress: Callable[[float], None] = lambda done: None,
     time_limit_s: float = _TIME_LIMIT_S,
 ) -> SparseModel:
@@ -47,8 +49,12 @@ def find_cameras(
         ReconstructionError: too few photos fit together, or the process took too long.
         CameraSearchError: the process failed.
     """
-    prepared_cameras = None if given is None else _at_prepared_size(given, photos)
-    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": prepared_cameras})
+    cameras = None
+    if given is not None:
+        of_source = {photo.source: photo for photo in photos}
+        pairs = [(camera, of_source[camera.photo]) for camera in given]
+        cameras = [camera.scaled(photo.name, photo.width, photo.height).to_json() for camera, photo in pairs]
+    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": cameras})
     _delete_leftovers(folder)
     command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
     with (
@@ -75,33 +81,19 @@ def find_cameras(
     return model
 
 
+def pairs_to_match(number: int) -> list[tuple[int, int]]:
+    """All pairs of a small set; in a large one, taken in order along a path, near ones and some far ones."""
+    if number <= EXHAUSTIVE_UP_TO:
+        return list(combinations(range(number), 2))
+    steps = [*range(1, _NEXT_PHOTOS + 1), *(2**power for power in range(4, number.bit_length()))]
+    return sorted({(i, i + step) for step in steps for i in range(number - step)})
+
+
 def _delete_leftovers(folder: Path) -> None:
     """Delete what an interrupted search wrote, but for its features: COLMAP copies over no photo that is there."""
     (folder / "views.json").unlink(missing_ok=True)
     for name in ("sparse", "chosen", "undistorted", "masks", "undistorted-masks"):
         shutil.rmtree(folder / name, ignore_errors=True)
-
-
-def _at_prepared_size(given: Sequence[GivenCamera], photos: Sequence[Photo]) -> list[dict[str, object]]:
-    prepared = {photo.source: photo for photo in photos}
-    cameras: list[dict[str, object]] = []
-    for camera in given:
-        photo = prepared[camera.photo]
-        across, down = photo.width / camera.width, photo.height / camera.height
-        single = camera.model in _ONE_FOCAL
-        lengths = [across] if single else [across, down]
-        params = [value * by for value, by in zip(camera.params, [*lengths, across, down], strict=False)]
-        cameras.append(
-            {
-                "name": photo.name,
-                "model": camera.model,
-                "params": [*params, *camera.params[len(params) :]],
-                "width": photo.width,
-                "height": photo.height,
-                "world_to_camera": camera.world_to_camera.tolist(),
-            }
-        )
-    return cameras
 
 
 def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None], until_s: float) -> None:

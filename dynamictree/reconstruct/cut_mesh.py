@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from dynamictree.errors import InputError, MeshError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
-from dynamictree.mesh import MeshLook, TriangleMesh
+from dynamictree.mesh import MeshLook, TriangleMesh, connected_parts
 from dynamictree.reconstruct.coloured_mesh import MAX_FACES
 from dynamictree.reconstruct.cut import BESIDE
 from dynamictree.reconstruct.fusion import Surface, main_cluster
@@ -20,6 +20,7 @@ _LEAST_FACES = 50
 _CELLS = 416  # along the longest side of a surface that is made anew, as in `coloured_mesh`
 _VOTERS = 9  # visible Gaussians around a vertex, of which most decide; one alone perforates the mesh
 _VISIBLE = 0.05  # opacity of Gaussians that decide what a face shows
+_PATCH_SHARE = 0.01  # of the chosen faces: a smaller patch that is missing among them is a hole
 _COVERED = 0.8  # of the plant's Gaussians must have the mesh beside them
 
 
@@ -58,13 +59,27 @@ def plant_mesh(
     visible = np.flatnonzero(scene.opacity >= _VISIBLE)
     nearest = visible[cKDTree(scene.means[visible]).query(mesh.vertices, k=min(_VOTERS, len(visible)))[1]]
     majority = own[nearest].reshape(mesh.num_vertices, -1).mean(axis=1) > 0.5
-    faces = mesh.faces[majority[mesh.faces].all(axis=1)]
-    if len(faces) >= _LEAST_FACES:
+    chosen = _without_patches(majority[mesh.faces].all(axis=1), mesh)
+    if chosen.sum() >= _LEAST_FACES:
+        faces = mesh.faces[chosen]
         part = _with_faces(mesh, faces)
         gap = cKDTree(part.vertices).query(scene.means[own], distance_upper_bound=BESIDE * radius_m)[0]
         if np.isfinite(gap).mean() >= _COVERED and num_holes(part) <= 2 * num_holes(mesh):
             return part
     return _closed_mesh(scene.subset(own), mesh, radius_m)
+
+
+def _without_patches(chosen: Bool[np.ndarray, " F"], mesh: TriangleMesh) -> Bool[np.ndarray, " F"]:
+    """Chosen faces, with small patches among them that floaters before the surface have taken out."""
+    rest = mesh.faces[~chosen]
+    part_of_vertex = connected_parts(rest, mesh.num_vertices)
+    part = part_of_vertex[rest[:, 0]]
+    size = np.bincount(part, minlength=mesh.num_vertices)
+    beside = np.zeros(len(size), np.bool_)
+    beside[part_of_vertex[mesh.faces[chosen]]] = True
+    whole = chosen.copy()
+    whole[~chosen] = (beside & (size < _PATCH_SHARE * chosen.sum()))[part]
+    return whole
 
 
 def num_holes(mesh: TriangleMesh) -> int:

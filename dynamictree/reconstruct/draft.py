@@ -13,9 +13,11 @@ from dynamictree.formats.splat.ply import UP_AXIS
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.reconstruct.cut import cloud_in_metres
 from dynamictree.reconstruct.splat_start import spacing, thinned
+from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, table_of_points
 from dynamictree.reconstruct.views import SparseModel
 
+OnFile = Callable[[Path], None]
 DRAFT = "draft.splat"
 EVERY_S = 20.0
 _MOST_POINTS = 20_000
@@ -26,12 +28,16 @@ _OPAQUE_LOGIT = np.float32(2)
 _UNKNOWN_SIZE_M = 1.0  # of the region's radius
 
 
+def ignore_file(path: Path) -> None:
+    """Report to nobody."""
+
+
 @dataclass(kw_only=True)
 class Draft:
     """A small splat of the region around the subject, upright and of unknown size; each takes the last one's place."""
 
     folder: Path
-    on_file: Callable[[Path], None]
+    on_file: OnFile
     _written_at: float = field(default=-np.inf, init=False)
 
     def show_points(self, model: SparseModel) -> None:
@@ -41,11 +47,12 @@ class Draft:
         if len(points) >= _LEAST_POINTS:
             self._write(table_of_points(points, colors, spacing(points), opacity=0.9, sh_degree=0))
 
-    def show(self, table: Float32[np.ndarray, "G P"], step: int) -> None:
+    def show(self, state: SplatState) -> None:
         """Show Gaussians after a step of learning, unless the last ones are younger than `EVERY_S`."""
-        if step > 0 and time.monotonic() - self._written_at < EVERY_S:
+        table = state.table
+        if state.step > 0 and time.monotonic() - self._written_at < EVERY_S:
             return
-        if step == 0:  # learning begins with a mist
+        if state.step == 0:  # learning begins with a mist
             table = table.copy()
             table[:, LOGIT] = np.maximum(table[:, LOGIT], _OPAQUE_LOGIT)
         self._write(table)

@@ -7,6 +7,7 @@ from shutil import rmtree
 
 import numpy as np
 
+from dynamictree.photo_requests import PHOTOS_OF_VIDEO
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.video_frames import Stretch, frame_of, stretches_to_fill, write_sharp_frames
@@ -16,19 +17,26 @@ WriteFrames = Callable[[Path, Path, int | Sequence[Stretch], Callable[[], None]]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Film:
+    """A film of a walk around the tree."""
+
+    path: Path
+    count: int = PHOTOS_OF_VIDEO  # frames that are taken as photos at first
+
+
+@dataclass(frozen=True, kw_only=True)
 class FilmPhotos:
     """Frames of one film in a folder, which an interrupted attempt may have written."""
 
-    film: Path
+    film: Film
     folder: Path
-    count: int  # of the frames at first
     on_work: Callable[[], None]  # called while the film is decoded; an exception in it stops that
     write_frames: WriteFrames = field(default=write_sharp_frames)
 
     def first(self) -> list[Path]:
         """Write sharp frames, spread evenly over the film, unless the folder has some; returns all that it has."""
         if not self.folder.exists():
-            self._add(self.count)
+            self._add(self.film.count)
         return self._frames()
 
     def more(self, model: SparseModel) -> list[Path]:
@@ -40,7 +48,7 @@ class FilmPhotos:
         frames = [frame_of(path.name) for path in self._frames()]
         model = _upright(model)
         circle = camera_circle({view.source: view.camera for view in model.views})
-        if len(frames) != self.count or not coverage_warnings(circle, len(model.views), len(frames)):
+        if len(frames) != self.film.count or not coverage_warnings(circle, len(model.views), len(frames)):
             return []
         azimuths_deg = dict(zip(map(frame_of, circle.photos), circle.azimuths_deg.tolist(), strict=True))
         stretches = stretches_to_fill(frames, azimuths_deg)
@@ -53,7 +61,7 @@ class FilmPhotos:
         """Write frames beside the folder, and move them there once they are complete."""
         unfinished = self.folder.with_name(f"{self.folder.name}.unfinished")
         rmtree(unfinished, ignore_errors=True)
-        written = self.write_frames(self.film, unfinished, wanted, self.on_work)
+        written = self.write_frames(self.film.path, unfinished, wanted, self.on_work)
         if self.folder.exists():
             for path in written:
                 path.rename(self.folder / path.name)

@@ -12,18 +12,19 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from itertools import combinations
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 import pycolmap
 from PIL import Image
 
-from dynamictree.reconstruct.left_out import reasons
+from dynamictree.reconstruct.cameras import pairs_to_match
+from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.marker_detection import MarkerFinder
+from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.refine_poses import refined
+from dynamictree.reconstruct.unregistered import reasons
 
 DATABASES = ("features.db", "features-whole.db")
 """Of features within masks (everywhere without masks), and everywhere in spite of masks."""
@@ -31,8 +32,6 @@ USE_GPU = bool(pycolmap.has_cuda)
 DEVICE = pycolmap.Device.auto
 """A pycolmap that was built with CUDA uses the GPU."""
 MAX_MEMORY_BYTES = 12 * 2**30
-EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
-_NEXT_PHOTOS = 8
 _MAX_FEATURES = 6000
 _PAIRS_AT_ONCE = 12
 _SEED = 1
@@ -47,47 +46,17 @@ _LEAST_POINTS = 50  # that a photo must see; those of that orbit see 200 and mor
 _FLOWN = 30  # times as far from the middle of all cameras as half of them are
 
 
-class MappingPhoto(TypedDict):
-    """A prepared photo, as JSON carries it."""
-
-    name: str
-    width: int
-    height: int
-    focal_px: float | None
-    masked: bool  # a mask lies beside it
-
-
-class MappingCamera(TypedDict):
-    """A camera that is known, at the size of the prepared photo."""
-
-    name: str  # of the prepared photo
-    model: str
-    params: list[float]
-    width: int
-    height: int
-    world_to_camera: list[list[float]]  # [3, 4]
-
-
-class MappingJob(TypedDict):
-    """What to map, as JSON carries it."""
-
-    folder: str  # `photos/` lies in it; the rest is written there
-    photos: list[MappingPhoto]
-    given: list[MappingCamera] | None  # where cameras are known, only points are sought
-
-
-def map_photos(job: MappingJob) -> None:
-    """From photos to undistorted photos with cameras: `undistorted/`, `points.npz` and, last of all, `views.json`.
+def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | None) -> None:
+    """From `photos/` to undistorted photos with cameras: `undistorted/`, `points.npz` and, last of all, `views.json`.
 
     Features are sought within masks, since a plant on a turntable moves and its background does not; but where they
     leave out most photos, as with thin stems, everywhere.
     """
-    folder, photos, given = Path(job["folder"]), job["photos"], job["given"]
     search = _Search(folder=folder, photos=photos, given=given)
     model = search.model()
-    masked = [photo["name"] for photo in photos if photo["masked"]]
+    masked = [photo.name for photo in photos if photo.masked]
     if given is None and masked and (model is None or _num_registered(model) < _FEW * len(photos)):
-        unmasked: list[MappingPhoto] = [{**photo, "masked": False} for photo in photos]
+        unmasked = [replace(photo, masked=False) for photo in photos]
         whole_search = _Search(folder=folder, photos=unmasked, given=None, database_name=DATABASES[1])
         whole = whole_search.model()
         if model is None or (whole is not None and _num_registered(whole) > _num_registered(model)):
@@ -101,8 +70,8 @@ class _Search:
     """One search for cameras. Features and matches stay in its database: another search with it goes on there."""
 
     folder: Path
-    photos: list[MappingPhoto]
-    given: list[MappingCamera] | None
+    photos: list[Photo]
+    given: list[InputCamera] | None
     database_name: str = DATABASES[0]
     threads: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
 
@@ -129,18 +98,10 @@ def _match(search: _Search) -> None:
         _tell("matches", first, len(pairs))
         chunk = pairs[first : first + _PAIRS_AT_ONCE]
         listing = search.folder / "pairs.txt"
-        listing.write_text("".join(f"{photos[i]['name']} {photos[j]['name']}\n" for i, j in chunk))
+        listing.write_text("".join(f"{photos[i].name} {photos[j].name}\n" for i, j in chunk))
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
         pycolmap.match_image_pairs(search.database, matching, pairing, device=DEVICE)
     _tell("matches", len(pairs), len(pairs))
-
-
-def pairs_to_match(number: int) -> list[tuple[int, int]]:
-    """All pairs of a small set; in a large one, taken in order along a path, near ones and some far ones."""
-    if number <= EXHAUSTIVE_UP_TO:
-        return list(combinations(range(number), 2))
-    steps = [*range(1, _NEXT_PHOTOS + 1), *(2**power for power in range(4, number.bit_length()))]
-    return sorted({(i, i + step) for step in steps for i in range(number - step)})
 
 
 def _tell(step: str, done: int, total: int) -> None:
@@ -153,10 +114,10 @@ def _extract(search: _Search) -> None:
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu = search.threads, USE_GPU
     extraction.sift.max_num_features = _MAX_FEATURES
-    cameras_by_name = {camera["name"]: camera for camera in search.given or ()}
+    cameras_by_name = {camera.photo: camera for camera in search.given or ()}
     done = _camera_ids(search.database)  # those of an interrupted search
     for photo, names in _camera_groups(search.photos, cameras_by_name):
-        reader = _reader(search, photo, cameras_by_name.get(photo["name"]))
+        reader = _reader(search, photo, cameras_by_name.get(photo.name))
         missing = [name for name in names if name not in done]
         while missing:
             _tell("features", len(done), len(search.photos))
@@ -188,30 +149,28 @@ def _camera_ids(database: Path) -> dict[str, int]:
         }
 
 
-def _reader(search: _Search, photo: MappingPhoto, camera: MappingCamera | None) -> pycolmap.ImageReaderOptions:
+def _reader(search: _Search, photo: Photo, camera: InputCamera | None) -> pycolmap.ImageReaderOptions:
     reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
-    if photo["masked"]:
+    if photo.masked:
         reader.mask_path = search.images  # of a photo `name` the mask is `name.png`: no features where it is black
     if camera is not None:
-        reader.camera_model = camera["model"]
-        reader.camera_params = ",".join(str(value) for value in camera["params"])
-    elif photo["focal_px"] is not None:
-        values = (photo["focal_px"], photo["width"] / 2, photo["height"] / 2, 0.0)
+        reader.camera_model = camera.model
+        reader.camera_params = ",".join(str(value) for value in camera.params)
+    elif photo.focal_px is not None:
+        values = (photo.focal_px, photo.width / 2, photo.height / 2, 0.0)
         reader.camera_params = ",".join(str(value) for value in values)
     return reader
 
 
-def _camera_groups(
-    photos: list[MappingPhoto], cameras_by_name: dict[str, MappingCamera]
-) -> Iterator[tuple[MappingPhoto, list[str]]]:
-    groups: dict[tuple[object, ...], list[MappingPhoto]] = {}
+def _camera_groups(photos: list[Photo], cameras_by_name: dict[str, InputCamera]) -> Iterator[tuple[Photo, list[str]]]:
+    groups: dict[tuple[object, ...], list[Photo]] = {}
     for photo in photos:
-        camera = cameras_by_name.get(photo["name"])
-        lens = None if camera is None else (camera["model"], *camera["params"])
-        alike = photo["width"], photo["height"], photo["focal_px"], photo["masked"], lens
+        camera = cameras_by_name.get(photo.name)
+        lens = None if camera is None else (camera.model, *camera.params)
+        alike = photo.width, photo.height, photo.focal_px, photo.masked, lens
         groups.setdefault(alike, []).append(photo)
     for group in groups.values():
-        yield group[0], [photo["name"] for photo in group]
+        yield group[0], [photo.name for photo in group]
 
 
 def _map(search: _Search) -> pycolmap.Reconstruction | None:
@@ -227,11 +186,11 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
     return best
 
 
-def _with_points(search: _Search, given: list[MappingCamera]) -> pycolmap.Reconstruction:
+def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstruction:
     """The known cameras, refined where the photos disagree with them, and what of the matches fits them."""
     _tell("cameras", 0, 1)
     model = pycolmap.Reconstruction()
-    poses = {camera["name"]: np.array(camera["world_to_camera"]) for camera in given}
+    poses = {camera.photo: camera.world_to_camera for camera in given}
     with pycolmap.Database.open(search.database) as database:
         for camera in database.read_all_cameras():
             model.add_camera_with_trivial_rig(camera)
@@ -300,7 +259,7 @@ def _map_once(search: _Search, min_inliers: int, min_ratio: float) -> dict[int, 
 def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[str]) -> None:
     _tell("undistort", 0, 1)
     folder, threads = search.folder, search.threads
-    place = {photo["name"]: row for row, photo in enumerate(search.photos)}
+    place = {photo.name: row for row, photo in enumerate(search.photos)}
     chosen, undistorted = folder / "chosen", folder / "undistorted"
     chosen.mkdir(exist_ok=True)
     model.write(chosen)
@@ -364,4 +323,6 @@ if __name__ == "__main__":
     _end_with_parent()
     if not USE_GPU:  # CUDA reserves more addresses than any limit of memory
         resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
-    map_photos(json.load(sys.stdin))
+    job = json.load(sys.stdin)
+    cameras = None if job["given"] is None else [InputCamera.from_json(fields) for fields in job["given"]]
+    map_photos(Path(job["folder"]), [Photo(**fields) for fields in job["photos"]], cameras)

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64
 
+from dynamictree.reconstruct.photo_cameras import nearest_to_axes
 from dynamictree.reconstruct.views import View
 
 SHEET_EDGES_M = {584: 0.05, 585: 0.1, 586: 0.15}
@@ -80,11 +81,7 @@ def _nearest(views: list[View], at_px: Float64[np.ndarray, "V 2"]) -> Float64[np
         height, width = view.image.shape[:2]
         ray = np.linalg.solve(view.camera.intrinsics_px(width, height), [x, y, 1.0]) @ view.camera.world_to_camera
         rays.append(ray / np.linalg.norm(ray))
-    across = np.eye(3) - np.array(rays)[:, :, None] * np.array(rays)[:, None, :]  # [V, 3, 3]
-    point: Float64[np.ndarray, 3] = np.linalg.lstsq(
-        across.sum(axis=0), np.einsum("vij,vj->i", across, origins), rcond=None
-    )[0]
-    return point
+    return nearest_to_axes(origins, np.array(rays))
 
 
 def _errors_px(

@@ -11,11 +11,13 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from PIL import Image
 
-from dynamictree.reconstruct.adam import AdamState, AdamStep, adam_step
-from dynamictree.reconstruct.densify import DensityRules, Pull, before_cameras, densified, fainter
-from dynamictree.reconstruct.gradient import draw, gradients_of
+from dynamictree.gaussian.rasterize import draw
+from dynamictree.reconstruct.adam import adam_step
+from dynamictree.reconstruct.densify import DensityRules, before_cameras, densify
+from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
-from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, shapes_of, unit_quaternions
+from dynamictree.reconstruct.splat_state import SplatState
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, cloud_of, unit_quaternions
 from dynamictree.render.camera import Camera
 
 _DISCARDED_LOGIT = np.float32(-20)  # not drawn, and pruned by the next densification
@@ -48,7 +50,6 @@ class Schedule:
     degree_every: int = 300  # steps, until one more is used
     densify: tuple[float, float] = (0.1, 0.7)  # between these shares of the steps
     densify_every: int = 100
-    reset_at: float | None = None  # share of the steps; so few steps never make up for one (measured)
     depth_share: float = 0.1  # of the loss, at first; falls to a hundredth of it
     rules: DensityRules = field(default_factory=DensityRules)
     cut_out_min_opacity: float = 0.02  # below it a Gaussian is pruned, where photos are cut out
@@ -57,80 +58,50 @@ class Schedule:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplatProgress:
-    """State of the optimisation: enough to continue it."""
+class SplatTask:
+    """What Gaussians are fitted to."""
 
-    table: Float32[np.ndarray, "G P"]
-    moments: AdamState
-    step: int
-    pull: Pull | None = None  # since Gaussians were last made
-    best_psnr: float = -np.inf  # of the choosing photos, at full size
-    best: Float32[np.ndarray, "B P"] | None = None
-    num_discarded: int = 0  # Gaussians whose gradient was not finite
-    checks: tuple[tuple[int, int, float], ...] = ()  # step, number of Gaussians, PSNR of the choosing photos [dB]
-
-    @property
-    def result(self) -> Float32[np.ndarray, "R P"]:
-        """Gaussians with the best PSNR of the choosing photos, or the last ones."""
-        return self.table if self.best is None else self.best
+    targets: Sequence[Target]
+    choosing: Sequence[Target]  # not learned from: the best picture of them ends the work early
+    extent: float  # of the cameras
+    cut_out: bool = False  # by masks: photos show the subject alone
+    cameras: Float64[np.ndarray, "V 3"] | None = None  # of all photos; free space
 
 
 def optimise(
-    start: SplatProgress,
-    targets: Sequence[Target],
-    choosing: Sequence[Target],
+    state: SplatState,
+    task: SplatTask,
     schedule: Schedule,
-    *,
-    extent: float,
-    cut_out: bool = False,
-    cameras: Float64[np.ndarray, "V 3"] | None = None,
-    on_step: Callable[[SplatProgress], None] = lambda progress: None,
-) -> SplatProgress:
-    """Optimise, split and prune Gaussians; `on_step` may save the state, or raise to stop.
-
-    Photos that are `cut_out` show the subject alone, by masks. Where `cameras` were is free space, also where those of
-    other photos were.
-    """
-    levels = _Levels(targets, choosing, schedule)
-    pull = start.pull or Pull(len(start.table))
-    progress = replace(start, pull=pull)
-    while progress.step < schedule.num_steps and not _worn_out(progress, schedule):
-        on_step(progress)
-        rng = np.random.default_rng([1, progress.step])
-        shrink = _shrink(schedule, progress.step)
-        target = levels.target(progress.step, shrink)
-        degree = min(schedule.sh_degree, progress.step // schedule.degree_every)
-        stepped = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, cut_out=cut_out, rng=rng)
-        num_discarded = progress.num_discarded + int(stepped.skipped.sum())
-        progress = replace(progress, moments=stepped.state, step=progress.step + 1, num_discarded=num_discarded)
-        if choosing and progress.step % schedule.check_every == 0:
-            progress = _checked(progress, levels, schedule, degree)
-        share = progress.step / schedule.num_steps
-        if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
-            rules = _rules(schedule, shrink, cut_out=cut_out)
-            if cameras is not None:
-                progress.table[before_cameras(progress.table, cameras, rules), LOGIT] = _DISCARDED_LOGIT
-            table, moments = densified(progress.table, progress.moments, pull.mean, rules, extent=extent, rng=rng)
-            pull = Pull(len(table))
-            progress = replace(progress, table=table, moments=moments, pull=pull)
-        if schedule.reset_at is not None and progress.step == round(schedule.reset_at * schedule.num_steps):
-            fainter(progress.table, progress.moments)
-    return progress
+    on_step: Callable[[SplatState], None] = lambda state: None,
+) -> None:
+    """Optimise, split and prune Gaussians in place; `on_step` may save the state, or raise to stop."""
+    levels = _Levels(task, schedule)
+    while state.step < schedule.num_steps and not _worn_out(state, schedule):
+        on_step(state)
+        rng = np.random.default_rng([1, state.step])
+        shrink = _shrink(schedule, state.step)
+        degree = min(schedule.sh_degree, state.step // schedule.degree_every)
+        _one_step(state, levels.target(state.step, shrink), task, schedule, degree, rng)
+        share = state.step / schedule.num_steps
+        if schedule.densify[0] <= share < schedule.densify[1] and state.step % schedule.densify_every == 0:
+            rules = _rules(schedule, shrink, cut_out=task.cut_out)
+            if task.cameras is not None:
+                state.table[before_cameras(state.table, task.cameras, rules), LOGIT] = _DISCARDED_LOGIT
+            densify(state, rules, extent=task.extent, rng=rng)
+        if task.choosing and state.step % schedule.check_every == 0:
+            _check(state, levels, schedule, degree)
 
 
 def _one_step(
-    progress: SplatProgress,
+    state: SplatState,
     target: Target,
-    pull: Pull,
+    task: SplatTask,
     schedule: Schedule,
-    *,
     degree: int,
-    extent: float,
-    cut_out: bool,
     rng: np.random.Generator,
-) -> AdamStep:
+) -> None:
     height, width = target.photo.shape[:2]
-    drawing = draw(shapes_of(progress.table, degree), target.camera, width=width, height=height)
+    drawing = draw(cloud_of(state.table, degree), target.camera, width=width, height=height)
     behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
     wanted = target.photo
     if target.alpha is not None:
@@ -141,17 +112,16 @@ def _one_step(
     gradient = np.zeros_like(drawing.picture)
     gradient[..., :3] = loss.gradient.transpose(1, 2, 0)
     gradient[..., 4] = gradient[..., :3] @ behind
-    if target.depth is not None and schedule.depth_share > 0:
-        share = schedule.depth_share * 0.01 ** (progress.step / schedule.num_steps)
+    if target.depth is not None:
+        share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps)
         _add_depth(gradient, drawing.picture, target.depth, share)
-    gradients = gradients_of(drawing, gradient, width=progress.table.shape[1])
-    seen = drawing.bounds[:, 1] > drawing.bounds[:, 0]
-    pull.add(gradients.centres_px, seen, width, height)
-    rates = _rates(schedule, progress.step, progress.table.shape[1], extent, cut_out=cut_out)
-    stepped = adam_step(progress.table, gradients.table, progress.moments, rates)
-    progress.table[stepped.skipped, LOGIT] = _DISCARDED_LOGIT
-    unit_quaternions(progress.table)
-    return stepped
+    gradients = gradients_of(drawing, gradient, width=state.table.shape[1])
+    half_size = np.array([0.5 * width, 0.5 * height], np.float32)
+    state.add_pull(half_size * gradients.centres_px, drawing.bounds[:, 1] > drawing.bounds[:, 0])
+    skipped = adam_step(state, gradients.table, _rates(schedule, state, task))
+    state.num_discarded += int(skipped.sum())
+    state.table[skipped, LOGIT] = _DISCARDED_LOGIT
+    unit_quaternions(state.table)
 
 
 def _add_depth(
@@ -174,11 +144,11 @@ def _rules(schedule: Schedule, shrink: int, *, cut_out: bool) -> DensityRules:
     return replace(rules, min_opacity=schedule.cut_out_min_opacity) if cut_out else rules
 
 
-def _rates(schedule: Schedule, step: int, width: int, extent: float, *, cut_out: bool) -> Float32[np.ndarray, " P"]:
-    first, last = schedule.cut_out_position_rates if cut_out else schedule.position_rates
-    rates = np.full(width, schedule.color_rate, np.float32)
+def _rates(schedule: Schedule, state: SplatState, task: SplatTask) -> Float32[np.ndarray, " P"]:
+    first, last = schedule.cut_out_position_rates if task.cut_out else schedule.position_rates
+    rates = np.full(state.table.shape[1], schedule.color_rate, np.float32)
     rates[REST:] /= 20
-    rates[MEAN] = extent * first * (last / first) ** (step / schedule.num_steps)
+    rates[MEAN] = task.extent * first * (last / first) ** (state.step / schedule.num_steps)
     rates[QUATERNION], rates[LOG_SCALE], rates[LOGIT] = schedule.turn_rate, schedule.scale_rate, schedule.opacity_rate
     return rates
 
@@ -188,19 +158,18 @@ def _shrink(schedule: Schedule, step: int) -> int:
     return next((smaller for until, smaller in schedule.coarser if share < until), 1)
 
 
-def _worn_out(progress: SplatProgress, schedule: Schedule) -> bool:
+def _worn_out(state: SplatState, schedule: Schedule) -> bool:
     """Whether the last checks at full size were all worse than an earlier one."""
-    full = [value for step, _, value in progress.checks if _shrink(schedule, step - 1) == 1]
+    full = [psnr_db for step, _, psnr_db in state.checks if _shrink(schedule, int(step) - 1) == 1]
     since = len(full) - 1 - int(np.argmax(full)) if full else 0
     return since >= schedule.patience
 
 
-def _checked(progress: SplatProgress, levels: "_Levels", schedule: Schedule, degree: int) -> SplatProgress:
-    psnr_db = mean_psnr(progress.table, levels.choosing, degree)
-    progress = replace(progress, checks=(*progress.checks, (progress.step, len(progress.table), psnr_db)))
-    if _shrink(schedule, progress.step) > 1 or psnr_db <= progress.best_psnr:
-        return progress
-    return replace(progress, best_psnr=psnr_db, best=progress.table.copy())
+def _check(state: SplatState, levels: "_Levels", schedule: Schedule, degree: int) -> None:
+    psnr_db = mean_psnr(state.table, levels.choosing, degree)
+    state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
+    if _shrink(schedule, state.step) == 1 and psnr_db > state.best_psnr:
+        state.best_psnr, state.best = psnr_db, state.table.copy()
 
 
 def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
@@ -211,7 +180,7 @@ def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_d
 def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> Float32[np.ndarray, "H W 3"]:
     """Render the Gaussians for a target, on black."""
     height, width = target.photo.shape[:2]
-    picture = draw(shapes_of(table, sh_degree), target.camera, width=width, height=height).picture
+    picture = draw(cloud_of(table, sh_degree), target.camera, width=width, height=height).picture
     result: Float32[np.ndarray, "H W 3"] = np.clip(picture[..., :3], 0, 1)
     return result
 
@@ -229,10 +198,10 @@ def planes_of(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H
 class _Levels:
     """The photos at every size that is used, and which comes next: each once, then in another order."""
 
-    def __init__(self, targets: Sequence[Target], choosing: Sequence[Target], schedule: Schedule) -> None:
-        self.choosing = [smaller(target, schedule.side_px) for target in choosing]
+    def __init__(self, task: SplatTask, schedule: Schedule) -> None:
+        self.choosing = [smaller(target, schedule.side_px) for target in task.choosing]
         sides = {1: schedule.side_px, **{by: schedule.side_px // by for _, by in schedule.coarser}}
-        self._targets = {by: [smaller(target, side) for target in targets] for by, side in sides.items()}
+        self._targets = {by: [smaller(target, side) for target in task.targets] for by, side in sides.items()}
 
     def target(self, step: int, shrink: int) -> Target:
         targets = self._targets[shrink]

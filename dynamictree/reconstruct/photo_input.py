@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dynamictree.reconstruct.given import GivenCamera, find_given, fits
+from dynamictree.reconstruct.input_cameras import InputCamera, find_input_cameras, fits
 from dynamictree.reconstruct.photos import Photo, PhotoFile, prepare_photos, sizes_of
 
-Given = tuple[GivenCamera, ...] | None
+Given = tuple[InputCamera, ...] | None
 OnPhoto = Callable[[int, int], None]
 ReadPhotos = Callable[[Sequence[PhotoFile], Path | None, Path, OnPhoto], tuple[Given, list[Photo]]]
 
@@ -18,7 +18,7 @@ def read_photos(
     """Return the cameras that came with the photos, if any, and the photos that `prepare_photos` wrote to `folder`.
 
     Raises:
-        InputError: as `find_given` and `prepare_photos`.
+        InputError: as `find_input_cameras` and `prepare_photos`.
     """
     given = None if root is None else _given(photos, root)
     if given is not None:
@@ -28,10 +28,12 @@ def read_photos(
 
 
 def _given(photos: Sequence[PhotoFile], root: Path) -> Given:
-    return find_given(root, {photo.name: sizes_of(photo) for photo in sorted(photos, key=lambda photo: photo.name)})
+    return find_input_cameras(
+        root, {photo.name: sizes_of(photo) for photo in sorted(photos, key=lambda photo: photo.name)}
+    )
 
 
-def _as_given(photo: PhotoFile, camera: GivenCamera) -> PhotoFile:
+def _as_given(photo: PhotoFile, camera: InputCamera) -> PhotoFile:
     """Turn a photo upright only if the given camera saw it so: some programs heed EXIF and some do not."""
     stored, _ = sizes_of(photo)
     return replace(photo, as_stored=fits(camera, stored))

@@ -10,8 +10,9 @@ from dynamictree.parallel import compiled_fused, in_bands
 SSIM_SHARE = 0.2  # λ of Kerbl et al.
 _RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
-_WINDOW = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
-_WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
+_BELL = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
+WINDOW = (_BELL / _BELL.sum()).astype(np.float32)
+"""Along each axis."""
 _TAPS = 2 * _RADIUS + 1
 _ONE, _TWO = np.float32(1), np.float32(2)
 
@@ -59,7 +60,7 @@ def ssim(picture: Float32[np.ndarray, "3 H W"], photo: Float32[np.ndarray, "3 H 
 def blur(planes: Float32[np.ndarray, "P H W"]) -> Float32[np.ndarray, "P H W"]:
     """Each plane blurred by SSIM's window, zero beyond its edges; its own adjoint."""
     result = np.empty_like(planes)
-    in_bands(_blur_rows, planes.shape[0] * planes.shape[1], planes, _WINDOW, result)
+    in_bands(_blur_rows, planes.shape[0] * planes.shape[1], planes, WINDOW, result)
     return result
 
 

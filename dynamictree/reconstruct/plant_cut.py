@@ -18,9 +18,9 @@ from skimage.color import rgb2lab
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.photo_requests import Scribble
+from dynamictree.reconstruct.photo_cameras import PhotoCamera
 from dynamictree.reconstruct.plant_proposal import Proposal, propose
 from dynamictree.reconstruct.scribbles import marked
-from dynamictree.reconstruct.seen_from import SeenFrom
 
 _NEIGHBOURS = 10
 _ROUNDS = 4  # of colours from the cut, and the cut from colours
@@ -39,7 +39,7 @@ _COLOR_STEP = 8.0  # CIELAB: a difference that makes a step twice as long
 
 def plant_of(
     cloud: GaussianCloud,
-    views: list[SeenFrom],
+    views: list[PhotoCamera],
     scribbles: Sequence[Scribble] = (),
     *,
     on_progress: Callable[[float], None] = lambda share: None,

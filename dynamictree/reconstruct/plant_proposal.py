@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.plant.still import touching_groups
 from dynamictree.plant.still_cloud import find_still_gaussians
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, focus_of
 from dynamictree.reconstruct.scene_planes import THICKNESS, wide_planes
-from dynamictree.reconstruct.seen_from import SeenFrom, focus_of
 
 _NEAR = 0.85  # of the cameras' distance from what they look at: farther away is background
 _IN_PICTURE = 0.5  # of the photos must hold what is the plant: floors, walls and cloths go on beyond them
@@ -34,7 +34,7 @@ class Proposal:
     central: Bool[np.ndarray, " G"]  # probably the plant: the largest thing in the middle of the pictures
 
 
-def propose(cloud: GaussianCloud, views: list[SeenFrom]) -> Proposal:
+def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     """Separate what is far, what is ground, pot or thing, and what stands in the middle of the photos."""
     chosen = [views[row] for row in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).round().astype(int))]
     focus, distance = focus_of(chosen)
@@ -82,7 +82,7 @@ def _feet(
 
 
 def _places_in_pictures(
-    points: Float64[np.ndarray, "G 3"], views: list[SeenFrom]
+    points: Float64[np.ndarray, "G 3"], views: list[PhotoCamera]
 ) -> tuple[Float64[np.ndarray, " G"], Float64[np.ndarray, " G"]]:
     """Share of the pictures that hold each point, and its mean distance from their middle: 1 at a side."""
     coverage, total = np.zeros(len(points)), np.zeros(len(points))

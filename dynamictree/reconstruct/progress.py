@@ -1,23 +1,29 @@
-"""Stages of a reconstruction: how far each is, and how much time it took."""
+"""Progress of a reconstruction as a share of its expected time, and the time that all attempts took."""
 
+import json
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
-STAGES = {"photos": 0.03, "cameras": 0.27, "depth": 0.15, "splat": 0.5, "mesh": 0.05}
-"""Stages in order, and their usual shares of the total time."""
+from dynamictree.files import replacing
+
+STAGES = ("photos", "cameras", "depth", "splat", "mesh")
+"""In order."""
+_SAVE_EVERY_S = 20.0  # of work that a killed attempt loses from the report
 
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
     """How far a reconstruction is."""
 
-    stage: str  # one of `STAGES`
+    stage: str  # one of `STAGES`, or `cut`
     share: float  # of the stage that is done, in [0, 1]
-    total: float  # of everything that is done, in [0, 1]
+    total: float  # of the expected time of everything, in [0, 1]
+    worked_s: float = 0.0  # by this attempt and earlier ones that it continues
     psnr_db: float | None = None  # of the held-out photos so far, while the splat is learned
 
 
@@ -36,30 +42,64 @@ def ignore_progress(progress: Progress) -> None:
     """Report to nobody."""
 
 
-class StageClock:
-    """Reports progress by stage and adds up the time that each takes."""
+def expected_seconds(
+    *, num_photos: int, num_pairs: int, num_views: int, num_steps: int, side_px: int
+) -> dict[str, float]:
+    """Processor seconds that each stage usually takes; only their ratios matter. Measured: docs/decisions."""
+    return {
+        "photos": 0.1 * num_photos,
+        "cameras": 1.5 * num_photos + 0.06 * num_pairs,
+        "depth": 3.0 * num_views,
+        "splat": num_steps * (0.01 + 0.1 * (side_px / 640) ** 2),
+        "mesh": 10.0,
+    }
 
-    def __init__(self, on_progress: OnProgress) -> None:
-        self._on_progress = on_progress
-        self._total = 0.0
-        self.seconds: dict[str, float] = {}
-        self.processor_seconds: dict[str, float] = {}  # of all cores, ended child processes included
+
+class StageClock:
+    """Reports progress by expected time, and adds up the time that each stage takes over all attempts."""
+
+    def __init__(self, on_progress: OnProgress, expected_s: Mapping[str, float], saved: Path) -> None:
+        """Continue with the times of earlier attempts, which are saved in a file."""
+        self._on_progress, self._expected_s, self._saved = on_progress, expected_s, saved
+        self._total, self._saved_at = 0.0, time.perf_counter()
+        earlier = json.loads(saved.read_text()) if saved.exists() else {}
+        self.seconds: dict[str, float] = earlier.get("seconds", {})
+        self.processor_seconds: dict[str, float] = earlier.get("processor_seconds", {})  # with ended child processes
 
     @contextmanager
     def stage(self, name: str) -> Iterator[StageReport]:
         """Measure a stage, and get the function that reports its progress."""
-        names = list(STAGES)
-        before = sum(STAGES[earlier] for earlier in names[: names.index(name)])
+        before = sum(self._expected_s[earlier] for earlier in STAGES[: STAGES.index(name)])
+        whole = sum(self._expected_s.values())
+        start, processor_start = time.perf_counter(), _processor_s()
+        seconds, processor_seconds = self.seconds.get(name, 0.0), self.processor_seconds.get(name, 0.0)
+
+        def measure() -> None:
+            self.seconds[name] = seconds + time.perf_counter() - start
+            self.processor_seconds[name] = processor_seconds + _processor_s() - processor_start
 
         def report(share: float, psnr_db: float | None = None) -> None:
-            self._total = max(self._total, min(before + STAGES[name] * share, 1.0))
-            self._on_progress(Progress(stage=name, share=share, total=self._total, psnr_db=psnr_db))
+            measure()
+            if time.perf_counter() - self._saved_at > _SAVE_EVERY_S:
+                self._save()
+            self._total = max(self._total, (before + self._expected_s[name] * share) / whole)
+            worked_s = sum(self.seconds.values())
+            self._on_progress(Progress(stage=name, share=share, total=self._total, worked_s=worked_s, psnr_db=psnr_db))
 
-        start, processor_start = time.perf_counter(), _processor_s()
-        report(0.0)
-        yield report
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
-        self.processor_seconds[name] = self.processor_seconds.get(name, 0.0) + _processor_s() - processor_start
+        try:
+            report(0.0)
+            yield report
+        finally:
+            measure()
+            self._save()
+
+    def _save(self) -> None:
+        if self._saved.parent.exists():
+            with replacing(self._saved) as stream:
+                stream.write(
+                    json.dumps({"seconds": self.seconds, "processor_seconds": self.processor_seconds}).encode()
+                )
+        self._saved_at = time.perf_counter()
 
 
 def _processor_s() -> float:

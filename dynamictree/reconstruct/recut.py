@@ -22,11 +22,11 @@ from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct.cut import of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
+from dynamictree.reconstruct.floaters import background_floaters, faint_floaters
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, read_cameras, write_cameras
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
 from dynamictree.reconstruct.report import PlantQuality, photos_to_compare, plant_quality, write_report_picture
-from dynamictree.reconstruct.seen_from import read_cameras
-from dynamictree.reconstruct.soot import fog_of, soot_of
 
 _LEAST_GAUSSIANS = 50
 
@@ -37,7 +37,7 @@ class Finished:
 
     mesh: TriangleMesh
     scene: GaussianCloud
-    cameras: dict[str, Any]
+    cameras: list[PhotoCamera]
     report: dict[str, Any]
 
     def moved(self, scale: float, origin: Float64[np.ndarray, "3"]) -> "Finished":
@@ -48,14 +48,14 @@ class Finished:
             return moved
 
         cameras = [
-            camera | {"position_m": (scale * (np.array(camera["position_m"]) - origin)).tolist()}
-            for camera in self.cameras["cameras"]
+            replace(one, camera=replace(one.camera, position_m=scale * (one.camera.position_m - origin)))
+            for one in self.cameras
         ]
         markers = [marker | {"edge_m": scale * marker["edge_m"]} for marker in self.report.get("markers", ())]
         return Finished(
             mesh=replace(self.mesh, vertices=points(self.mesh.vertices)),
             scene=replace(self.scene, means=points(self.scene.means), scales=self.scene.scales * np.float32(scale)),
-            cameras=self.cameras | {"cameras": cameras},
+            cameras=cameras,
             report=self.report | {"radius_m": scale * self.report["radius_m"], "markers": markers},
         )
 
@@ -84,7 +84,6 @@ def recut(
     scale, origin_of_scale = _scale(finished, choice, own, mesh)
     ground = np.array([0.0, 0.0, mesh.vertices[:, 2].min() if choice.cuts else 0.0])
     moved = replace(finished, mesh=mesh).moved(scale, ground)
-    moved.cameras["scale"] = origin_of_scale
     moved.report.update(
         scale=origin_of_scale,
         height_m=moved.mesh.height_m,
@@ -95,7 +94,7 @@ def recut(
     for name in (PHOTO_PREVIEWS, "report.png"):
         if source != target and (source / name).exists():  # earlier versions wrote no previews of photos
             (target / name).write_bytes((source / name).read_bytes())
-    cameras = {view.photo: view.camera for view in read_cameras(moved.cameras)}
+    cameras = {view.photo: view.camera for view in moved.cameras}
     compared = photos_to_compare(moved.report.get("held_out", []))
     if choice.cuts:
         _judge_plant(moved, plant_quality(target, moved.scene, own, cameras, compared), choice)
@@ -136,13 +135,13 @@ def _cut_out(
     mesh, places = finished.mesh, finished.mesh.vertices
     own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene, *choice.box_m)
     if choice.scribbles or choice.only_plant:
-        views = read_cameras(finished.cameras)
+        views = finished.cameras
         own &= plant_of(scene, views, choice.scribbles or (), on_progress=lambda share: on_progress(0.6 * share))
         _require_plant(own)
         on_progress(0.6)
-        own &= ~soot_of(scene, own, views)
+        own &= ~background_floaters(scene, own, views)
         if not finished.report.get("held_out_masked_psnr_db"):  # masks leave no fog, but twigs that look like it
-            own &= ~fog_of(scene, own)
+            own &= ~faint_floaters(scene, own)
         on_progress(0.8)
         mesh = plant_mesh(mesh, scene, own, radius_m=radius_m)
     else:
@@ -201,7 +200,8 @@ def _read(folder: Path) -> Finished:
         mesh = read_ply_mesh(stream.read(), companions={})
     with opened(folder / "scene.ply") as stream:
         scene = read_cloud(stream, file_type="ply")
-    return Finished(mesh=mesh, scene=scene, cameras=json.loads((folder / "cameras.json").read_text()), report=report)
+    cameras = read_cameras(json.loads((folder / "cameras.json").read_text()))
+    return Finished(mesh=mesh, scene=scene, cameras=cameras, report=report)
 
 
 def _write(finished: Finished, plant: GaussianCloud, folder: Path) -> None:
@@ -211,7 +211,7 @@ def _write(finished: Finished, plant: GaussianCloud, folder: Path) -> None:
         write_gaussian_ply(plant, stream)
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(finished.scene, stream)
-    (folder / "cameras.json").write_text(json.dumps(finished.cameras, indent=1))
+    write_cameras(finished.cameras, folder, scale=finished.report["scale"])
     (folder / "report.json").write_text(json.dumps(finished.report, indent=1))
 
 

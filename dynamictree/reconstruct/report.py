@@ -15,10 +15,10 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, circle_picture
+from dynamictree.reconstruct.photo_cameras import write_cameras
 from dynamictree.reconstruct.photo_previews import read_photo_previews, write_photo_previews
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.result import Reconstruction
-from dynamictree.reconstruct.views import View
 from dynamictree.render import Camera, Look, Renderer, write_png
 
 LEAST_GAIN_DB = 3.0
@@ -48,7 +48,7 @@ def write_result(result: Reconstruction, folder: Path) -> None:
         write_gaussian_ply(result.splat, stream)
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(result.scene, stream)
-    write_cameras(result.views, folder, scale=result.report["scale"])
+    write_cameras([view.photo_camera for view in result.views], folder, scale=result.report["scale"])
     compared = photos_to_compare(result.report["held_out"])
     write_photo_previews(result.views, folder, needed=compared)
     (folder / "report.json").write_text(json.dumps(result.report, indent=1))
@@ -124,16 +124,6 @@ def plant_quality(
     return PlantQuality(*np.mean(values or [[0.0] * 3], axis=0).tolist()) if photos else None
 
 
-def write_cameras(views: Sequence[View], folder: Path, *, scale: str) -> None:
-    """Write `cameras.json`: intrinsics and pose of each registered photo."""
-    cameras = {
-        "axes": "camera x right, y down, z forward; world +Z up; pixel centres at half-integers",
-        "scale": scale,
-        "cameras": [_camera_fields(view) for view in views],
-    }
-    (folder / "cameras.json").write_text(json.dumps(cameras, indent=1))
-
-
 def comparison_row(
     mesh: TriangleMesh, scene: GaussianCloud, camera: Camera, photo: UInt8[np.ndarray, "H W 3"]
 ) -> UInt8[np.ndarray, "h w 3"]:
@@ -149,17 +139,3 @@ def _shrunk(picture: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray
     image = Image.fromarray(picture)
     image.thumbnail((width, width), Image.Resampling.LANCZOS)
     return np.array(image)
-
-
-def _camera_fields(view: View) -> dict[str, object]:
-    height, width = view.image.shape[:2]
-    matrix = view.camera.intrinsics_px(width, height)
-    return {
-        "photo": view.source,
-        "width": width,
-        "height": height,
-        "focal_px": matrix[0, 0],
-        "principal_px": matrix[:2, 2].tolist(),
-        "position_m": view.camera.position_m.tolist(),
-        "world_to_camera": view.camera.world_to_camera.tolist(),
-    }

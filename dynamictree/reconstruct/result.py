@@ -16,7 +16,21 @@ class MarkerReport(TypedDict):
     num_photos: int  # that it was placed by
 
 
-class Report(TypedDict):
+class SplatFigures(TypedDict):
+    """How well the splat shows photos that it was not learned from."""
+
+    held_out: list[str]  # photos that the splat was not learned from and that judge it
+    chosen_by: list[str]  # photos that chose the best of its states, and are neither learned from nor held out
+    held_out_psnr_db: list[float]  # of each
+    held_out_masked_psnr_db: list[float]  # inside the mask; empty without masks
+    held_out_ssim: list[float]
+    held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
+    held_out_size_px: list[int]
+    splat_steps: int
+    num_gaussians_discarded: int  # since their gradient was not finite
+
+
+class Report(SplatFigures):
     """Contents of `report.json`."""
 
     num_photos: int
@@ -35,19 +49,10 @@ class Report(TypedDict):
     num_faces: int
     num_gaussians: int  # of the tree
     num_gaussians_scene: int
-    held_out: list[str]  # photos that the splat was not learned from and that judge it
-    chosen_by: list[str]  # photos that chose the best of its states, and are neither learned from nor held out
-    held_out_psnr_db: list[float]  # of each
-    held_out_masked_psnr_db: list[float]  # inside the mask; empty without masks
-    held_out_ssim: list[float]
-    held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
-    held_out_size_px: list[int]
     camera_azimuths_deg: dict[str, float]  # seen from above, counter-clockwise, in that order; by photo
     largest_gap_deg: float  # between neighbouring cameras around the plant
     beside_largest_gap: list[str]  # the two photos at its ends
     warnings: list[str]  # what makes the result doubtful, and what to do
-    splat_steps: int
-    num_gaussians_discarded: int  # since their gradient was not finite
     seconds: dict[str, float]  # by stage
     processor_seconds: dict[str, float]  # by stage, of all cores
 

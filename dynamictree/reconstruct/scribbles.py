@@ -10,7 +10,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.visibility import weights_at
 from dynamictree.photo_requests import Scribble
-from dynamictree.reconstruct.seen_from import SeenFrom, view_of_photo
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, camera_of_photo
 
 _SIDE_PX = 480  # of the picture that strokes are drawn on
 _CLICK_PX = 1  # to each side of a stroke of one point
@@ -20,7 +20,7 @@ _LEAST_WEIGHT = 0.15  # of a pixel: a Gaussian with less is not what was meant
 
 def marked(
     cloud: GaussianCloud,
-    views: list[SeenFrom],
+    views: list[PhotoCamera],
     scribbles: Sequence[Scribble],
     *,
     on_stroke: Callable[[int], None] = lambda done: None,
@@ -35,7 +35,7 @@ def marked(
     weights = {True: np.zeros(cloud.num_gaussians, np.float32), False: np.zeros(cloud.num_gaussians, np.float32)}
     for done, scribble in enumerate(scribbles):
         on_stroke(done)
-        view = view_of_photo(views, scribble.photo).reduced(_SIDE_PX)
+        view = camera_of_photo(views, scribble.photo).reduced(_SIDE_PX)
         pixels = _pixels(scribble, view.width, view.height)
         under = weights_at(cloud, view.camera, pixels, width=view.width, height=view.height)
         weights[scribble.plant] = np.maximum(weights[scribble.plant], under)

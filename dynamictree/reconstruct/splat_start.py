@@ -31,11 +31,10 @@ def first_table(
     *,
     number: int,
     sh_degree: int,
-    dome: bool,
     rng: np.random.Generator,
     sky: Sequence[Foreground] | None = None,
 ) -> Float32[np.ndarray, "G P"]:
-    """Up to about `number` round Gaussians as wide as their neighbours are near; and with `dome`, some far away.
+    """Up to about `number` round Gaussians as wide as their neighbours are near; and without masks, some far away.
 
     The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
     """
@@ -48,12 +47,13 @@ def first_table(
     points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
     rows = thinned(points, number, rng)
     points, colors = points[rows].astype(np.float32), colors[rows].astype(np.float32)
-    if all(view.alpha is None for view in model.views):
+    whole = all(view.alpha is None for view in model.views)
+    if whole:
         crown, crown_colors = texture_points(model.views, round(_CROWN_SHARE * number), rng, covers)
         points = np.concatenate([points, crown.astype(np.float32)])
         colors = np.concatenate([colors, crown_colors])
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
-    if not dome:
+    if not whole:
         return table
     far, far_colors, share = dome_points(model.views, covers)
     solid = share >= _LEAST_SOLID

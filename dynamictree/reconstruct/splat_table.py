@@ -8,7 +8,6 @@ from jaxtyping import Float32
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.parallel import compiled
-from dynamictree.reconstruct.gradient import Shapes
 
 MEAN, QUATERNION, LOG_SCALE, LOGIT = slice(0, 3), slice(3, 7), slice(7, 10), 10
 COLOR, REST = slice(11, 14), 14
@@ -33,24 +32,16 @@ def table_of_points(
     return table
 
 
-def shapes_of(table: Float32[np.ndarray, "G P"], sh_degree: int) -> Shapes:
-    """Convert the table for the renderer, with harmonics up to a degree; its quaternions are unit ones."""
-    num_harmonics = (sh_degree + 1) ** 2
+def cloud_of(table: Float32[np.ndarray, "G P"], sh_degree: int | None = None) -> GaussianCloud:
+    """The table as a cloud, with harmonics up to a degree; all of them by default. Its quaternions are unit ones."""
+    num_harmonics = (table.shape[1] - COLOR.start) // 3 if sh_degree is None else (sh_degree + 1) ** 2
     sh = table[:, COLOR.start : COLOR.start + 3 * num_harmonics].reshape(len(table), num_harmonics, 3)
-    return Shapes(
+    return GaussianCloud(
         means=np.ascontiguousarray(table[:, MEAN]),
         quaternions=np.ascontiguousarray(table[:, QUATERNION]),
         scales=np.exp(table[:, LOG_SCALE]),
-        opacity=_sigmoid(table[:, LOGIT]),
+        opacity=1 / (1 + np.exp(-table[:, LOGIT])),
         sh=np.ascontiguousarray(sh),
-    )
-
-
-def cloud_of(table: Float32[np.ndarray, "G P"]) -> GaussianCloud:
-    """The same as a cloud."""
-    shapes = shapes_of(table, round(((table.shape[1] - COLOR.start) / 3) ** 0.5) - 1)
-    return GaussianCloud(
-        means=shapes.means, quaternions=shapes.quaternions, scales=shapes.scales, opacity=shapes.opacity, sh=shapes.sh
     )
 
 
@@ -67,8 +58,3 @@ def _make_unit(first, end, table):
         length = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
         for c in range(4):
             q[c] /= length
-
-
-def _sigmoid(x: Float32[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
-    result: Float32[np.ndarray, " G"] = 1 / (1 + np.exp(-x))
-    return result

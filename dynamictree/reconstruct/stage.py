@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.planes import Plane, best_plane, fit_plane, planes_of_triples, support
+from dynamictree.reconstruct.photo_cameras import nearest_to_axes
 from dynamictree.reconstruct.views import SparseModel
 
 _TRIALS = 400
@@ -80,17 +81,6 @@ def camera_up(
     agreeing = [sum(first @ second > np.cos(np.radians(_AGREE_DEG)) for second in cues) for first in cues]
     best = int(np.argmax(agreeing))
     return (cues[best], True) if agreeing[best] > 1 else (mean_up, False)
-
-
-def nearest_to_axes(
-    positions: Float64[np.ndarray, "V 3"], forward: Float64[np.ndarray, "V 3"]
-) -> Float64[np.ndarray, "3"]:
-    """The point of least squared distance to all viewing axes."""
-    projectors = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [V, 3, 3]
-    point: Float64[np.ndarray, 3] = np.linalg.lstsq(
-        projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, positions), rcond=None
-    )[0]
-    return point
 
 
 def _ground_plane(

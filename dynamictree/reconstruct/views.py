@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from PIL import Image
 
+from dynamictree.reconstruct.photo_cameras import PhotoCamera
 from dynamictree.render.camera import Camera
 
 
@@ -21,6 +22,12 @@ class View:
     camera: Camera
     alpha: UInt8[np.ndarray, "H W"] | None = None  # of what is wanted, 255 where it is; None where nothing is cut out
     markers: Mapping[int, Float64[np.ndarray, "4 2"]] = field(default_factory=dict)  # corners [px], by number
+
+    @property
+    def photo_camera(self) -> PhotoCamera:
+        """The camera, with the photo's name and size."""
+        height, width = self.image.shape[:2]
+        return PhotoCamera(photo=self.source, camera=self.camera, width=width, height=height)
 
 
 @dataclass(frozen=True, kw_only=True)

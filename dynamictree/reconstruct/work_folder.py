@@ -15,14 +15,13 @@ from pathlib import Path
 
 from dynamictree.errors import InputError
 from dynamictree.files import replacing
-from dynamictree.photo_requests import QUALITIES
-from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.options import ReconstructOptions
 
 _VERSION = 3  # of the files in the folder
 _SPLAT_VERSION = 3  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
-    *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz"),
+    *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz", "times.json"),
 )
 _RESULTS = {"photos.key": _OF_PHOTOS, "depths.key": ("depths.npz",), "splat.key": ("splat.npz",)}
 """Files of each stage; one whose key differs is deleted, with all later ones."""
@@ -33,18 +32,23 @@ class WorkFolder:
     """Where each stage saves its result."""
 
     path: Path
-    settings: tuple[int, int, Schedule]  # long side of the photos, number of views, schedule of the splat
+    options: ReconstructOptions
 
     def extend(self, sources: Iterable[Path]) -> None:
         """Go on with more photos: features of the earlier ones stay, cameras are to be found anew."""
         (self.path / "views.json").unlink(missing_ok=True)
-        for name, key in _keys(sources, *self.settings).items():
+        for name, key in _keys(sources, self.options).items():
             _write_key(self.path / name, key)
 
     @property
     def photos(self) -> Path:
         """Prepared photos and masks."""
         return self.path / "photos"
+
+    @property
+    def times(self) -> Path:
+        """Time that each stage took, in all attempts."""
+        return self.path / "times.json"
 
     @property
     def depths(self) -> Path:
@@ -58,22 +62,13 @@ class WorkFolder:
 
 
 @contextmanager
-def opened_work(
-    path: Path,
-    sources: Iterable[Path],
-    schedule: Schedule,
-    *,
-    photo_px: int = QUALITIES["standard"].photo_px,
-    max_views: int = QUALITIES["standard"].max_views,
-) -> Iterator[WorkFolder]:
+def opened_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> Iterator[WorkFolder]:
     """Use a folder alone, with what an earlier call with the same inputs left there.
 
     Args:
         path: the folder.
         sources: photos, masks and files with cameras, in order.
-        schedule: of the splat.
-        photo_px: long side to which photos are reduced.
-        max_views: that depths are made of.
+        options: with which results are computed.
 
     Raises:
         InputError: another process uses the folder.
@@ -84,15 +79,14 @@ def opened_work(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(f"another process is at work in {path}; wait for it, or choose another output") from None
-        settings = (photo_px, max_views, schedule)
-        _delete_others(path, _keys(sources, *settings))
-        yield WorkFolder(path=path, settings=settings)
+        _delete_others(path, _keys(sources, options))
+        yield WorkFolder(path=path, options=options)
 
 
-def _keys(sources: Iterable[Path], photo_px: int, max_views: int, schedule: Schedule) -> dict[str, str]:
-    photos = f"{_photos_key(sources)} {photo_px}"
-    depths = f"{photos} {max_views}"
-    splat = f"{depths} {_SPLAT_VERSION} {json.dumps(asdict(schedule), sort_keys=True)}"
+def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str]:
+    photos = f"{_photos_key(sources)} {options.photo_px}"
+    depths = f"{photos} {options.max_views}"
+    splat = f"{depths} {_SPLAT_VERSION} {json.dumps(asdict(options.schedule), sort_keys=True)}"
     keys = zip(_RESULTS, (photos, depths, splat), strict=True)
     return {name: sha256(meaning.encode()).hexdigest() for name, meaning in keys}
 

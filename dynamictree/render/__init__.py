@@ -1,10 +1,10 @@
 """Pictures of meshes on the CPU: a rasteriser in numba, no GL and no GPU."""
 
 from dynamictree.render.camera import Camera
+from dynamictree.render.camera_path import cameras_of
+from dynamictree.render.contact_sheet import amplitude_colors, draw_contact_sheet, sway_amplitude
 from dynamictree.render.ground import Backdrop
-from dynamictree.render.picture import Buffers, Look, Renderer, render_mesh, write_png
-from dynamictree.render.sheet import amplitude_colors, preview_sheet, sway_amplitude
-from dynamictree.render.shot import cameras_of
+from dynamictree.render.picture import Buffers, Look, Renderer, write_png
 from dynamictree.render.video import VIDEO_FORMATS, VideoFormat, spooled, write_animation
 
 __all__ = [
@@ -17,8 +17,7 @@ __all__ = [
     "VideoFormat",
     "amplitude_colors",
     "cameras_of",
-    "preview_sheet",
-    "render_mesh",
+    "draw_contact_sheet",
     "spooled",
     "sway_amplitude",
     "write_animation",

@@ -207,18 +207,6 @@ class Renderer:
         return triangles, rasterise(triangles, surface.faces, ones, surface.appearance, **size)
 
 
-def render_mesh(
-    mesh: TriangleMesh, camera: Camera | None = None, *, look: Look | None = None
-) -> UInt8[np.ndarray, "H W 3"]:
-    """One picture of a mesh; from the front, a little from above, if no camera is given.
-
-    Raises:
-        MeshError: the mesh cannot be drawn.
-        FormatError: a texture is no picture.
-    """
-    return Renderer(mesh, look).picture(camera=camera)
-
-
 def write_png(image: UInt8[np.ndarray, "H W 3"], stream: ByteWriter) -> None:
     """Write a picture as PNG."""
     content = BytesIO()

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.reconstruct.given import find_given
+from dynamictree.reconstruct.input_cameras import find_input_cameras
 from dynamictree.render.appearance import appearance_of
 from tests.fuzz.readers import READERS
 
@@ -141,7 +141,7 @@ def zip_of_cameras() -> bytes:
 def _cameras(content: bytes) -> object:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "transforms.json").write_bytes(content)
-        return find_given(Path(folder), {"a.jpg": ((640, 480), (640, 480))})
+        return find_input_cameras(Path(folder), {"a.jpg": ((640, 480), (640, 480))})
 
 
 def _looks(content: bytes) -> object:

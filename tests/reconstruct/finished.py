@@ -10,9 +10,8 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, write_cameras
 from dynamictree.reconstruct.photo_previews import write_photo_previews
-from dynamictree.reconstruct.report import write_cameras
-from dynamictree.reconstruct.seen_from import SeenFrom as PhotoCamera
 from dynamictree.reconstruct.views import View
 from dynamictree.render.camera import Camera
 
@@ -69,6 +68,6 @@ def write_photos(folder: Path, scene: GaussianCloud, cameras: list[PhotoCamera])
     views = [
         View(source=one.photo, image=picture, camera=one.camera) for one, picture in zip(cameras, pictures, strict=True)
     ]
-    write_cameras(views, folder, scale="unknown")
+    write_cameras(cameras, folder, scale="unknown")
     write_photo_previews(views, folder, needed=[view.source for view in views])
     (folder / "report.png").write_bytes(b"picture")

@@ -14,7 +14,7 @@ from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.photo_requests import Scribble
-from dynamictree.reconstruct.seen_from import SeenFrom
+from dynamictree.reconstruct.photo_cameras import PhotoCamera
 from dynamictree.render.camera import Camera
 from tests.plant.test_still_gaussians import plant, pot, splat_of
 from tests.reconstruct.finished import write_photos
@@ -29,8 +29,8 @@ class Planted:
 
     scene: GaussianCloud
     owner: np.ndarray  # number of each Gaussian's part, the plant's being 0
-    views: tuple[SeenFrom, ...]
-    held_out: tuple[SeenFrom, ...]
+    views: tuple[PhotoCamera, ...]
+    held_out: tuple[PhotoCamera, ...]
 
     @property
     def plant(self) -> np.ndarray:
@@ -46,7 +46,7 @@ class Planted:
         return float((true & chosen).sum() / (true | chosen).sum())
 
 
-def mask_of(scene: GaussianCloud, own: np.ndarray, view: SeenFrom) -> np.ndarray:
+def mask_of(scene: GaussianCloud, own: np.ndarray, view: PhotoCamera) -> np.ndarray:
     """Pixels that show the chosen Gaussians rather than the others, hidden parts left out."""
     colors = np.where(own, 0.5, -0.5)[:, None, None] / SH_0
     labels = replace(scene, sh=np.repeat(colors, 3, axis=2).astype(np.float32))
@@ -65,7 +65,7 @@ def stroke_across(planted: Planted, part: int) -> Scribble:
     return Scribble(photo=view.photo, plant=part == 0, points=points)
 
 
-def photographed(target: np.ndarray, distance: float, arc_deg: float, number: int, first: int = 0) -> list[SeenFrom]:
+def photographed(target: np.ndarray, distance: float, arc_deg: float, number: int, first: int = 0) -> list[PhotoCamera]:
     """A walk in an arc around a place, the camera level and a little unsteady."""
     rng = np.random.default_rng(7 + first)
     views = []
@@ -73,7 +73,7 @@ def photographed(target: np.ndarray, distance: float, arc_deg: float, number: in
         place = target + distance * np.array([np.sin(turn), -np.cos(turn), 0.25 + 0.1 * rng.normal()])
         aimed = target + 0.05 * distance * rng.normal(size=3)
         camera = Camera.look_at(place, aimed, vertical_fov_deg=45.0)
-        views.append(SeenFrom(photo=f"{first + len(views):02d}.jpg", camera=camera, width=WIDTH, height=HEIGHT))
+        views.append(PhotoCamera(photo=f"{first + len(views):02d}.jpg", camera=camera, width=WIDTH, height=HEIGHT))
     return views
 
 

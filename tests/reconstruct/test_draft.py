@@ -9,6 +9,7 @@ from dynamictree.formats.splat.splat import read_splat
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.reconstruct import draft as drafts
 from dynamictree.reconstruct.draft import DRAFT, Draft
+from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.views import SparseModel
 
@@ -32,6 +33,12 @@ def draft(tmp_path: Path, published: list[GaussianCloud]) -> Draft:
 def column(rng: np.random.Generator, count: int = 500) -> np.ndarray:
     """Points of a stem that stands in the middle of the region, as high as the region is wide."""
     return np.stack([*rng.normal(scale=0.05, size=(2, count)), rng.uniform(0, 0.8, count)], axis=1)
+
+
+def state_at(table: np.ndarray, step: int) -> SplatState:
+    state = SplatState.beginning(table)
+    state.step = step
+    return state
 
 
 def table_of(points: np.ndarray) -> np.ndarray:
@@ -60,8 +67,8 @@ def test_what_is_faint_before_learning_is_shown_and_what_was_learned_stays_as_it
     monkeypatch.setattr(drafts, "EVERY_S", 0.0)
     table = table_of(column(rng))
     before = table.copy()
-    draft.show(table, 0)
-    draft.show(table, 1)
+    draft.show(state_at(table, 0))
+    draft.show(state_at(table, 1))
     assert np.array_equal(table, before)
     assert published[0].opacity.min() > 0.8
     assert published[1].opacity.max() == pytest.approx(OPACITY, abs=1 / 255)
@@ -69,12 +76,12 @@ def test_what_is_faint_before_learning_is_shown_and_what_was_learned_stays_as_it
 
 def test_a_draft_is_not_replaced_before_one_has_had_time_to_look(draft, published, rng):
     for step in range(5):
-        draft.show(table_of(column(rng)), step)
+        draft.show(state_at(table_of(column(rng)), step))
     assert len(published) == 1
 
 
 def test_nothing_is_left_of_a_draft_that_was_deleted(draft, published, rng, tmp_path):
-    draft.show(table_of(column(rng)), 0)
+    draft.show(state_at(table_of(column(rng)), 0))
     assert (tmp_path / DRAFT).exists()
     draft.delete()
     assert list(tmp_path.iterdir()) == []

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.reconstruct.film_photos import FilmPhotos
+from dynamictree.reconstruct.film_photos import Film, FilmPhotos
 from dynamictree.reconstruct.video_frames import Stretch, frame_name, frame_of, stretches_to_fill
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
@@ -34,7 +34,7 @@ def model(frames: Sequence[int]) -> SparseModel:
     )
 
 
-class Film:
+class Recorder:
     """Writes empty frames, and remembers what was wanted."""
 
     def __init__(self) -> None:
@@ -55,16 +55,15 @@ class Film:
 
 
 @pytest.fixture
-def film() -> Film:
-    return Film()
+def film() -> Recorder:
+    return Recorder()
 
 
 @pytest.fixture
-def photos(film: Film, tmp_path: Path) -> FilmPhotos:
+def photos(film: Recorder, tmp_path: Path) -> FilmPhotos:
     return FilmPhotos(
-        film=tmp_path / "walk.mp4",
+        film=Film(path=tmp_path / "walk.mp4", count=len(FRAMES)),
         folder=tmp_path / "frames",
-        count=len(FRAMES),
         on_work=lambda: None,
         write_frames=film.write,
     )
@@ -83,7 +82,7 @@ def test_frames_are_added_where_neighbouring_ones_were_lost(photos: FilmPhotos) 
     assert photos.more(model(registered)) == []  # once
 
 
-def test_a_walk_that_was_registered_all_around_needs_no_more(photos: FilmPhotos, film: Film) -> None:
+def test_a_walk_that_was_registered_all_around_needs_no_more(photos: FilmPhotos, film: Recorder) -> None:
     photos.first()
     assert photos.more(model(FRAMES)) == []
     assert photos.first() == sorted(photos.folder.iterdir())

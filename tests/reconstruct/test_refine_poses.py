@@ -9,29 +9,29 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.reconstruct.cameras import find_cameras
-from dynamictree.reconstruct.given import GivenCamera
+from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
 from dynamictree.reconstruct.refine_poses import ENOUGH_POINTS, ENOUGH_PX, refined
 from dynamictree.reconstruct.views import SparseModel
 from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
-from tests.reconstruct.test_given import FOCAL
+from tests.reconstruct.test_input_cameras import FOCAL
 from tests.reconstruct.test_reconstruct import aligned
 
 NUM_PHOTOS = 8
 LENS = {"model": "SIMPLE_RADIAL", "params": (FOCAL, WIDTH / 2, HEIGHT / 2, 0.0), "width": WIDTH, "height": HEIGHT}
 
 
-def given_by(orbit: Orbit, rng: np.random.Generator, *, off_m: float, off_deg: float) -> list[GivenCamera]:
+def given_by(orbit: Orbit, rng: np.random.Generator, *, off_m: float, off_deg: float) -> list[InputCamera]:
     cameras = []
     for path, camera in zip(orbit.photos[:NUM_PHOTOS], orbit.cameras, strict=False):
         turn = Rotation.from_rotvec(np.radians(off_deg) * rng.normal(size=3)).as_matrix() @ camera.world_to_camera
         place = camera.position_m + off_m * rng.normal(size=3)
         pose = np.concatenate([turn, -(turn @ place)[:, None]], axis=1)
-        cameras.append(GivenCamera(photo=path.name, world_to_camera=pose, **LENS))
+        cameras.append(InputCamera(photo=path.name, world_to_camera=pose, **LENS))
     return cameras
 
 
-def triangulated(orbit: Orbit, given: list[GivenCamera], folder: Path) -> SparseModel:
+def triangulated(orbit: Orbit, given: list[InputCamera], folder: Path) -> SparseModel:
     prepared = prepare_photos(list_photos(orbit.photos[:NUM_PHOTOS]), folder / "photos")
     by_name = {camera.photo: camera for camera in given}
     return find_cameras(prepared, folder, given=[replace(by_name[photo.source]) for photo in prepared])

@@ -16,34 +16,37 @@ import pytest
 from dynamictree.errors import InputError
 from dynamictree.files import replacing
 from dynamictree.photo_requests import MIN_PHOTOS, LearningParams, Quality
-from dynamictree.reconstruct import mapping
-from dynamictree.reconstruct.from_request import options_of
-from dynamictree.reconstruct.mapping import MappingPhoto
+from dynamictree.reconstruct import ReconstructOptions, mapping
 from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.options import options_of
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
 from dynamictree.reconstruct.work_folder import opened_work
 from tests.reconstruct.conftest import Orbit
-from tests.reconstruct.test_given import write_transforms
+from tests.reconstruct.test_input_cameras import write_transforms
 
 RUN = """
 import os, signal, sys
 from pathlib import Path
-from dynamictree.reconstruct import ReconstructOptions, reconstruct
+from dynamictree.reconstruct import ReconstructOptions, Callbacks, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # on one core COLMAP gives the same bits again
-root, out, work, kill_at = Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4])
+root, out, work = (Path(path) for path in sys.argv[1:4])
+stage, share = sys.argv[4], float(sys.argv[5])
 
 def on_progress(progress):
-    if progress.total >= kill_at:
+    if progress.stage == stage and progress.share >= share:
         os.kill(os.getpid(), signal.SIGKILL)
 
 schedule = Schedule(num_steps=60, side_px=160, check_every=20, coarser=((0.5, 2),), densify_every=20, patience=9)
 photos = sorted(root.glob("*.jpg"))
-options = ReconstructOptions(height_m=1.2, schedule=schedule)
-reconstruct(photos, out, options=options, root=root, work=work, on_progress=on_progress)
+options, listening = ReconstructOptions(schedule=schedule), Callbacks(on_progress=on_progress)
+reconstruct(photos, out, options=options, root=root, work=work, callbacks=listening)
 """
-KILLED_AT = (0.01, 0.05, 0.15, 0.29, 0.31, 0.4, 0.46, 0.6, 0.9, 0.95)  # in every stage
+KILLED_AT = (
+    *(("photos", 0.3), ("cameras", 0.0), ("cameras", 0.4), ("cameras", 0.9), ("depth", 0.0), ("depth", 0.3)),
+    *(("depth", 0.7), ("splat", 0.0), ("splat", 0.6), ("mesh", 0.0)),
+)
 SAVED = ("views.json", "depths.npz")  # the splat's state is saved while it is learned, too
 PRODUCTS = ("cameras.json", "mesh.ply", "scene.ply", "splat.ply")
 
@@ -63,22 +66,22 @@ def photos(orbit: Orbit, tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(3600)  # two minutes of processor
 def test_killed_at_ten_places_and_resumed_it_ends_with_the_same_files(photos, tmp_path):
-    def run(name: str, kill_at: float) -> int:
+    def run(name: str, stage: str, share: float) -> int:
         (tmp_path / name).mkdir(exist_ok=True)
         paths = [photos, tmp_path / name, tmp_path / f"{name}.work"]
-        return subprocess.run([sys.executable, "-c", RUN, *map(str, paths), str(kill_at)], check=False).returncode
+        return subprocess.run([sys.executable, "-c", RUN, *map(str, paths), stage, str(share)], check=False).returncode
 
     work = tmp_path / "killed.work"
     seen = {}
-    for kill_at in KILLED_AT:
-        assert run("killed", kill_at) == -signal.SIGKILL
+    for stage, share in KILLED_AT:
+        assert run("killed", stage, share) == -signal.SIGKILL
         finished = {name: (work / name).stat().st_mtime_ns for name in SAVED if (work / name).exists()}
         assert seen.items() <= finished.items()  # no finished stage is repeated
         seen = finished
     assert set(seen) == set(SAVED)
     assert (work / "splat.npz").exists()
-    assert run("killed", 9.0) == 0
-    assert run("whole", 9.0) == 0
+    assert run("killed", "never", 0.0) == 0
+    assert run("whole", "never", 0.0) == 0
     for name in PRODUCTS:
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
@@ -112,26 +115,24 @@ def test_the_command_saves_its_work_when_it_is_stopped(photos, tmp_path, number)
 def test_results_of_other_photos_are_deleted_and_those_of_another_schedule(tmp_path):
     photo = tmp_path / "a.jpg"
     photo.write_bytes(b"one")
-    with opened_work(tmp_path / "work", [photo], Schedule()) as work:
+    with opened_work(tmp_path / "work", [photo], ReconstructOptions()) as work:
         for path in (work.depths, work.splat):
             path.write_bytes(b"result")
-    with opened_work(tmp_path / "work", [photo], Schedule()) as work:
+    with opened_work(tmp_path / "work", [photo], ReconstructOptions()) as work:
         assert work.depths.exists()
         assert work.splat.exists()
-    with opened_work(tmp_path / "work", [photo], Schedule(num_steps=100)) as work:
+    with opened_work(tmp_path / "work", [photo], ReconstructOptions(schedule=Schedule(num_steps=100))) as work:
         assert work.depths.exists()
         assert not work.splat.exists()
     photo.write_bytes(b"two")
-    with opened_work(tmp_path / "work", [photo], Schedule(num_steps=100)) as work:
+    with opened_work(tmp_path / "work", [photo], ReconstructOptions(schedule=Schedule(num_steps=100))) as work:
         assert not work.depths.exists()
 
 
 def test_a_better_quality_goes_on_with_the_cameras_of_the_draft_unless_it_reads_larger_photos(tmp_path):
     def left(quality: Quality) -> set[str]:
-        options = options_of(LearningParams(quality=quality))
-        folder = opened_work(tmp_path, [], options.schedule, photo_px=options.photo_px, max_views=options.max_views)
         results = ("views.json", "depths.npz", "splat.npz")
-        with folder as work:
+        with opened_work(tmp_path, [], options_of(LearningParams(quality=quality))) as work:
             there = {name for name in results if (work.path / name).exists()}
             for name in results:
                 (work.path / name).touch()
@@ -145,9 +146,9 @@ def test_a_better_quality_goes_on_with_the_cameras_of_the_draft_unless_it_reads_
 
 def test_two_runs_do_not_share_a_work_folder(tmp_path):
     with (
-        opened_work(tmp_path / "work", [], Schedule()),
+        opened_work(tmp_path / "work", [], ReconstructOptions()),
         pytest.raises(InputError, match="another process is at work in"),
-        opened_work(tmp_path / "work", [], Schedule()),
+        opened_work(tmp_path / "work", [], ReconstructOptions()),
     ):
         pass
 
@@ -172,10 +173,11 @@ def test_the_camera_process_ends_with_its_killed_parent(orbit, tmp_path):
     code = (
         "import os, signal, sys\n"
         "from pathlib import Path\n"
-        "from dynamictree.reconstruct import reconstruct\n"
+        "from dynamictree.reconstruct import Callbacks, reconstruct\n"
         "def kill(progress):\n"
         "    if progress.stage == 'cameras' and progress.share > 0: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "reconstruct([Path(p) for p in sys.argv[2:]], Path(sys.argv[1]), work=Path(sys.argv[1]), on_progress=kill)\n"
+        "folder, photos = Path(sys.argv[1]), [Path(p) for p in sys.argv[2:]]\n"
+        "reconstruct(photos, folder, work=folder, callbacks=Callbacks(on_progress=kill))\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path), *map(str, orbit.photos)], check=False)
     deadline = time.monotonic() + 10
@@ -197,13 +199,9 @@ def _mapping_in(folder: Path) -> bool:
 
 def test_features_of_an_ended_search_are_not_sought_again(orbit, tmp_path):
     prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
-    photos: list[MappingPhoto] = [
-        {"name": one.name, "width": one.width, "height": one.height, "focal_px": one.focal_px, "masked": False}
-        for one in prepared
-    ]
 
     def features(number: int) -> dict[str, tuple[int, int, bytes]]:
-        search = mapping._Search(folder=tmp_path, photos=photos[:number], given=None, threads=2)
+        search = mapping._Search(folder=tmp_path, photos=prepared[:number], given=None, threads=2)
         mapping._extract(search)
         with pycolmap.Database.open(search.database) as database:
             return {

@@ -110,7 +110,7 @@ def test_a_splat_begins_without_sky() -> None:
     views, _ = leaves_in_the_open(BLUE)
     sky = without_sky(views, unmeasured(views))
     rng = np.random.default_rng(0)
-    table = first_table(model_of(views), None, number=2000, sh_degree=0, dome=True, sky=sky, rng=rng)
+    table = first_table(model_of(views), None, number=2000, sh_degree=0, sky=sky, rng=rng)
     far = table[np.linalg.norm(table[:, MEAN], axis=1) > 5]
     assert len(far) > 50
     red, _, blue = far[:, COLOR].T

@@ -8,15 +8,16 @@ import torch
 from PIL import Image
 
 from dynamictree.errors import Cancelled
-from dynamictree.reconstruct.adam import AdamState, adam_step
-from dynamictree.reconstruct.checkpoint import load_progress, save_progress
+from dynamictree.gaussian.rasterize import render_cloud
+from dynamictree.reconstruct.adam import adam_step
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
-from dynamictree.reconstruct.densify import DensityRules, densified, fainter
+from dynamictree.reconstruct.densify import DensityRules, densify
 from dynamictree.reconstruct.gradient import gradients_of
-from dynamictree.reconstruct.optimise import Schedule, SplatProgress
+from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.picture_loss import picture_loss, psnr, ssim
 from dynamictree.reconstruct.splat import choosing_views, fit_splat, held_out_views
 from dynamictree.reconstruct.splat_start import thinned
+from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
 from tests.reconstruct.conftest import Orbit
@@ -43,24 +44,26 @@ def small_model(orbit: Orbit, rng: np.random.Generator, *, cut: bool = False) ->
 
 def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
     fit = fit_splat(small_model(orbit, rng), None, SMALL)
-    assert fit.held_out == ("photo_03.jpg", "photo_10.jpg")
-    assert fit.size_px == (120, 90)
-    assert np.mean(fit.psnr_db) > np.mean(fit.blank_db) + 5
-    assert fit.masked_db == ()
-    assert 0.3 < min(fit.ssim) <= max(fit.ssim) < 1
-    assert fit.chosen_by == ("photo_06.jpg",)
+    assert fit.figures["held_out"] == ["photo_03.jpg", "photo_10.jpg"]
+    assert fit.figures["held_out_size_px"] == [120, 90]
+    assert np.mean(fit.figures["held_out_psnr_db"]) > np.mean(fit.figures["held_out_blank_psnr_db"]) + 5
+    assert fit.figures["held_out_masked_psnr_db"] == []
+    assert 0.3 < min(fit.figures["held_out_ssim"]) <= max(fit.figures["held_out_ssim"]) < 1
+    assert fit.figures["chosen_by"] == ["photo_06.jpg"]
 
 
 def test_the_photos_that_judge_have_no_say_in_the_result(orbit, rng):
     model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=40, check_every=8)
     fit = fit_splat(model, None, schedule)
     noise = [
-        replace(view, image=rng.integers(0, 256, view.image.shape, np.uint8)) if view.source in fit.held_out else view
+        replace(view, image=rng.integers(0, 256, view.image.shape, np.uint8))
+        if view.source in fit.figures["held_out"]
+        else view
         for view in model.views
     ]
     other = fit_splat(replace(model, views=tuple(noise)), None, schedule)
     np.testing.assert_array_equal(other.table, fit.table)
-    assert np.mean(other.psnr_db) < np.mean(fit.psnr_db) - 1
+    assert np.mean(other.figures["held_out_psnr_db"]) < np.mean(fit.figures["held_out_psnr_db"]) - 1
 
 
 @pytest.mark.parametrize("number", [8, 9, 16, 40, 300])
@@ -73,49 +76,47 @@ def test_photos_that_choose_are_neither_learned_nor_judge(number):
 
 @pytest.mark.slow
 def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
-    fit = fit_splat(small_model(orbit, rng, cut=True), None, replace(SMALL, num_steps=120))
-    assert all(inside < whole for inside, whole in zip(fit.masked_db, fit.psnr_db, strict=True))  # the black is easy
-    for pair in fit.pictures:
-        blue_half = pair[:, 120:].astype(float)
-        assert blue_half[:, :24].mean() < 0.25 * blue_half[:, 36:84].mean()
+    model = small_model(orbit, rng, cut=True)
+    fit = fit_splat(model, None, replace(SMALL, num_steps=120))
+    assert all(
+        inside < whole
+        for inside, whole in zip(fit.figures["held_out_masked_psnr_db"], fit.figures["held_out_psnr_db"], strict=True)
+    )  # the black is easy
+    for view in model.views[:3]:
+        alpha = render_cloud(cloud_of(fit.table), view.camera, width=120, height=90).alpha
+        assert alpha[:, :24].mean() < 0.25 * alpha[:, 36:84].mean()
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
     model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=60, check_every=1000)
     whole = fit_splat(model, None, schedule)
 
-    def stop(done: float, psnr_db: float | None) -> None:
-        if done > 0:
+    def stop(state: SplatState) -> None:
+        if state.step > 0:
             raise Cancelled("enough")
 
     with pytest.raises(Cancelled):
-        fit_splat(model, None, schedule, saved=tmp_path / "splat.npz", on_progress=stop)
-    assert 0 < load_progress(tmp_path / "splat.npz").step < 60
+        fit_splat(model, None, schedule, saved=tmp_path / "splat.npz", on_state=stop)
+    assert 0 < SplatState.load(tmp_path / "splat.npz").step < 60
     resumed = fit_splat(model, None, schedule, saved=tmp_path / "splat.npz")
     assert np.array_equal(resumed.table, whole.table)
     again = fit_splat(model, None, schedule, saved=tmp_path / "splat.npz")
     assert np.array_equal(again.table, whole.table)
 
 
-def test_a_checkpoint_is_read_as_it_was_written(rng, tmp_path):
-    table = rng.normal(size=(5, 23)).astype(np.float32)
-    moments = AdamState(first=table + 1, second=table + 2, num_steps=7)
-    progress = SplatProgress(
-        table=table,
-        moments=moments,
-        step=9,
-        num_discarded=3,
-        best=table[:2],
-        best_psnr=21.5,
-        checks=((4, 5, 20.0), (8, 5, 21.5)),
-    )
-    save_progress(progress, tmp_path / "a.npz")
-    read = load_progress(tmp_path / "a.npz")
-    for restored, true in ((read.table, table), (read.moments.first, table + 1), (read.moments.second, table + 2)):
-        assert np.array_equal(restored, true)
-    assert (read.step, read.moments.num_steps, read.num_discarded, read.best_psnr) == (9, 7, 3, 21.5)
-    assert read.checks == progress.checks
+def test_a_state_is_read_as_it_was_written(rng, tmp_path):
+    table, pull = rng.normal(size=(5, 23)).astype(np.float32), rng.random((2, 5)).astype(np.float32)
+    checks = np.array([[4, 5, 20.0], [8, 5, 21.5]])
+    measured = {"step": 9, "num_discarded": 3, "best": table[:2], "best_psnr": 21.5, "checks": checks}
+    state = SplatState(table=table, first=table + 1, second=table + 2, pull=pull, **measured)
+    state.save(tmp_path / "a.npz")
+    read = SplatState.load(tmp_path / "a.npz")
+    assert vars(read).keys() == vars(state).keys()
+    for name, value in vars(state).items():
+        np.testing.assert_array_equal(getattr(read, name), value)
     assert np.array_equal(read.result, table[:2])
+    SplatState.beginning(table).save(tmp_path / "b.npz")
+    assert np.array_equal(SplatState.load(tmp_path / "b.npz").result, table)
 
 
 def test_the_loss_and_its_gradient_are_torchs(rng):
@@ -148,23 +149,22 @@ def test_adam_is_torchs(rng):
     true = torch.tensor(table)
     columns = [torch.nn.Parameter(true[:, c].clone()) for c in range(4)]
     adam = torch.optim.Adam([{"params": [p], "lr": float(r)} for p, r in zip(columns, rates, strict=True)], eps=1e-15)
-    state = AdamState.fresh(6, 4)
+    state = SplatState.beginning(table)
     for slope in slopes:
         for c, column in enumerate(columns):
             column.grad = torch.tensor(slope[:, c])
         adam.step()
-        state, skipped = adam_step(table, slope, state, rates)
-        assert not skipped.any()
+        assert not adam_step(state, slope, rates).any()
     assert np.allclose(table, torch.stack(columns, dim=1).detach().numpy(), atol=1e-6)
-    assert state.num_steps == 5
+    assert state.step == 5
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_gradient_that_is_not_finite_moves_nothing(rng, value):
     table, slope = rng.normal(size=(2, 3, 4)).astype(np.float32)
     slope[1, 2] = value
-    before = table.copy()
-    state, skipped = adam_step(table, slope, AdamState.fresh(3, 4), np.full(4, 1e-2, np.float32))
+    before, state = table.copy(), SplatState.beginning(table)
+    skipped = adam_step(state, slope, np.full(4, 1e-2, np.float32))
     assert skipped.tolist() == [False, True, False]
     assert np.array_equal(table[1], before[1])
     assert (table[[0, 2]] != before[[0, 2]]).all()
@@ -180,7 +180,7 @@ def test_gaussians_without_a_finite_gradient_are_discarded_and_counted(orbit, rn
 
     monkeypatch.setattr("dynamictree.reconstruct.optimise.gradients_of", with_nan)
     fit = fit_splat(small_model(orbit, rng), None, replace(SMALL, num_steps=20))
-    assert fit.num_discarded == 40  # two in every step
+    assert fit.figures["num_gaussians_discarded"] == 40  # two in every step
     assert np.isfinite(fit.table).all()
     assert (cloud_of(fit.table).opacity[:2] < 1e-6).all()
 
@@ -190,14 +190,22 @@ def points_table(rng: np.random.Generator, number: int, size: float) -> np.ndarr
     return table_of_points(points, colors, np.full(number, size, np.float32), opacity=0.5, sh_degree=1)
 
 
+def pulled(table: np.ndarray, pull: np.ndarray) -> SplatState:
+    """A state in which one view pulled at each Gaussian so much."""
+    state = SplatState.beginning(table)
+    state.pull[0], state.pull[1] = pull, 1
+    return state
+
+
 def test_the_large_are_split_the_small_get_twins_the_faint_go(rng):
     table = points_table(rng, 4, 0.001)
     table[1, LOG_SCALE] = np.log(0.05)
     table[2, LOGIT] = -9
     table[3, LOG_SCALE] = np.log(0.5)
-    pull = np.array([1, 1, 1, 0], np.float32)
-    after, moments = densified(table, AdamState.fresh(4, table.shape[1]), pull, DensityRules(), extent=1.0, rng=rng)
-    assert len(after) == len(moments.first) == 4  # the first and its twin, two halves
+    state = pulled(table, np.array([1, 1, 1, 0]))
+    densify(state, DensityRules(), extent=1.0, rng=rng)
+    after = state.table
+    assert len(after) == len(state.first) == 4  # the first and its twin, two halves
     assert np.array_equal(after[0], after[1])
     assert np.array_equal(after[0], table[0])
     assert np.allclose(np.exp(after[2:, LOG_SCALE]), 0.05 / 1.6)
@@ -206,19 +214,14 @@ def test_the_large_are_split_the_small_get_twins_the_faint_go(rng):
 
 def test_the_budget_goes_to_those_that_are_pulled_at_most(rng):
     table = points_table(rng, 10, 0.001)
-    pull = np.arange(10, dtype=np.float32)
-    rules = DensityRules(max_gaussians=12)
-    after, _ = densified(table, AdamState.fresh(10, table.shape[1]), pull, rules, extent=1.0, rng=rng)
+    state, rules = pulled(table, np.arange(10)), DensityRules(max_gaussians=12)
+    densify(state, rules, extent=1.0, rng=rng)
+    after = state.table
     assert len(after) == 12
     assert {tuple(row) for row in after[10:].tolist()} == {tuple(row) for row in table[[9, 8]].tolist()}
-    full, _ = densified(after, AdamState.fresh(12, table.shape[1]), np.ones(12, np.float32), rules, extent=1.0, rng=rng)
-    assert len(full) == 12
-
-
-def test_a_reset_leaves_nothing_opaque(rng):
-    table = points_table(rng, 3, 0.01)
-    fainter(table, AdamState.fresh(3, table.shape[1]))
-    assert cloud_of(table).opacity.max() == pytest.approx(0.01, rel=1e-3)
+    state.pull[:] = 1
+    densify(state, rules, extent=1.0, rng=rng)
+    assert len(state.table) == 12
 
 
 def test_the_trees_own_gaussians_lie_on_its_mesh(rng):

@@ -65,7 +65,7 @@ def test_a_splat_begins_in_the_crown_unless_masks_say_where_the_plant_is(
         alpha[: HEIGHT // 2] = 0
         own = [replace(view, alpha=alpha if masked else None) for view in views]
         table = first_table(
-            replace(model, views=tuple(own)), None, number=2000, sh_degree=0, dome=False, rng=np.random.default_rng(1)
+            replace(model, views=tuple(own)), None, number=2000, sh_degree=0, rng=np.random.default_rng(1)
         )
         return int((np.linalg.norm(table[:, MEAN] - [0, 0, 0.6], axis=1) < 0.3).sum())
 

@@ -59,7 +59,7 @@ def test_one_stem_gives_points_along_all_of_it(orbit, rng):
     assert cKDTree(stem).query(points)[0].max() < 0.06
     model = model_of(orbit, rng)
     bare = replace(model, views=masked_views(orbit, stem), points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
-    table = first_table(bare, None, number=2000, sh_degree=1, dome=False, rng=rng)
+    table = first_table(bare, None, number=2000, sh_degree=1, rng=rng)
     assert 500 < len(table) < 2100
     assert np.isfinite(table).all()
 

@@ -52,7 +52,7 @@ BENT = (1e-6, 50.0)  # bounds of s d, in which tanh(s d) / (s d) is exact in flo
 
 
 class AmplitudeNetwork(nn.Module):
-    """Row by row: a voxel's features with their means over its surroundings and over the tree, and the wind.
+    """Row by row: a voxel's features with their means over its callbacks and over the tree, and the wind.
 
     No convolution: what a voxel does is in the chain of stems that bears it, which its features tell. Measured, a
     U-Net at 32³ learnt less in ten times the time (docs/decisions).

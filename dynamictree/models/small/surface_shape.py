@@ -1,6 +1,6 @@
 """Shape features of the surface in and around a voxel: line, plane or clump, one card or many sides.
 
-Moments of the surface (`voxel.moments`) are averaged along the tree over wider and wider surroundings; eigenvalues do
+Moments of the surface (`voxel.moments`) are averaged along the tree over wider and wider callbacks; eigenvalues do
 not change when the tree is turned, and mean the same on any species.
 """
 

@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from dynamictree.mesh import Material
-from dynamictree.render import Camera, Renderer, amplitude_colors, preview_sheet, sway_amplitude
-from dynamictree.render.sheet import SLICE_TIMES, _bare, _space_time_slice, slice_window
+from dynamictree.render import Camera, Renderer, amplitude_colors, draw_contact_sheet, sway_amplitude
+from dynamictree.render.contact_sheet import SLICE_TIMES, _bare, _space_time_slice, slice_window
 from dynamictree.spectrum import from_motion, to_motion
 
 
@@ -61,7 +61,7 @@ def test_a_long_loop_is_drawn_at_no_more_times(two_balls):
 
 
 def test_a_sheet_has_every_part(two_balls):
-    sheet = preview_sheet(two_balls, swaying(two_balls, 0.15))
+    sheet = draw_contact_sheet(two_balls, swaying(two_balls, 0.15))
     assert sheet.dtype == np.uint8
     assert sheet.shape[1] == 1280
     still, sway, time_slice, strip = (

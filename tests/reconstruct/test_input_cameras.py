@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError
-from dynamictree.reconstruct.given import GivenCamera, find_given
+from dynamictree.reconstruct.input_cameras import InputCamera, find_input_cameras
 from dynamictree.render.camera import Camera
 from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
 
@@ -104,7 +104,7 @@ WRITERS = {
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
     WRITERS[name](tmp_path, orbit)
-    given = find_given(tmp_path, sizes_of(orbit))
+    given = find_input_cameras(tmp_path, sizes_of(orbit))
     assert given is not None
     assert [camera.photo for camera in given] == names_of(orbit)
     for camera, true in zip(given, orbit.cameras, strict=True):
@@ -119,22 +119,22 @@ def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp
     write_colmap_binary(tmp_path / "sparse" / "0", orbit)
     write_llff(tmp_path / "llff", orbit)
     sizes = dict(zip((f"images_4/image{n:03}.png" for n in range(99)), sizes_of(orbit).values(), strict=False))
-    given = find_given(tmp_path, sizes)
+    given = find_input_cameras(tmp_path, sizes)
     assert given is not None
     assert [camera.photo for camera in given] == list(sizes)
-    assert {camera.model for camera in find_given(tmp_path, sizes_of(orbit)) or ()} == {"PINHOLE"}  # names lead
+    assert {camera.model for camera in find_input_cameras(tmp_path, sizes_of(orbit)) or ()} == {"PINHOLE"}  # names lead
 
 
 def test_some_of_llffs_reduced_photos_take_their_own_rows(tmp_path, orbit):
     write_llff(tmp_path / "llff", orbit)
     either = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
-    given = find_given(tmp_path, {f"images_8/image{number:03}.png": either for number in (1, 5, 13)})
+    given = find_input_cameras(tmp_path, {f"images_8/image{number:03}.png": either for number in (1, 5, 13)})
     assert given is not None
     for camera, number in zip(given, (1, 5, 13), strict=True):
         assert np.allclose(camera.world_to_camera[:, :3], orbit.cameras[number].world_to_camera, atol=1e-6)
     for names in (("IMG_1.jpg", "IMG_7.jpg"), ("image001.png", "image014.png"), ("a/image001.png", "b/image001.png")):
         with pytest.raises(FormatError, match=f"14 rows and there are {len(names)} photos; give all, or some named"):
-            find_given(tmp_path, dict.fromkeys(names, either))
+            find_input_cameras(tmp_path, dict.fromkeys(names, either))
 
 
 def test_frames_without_photos_are_left_out_and_each_camera_keeps_its_lens(tmp_path, orbit):
@@ -144,22 +144,22 @@ def test_frames_without_photos_are_left_out_and_each_camera_keeps_its_lens(tmp_p
         frame["fl_x"], frame["fl_y"] = FOCAL + number, FOCAL + 2 * number
     path.write_text(json.dumps(document))
     some = dict(list(sizes_of(orbit).items())[2:9])
-    given = find_given(tmp_path, some)
+    given = find_input_cameras(tmp_path, some)
     assert given is not None
     assert [camera.photo for camera in given] == list(some)
     assert [camera.params[:2] for camera in given] == [(FOCAL + n, FOCAL + 2 * n) for n in range(2, 9)]
 
 
 def test_no_cameras_are_none(tmp_path, orbit):
-    assert find_given(tmp_path, sizes_of(orbit)) is None
+    assert find_input_cameras(tmp_path, sizes_of(orbit)) is None
 
 
 def test_bent_lenses_keep_their_numbers(tmp_path, orbit):
     write_transforms(tmp_path, orbit, k1=0.1, k2=-0.02, p1=0.001, p2=0.002)
-    (first, *_) = find_given(tmp_path, sizes_of(orbit)) or ()
+    (first, *_) = find_input_cameras(tmp_path, sizes_of(orbit)) or ()
     assert (first.model, first.params[4:]) == ("OPENCV", (0.1, -0.02, 0.001, 0.002))
     write_transforms(tmp_path, orbit, camera_model="OPENCV_FISHEYE", k1=0.1, k2=-0.02, k3=0.003)
-    (first, *_) = find_given(tmp_path, sizes_of(orbit)) or ()
+    (first, *_) = find_input_cameras(tmp_path, sizes_of(orbit)) or ()
     assert (first.model, first.params[4:]) == ("OPENCV_FISHEYE", (0.1, -0.02, 0.003, 0.0))
 
 
@@ -171,7 +171,7 @@ def test_a_scale_in_the_rotation_is_taken_out(tmp_path, orbit):
         matrix[:3, :3] *= 2.5
         frame["transform_matrix"] = matrix.tolist()
     path.write_text(json.dumps(document))
-    first: GivenCamera = (find_given(tmp_path, sizes_of(orbit)) or ())[0]
+    first: InputCamera = (find_input_cameras(tmp_path, sizes_of(orbit)) or ())[0]
     assert np.allclose(first.world_to_camera[:, :3], orbit.cameras[0].world_to_camera, atol=1e-6)
 
 
@@ -221,7 +221,7 @@ def test_refuses_what_is_no_set_of_cameras(tmp_path, orbit, name):
     write, message = BROKEN[name]
     write(tmp_path, orbit)
     with pytest.raises(FormatError, match=message):
-        find_given(tmp_path, sizes_of(orbit))
+        find_input_cameras(tmp_path, sizes_of(orbit))
 
 
 def test_refuses_a_photo_with_two_cameras_and_cameras_of_other_photos(tmp_path, orbit):
@@ -230,23 +230,23 @@ def test_refuses_a_photo_with_two_cameras_and_cameras_of_other_photos(tmp_path, 
     document["frames"].append(document["frames"][0])
     path.write_text(json.dumps(document))
     with pytest.raises(FormatError, match="names a photo twice"):
-        find_given(tmp_path, sizes_of(orbit))
+        find_input_cameras(tmp_path, sizes_of(orbit))
     with pytest.raises(FormatError, match="and no photo that is there"):
-        find_given(tmp_path, {"elsewhere.jpg": ((400, 300), (400, 300))})
+        find_input_cameras(tmp_path, {"elsewhere.jpg": ((400, 300), (400, 300))})
 
 
 def test_refuses_a_file_of_too_many_bytes(tmp_path, orbit):
     with write_transforms(tmp_path, orbit).open("r+b") as stream:
         stream.truncate(2**30)
     with pytest.raises(FormatError, match="1,073,741,824 bytes; at most"):
-        find_given(tmp_path, sizes_of(orbit))
+        find_input_cameras(tmp_path, sizes_of(orbit))
 
 
 def test_cameras_that_are_all_the_same_are_refused(orbit: Orbit, tmp_path: Path) -> None:
     frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names_of(orbit)]
     path = write_transforms(tmp_path, orbit, frames=frames)
     with pytest.raises(FormatError, match="at one place"):
-        find_given(tmp_path, sizes_of(orbit))
+        find_input_cameras(tmp_path, sizes_of(orbit))
     path.write_text(json.dumps({"camera_angle_x": 0, "frames": frames}))
     with pytest.raises(FormatError, match="cannot be read"):
-        find_given(tmp_path, sizes_of(orbit))
+        find_input_cameras(tmp_path, sizes_of(orbit))

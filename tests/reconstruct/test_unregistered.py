@@ -6,8 +6,8 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dynamictree.reconstruct.left_out import reasons
 from dynamictree.reconstruct.mapping import leave_out_loose
+from dynamictree.reconstruct.unregistered import reasons
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
-"""What learning leaves around a plant, and shows once it stands before another background: soot and fog.
+"""Floaters around a plant, which show once it stands before another background.
 
-Soot has the colour of what is behind it, so photos do not separate it; fog hangs in the air, faint.
+Some have the colour of what is behind them, so photos do not separate them; others hang in the air, faint.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import colors_seen, render_cloud
-from dynamictree.reconstruct.seen_from import SeenFrom
+from dynamictree.reconstruct.photo_cameras import PhotoCamera
 
 _SIDE_PX = 320
 _MOST_VIEWS = 24
@@ -18,54 +18,56 @@ _LEAST_VIEWS = 3  # that see a Gaussian, to judge it by
 _ALIKE = 0.12  # distance of colours in [0, 1]³ that counts as the background's own
 _UNLIKE = 1.5  # times that: what differs so much from the background is the plant for sure
 _SHARE = 0.7  # of the views in which it must be like what is behind it
-_OPAQUE, _LEAST_OPAQUE = 0.5, 0.2  # what is no fog; of the plant's Gaussians
+_OPAQUE, _LEAST_OPAQUE = 0.5, 0.2  # what is no floater; of the plant's Gaussians
 _TOGETHER, _STRAY = 8, 3.0  # the opaque ones that tell how dense they lie; times the usual distance: strays
 _BESIDE = 0.5  # of that distance
 _NEIGHBOURS = 8  # of the plant for sure, whose colours the plant has at a place
 
 
-def soot_of(cloud: GaussianCloud, own: Bool[np.ndarray, " G"], views: list[SeenFrom]) -> Bool[np.ndarray, " G"]:
+def background_floaters(
+    cloud: GaussianCloud, own: Bool[np.ndarray, " G"], views: list[PhotoCamera]
+) -> Bool[np.ndarray, " G"]:
     """Which of the chosen Gaussians look like what is behind them from nearly everywhere, and not like the plant there.
 
     What is left out changes none of the photos: where it is drawn, the background has its colour.
     """
     rows = np.flatnonzero(own)
-    soot = np.zeros(cloud.num_gaussians, np.bool_)
+    floaters = np.zeros(cloud.num_gaussians, np.bool_)
     if len(rows) <= _NEIGHBOURS or own.all():
-        return soot
+        return floaters
     chosen = np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).round().astype(int))
     off, count, alike = _against_background(cloud, rows, [views[row].reduced(_SIDE_PX) for row in chosen])
     judged = count >= _LEAST_VIEWS
     like_background = judged & (alike >= _SHARE * count)
     sure = judged & (off > _UNLIKE * _ALIKE)
     if sure.sum() <= _NEIGHBOURS:
-        return soot
+        return floaters
     color = cloud.subset(rows).sh[:, 0]
     near = cKDTree(cloud.means[rows[sure]]).query(cloud.means[rows], k=_NEIGHBOURS)[1]
     apart = np.linalg.norm(color[sure][near] - color[:, None], axis=2).min(axis=1) * SH_0
-    soot[rows] = like_background & ~sure & (apart > np.minimum(off, _ALIKE))
-    return soot
+    floaters[rows] = like_background & ~sure & (apart > np.minimum(off, _ALIKE))
+    return floaters
 
 
-def fog_of(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
+def faint_floaters(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
     """Which of the chosen Gaussians hang in the air around the plant: faint ones away from all opaque ones, and strays.
 
-    Learning leaves them before a textured background that it shows not quite right. Where few are opaque, none is fog.
+    Learning leaves them before a textured background that it shows not quite right. Where few are opaque, none is one.
     """
     rows = np.flatnonzero(own)
-    fog = np.zeros(cloud.num_gaussians, np.bool_)
+    floaters = np.zeros(cloud.num_gaussians, np.bool_)
     opaque = rows[cloud.opacity[rows] > _OPAQUE]
     if len(opaque) < max(_TOGETHER, _LEAST_OPAQUE * len(rows)):
-        return fog
+        return floaters
     spacing = np.asarray(cKDTree(cloud.means[opaque]).query(cloud.means[opaque], k=_TOGETHER)[0])[:, -1]
     usual = float(np.median(spacing))
     body = opaque[spacing <= _STRAY * usual]
-    fog[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > _BESIDE * usual
-    return fog
+    floaters[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > _BESIDE * usual
+    return floaters
 
 
 def _against_background(
-    cloud: GaussianCloud, rows: Int64[np.ndarray, " M"], views: list[SeenFrom]
+    cloud: GaussianCloud, rows: Int64[np.ndarray, " M"], views: list[PhotoCamera]
 ) -> tuple[Float32[np.ndarray, " M"], Int64[np.ndarray, " M"], Int64[np.ndarray, " M"]]:
     """Mean distance of each Gaussian's colour from the background behind it, how often it is seen, how often alike."""
     plant = cloud.subset(rows)

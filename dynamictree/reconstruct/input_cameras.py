@@ -8,7 +8,7 @@ import math
 import re
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -32,6 +32,7 @@ _MODELS = {  # COLMAP's number, name, number of parameters
     5: ("OPENCV_FISHEYE", 8),
 }
 _LENGTHS = dict(_MODELS.values())
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 _NUMBERED = re.compile("image_?([0-9]{1,6})")  # the names of LLFF's reduced photos
 
@@ -40,7 +41,7 @@ Sizes = dict[str, tuple[Size, Size]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenCamera:
+class InputCamera:
     """One photo's camera, in COLMAP's terms."""
 
     photo: str  # path as the file names it
@@ -50,14 +51,32 @@ class GivenCamera:
     height: int
     world_to_camera: Float64[np.ndarray, "3 4"]  # camera x right, y down, z forward
 
+    def to_json(self) -> dict[str, Any]:
+        """As another process gets it."""
+        return vars(self) | {"world_to_camera": self.world_to_camera.tolist()}
+
+    @classmethod
+    def from_json(cls, fields: dict[str, Any]) -> "InputCamera":
+        """Undo `to_json`."""
+        matrix = np.array(fields["world_to_camera"], np.float64)
+        return cls(**fields | {"params": tuple(fields["params"]), "world_to_camera": matrix})
+
+    def scaled(self, photo: str, width: int, height: int) -> "InputCamera":
+        """The camera of a copy of the photo, of another name and size."""
+        across, down = width / self.width, height / self.height
+        lengths = [across] if self.model in _ONE_FOCAL else [across, down]
+        params = [value * by for value, by in zip(self.params, [*lengths, across, down], strict=False)]
+        params += self.params[len(params) :]
+        return replace(self, photo=photo, params=tuple(params), width=width, height=height)
+
 
 def files_with_cameras(root: Path) -> list[Path]:
-    """Files in a folder or below it that `find_given` may read."""
+    """Files in a folder or below it that `find_input_cameras` may read."""
     names = {TRANSFORMS, LLFF, *(name for pair in COLMAP for name in pair)}
     return sorted(path for path in root.rglob("*") if path.name in names)
 
 
-def find_given(root: Path, sizes: Sizes) -> tuple[GivenCamera, ...] | None:
+def find_input_cameras(root: Path, sizes: Sizes) -> tuple[InputCamera, ...] | None:
     """Cameras in a folder of photos or below it; None if there are none.
 
     Args:
@@ -92,13 +111,13 @@ def _read(path: Path, most: int = MAX_BYTES) -> bytes:
     return path.read_bytes()
 
 
-def _matched(cameras: list[GivenCamera], sizes: Sizes, source: str) -> tuple[GivenCamera, ...]:
+def _matched(cameras: list[InputCamera], sizes: Sizes, source: str) -> tuple[InputCamera, ...]:
     """Only those whose photo is there, each named as it is there."""
     matched = []
     for camera in cameras:
         name = _photo_named(camera.photo, sizes)
         if name is not None:
-            matched.append(GivenCamera(**{**vars(camera), "photo": name}))
+            matched.append(replace(camera, photo=name))
     if len({camera.photo for camera in matched}) < len(matched):
         raise FormatError(f"{source} names a photo twice; give each one camera")
     if not matched:
@@ -123,7 +142,7 @@ def _photo_named(wanted: str, sizes: Sizes) -> str | None:
     return None
 
 
-def _check(camera: GivenCamera, sizes: tuple[Size, Size], source: str) -> None:
+def _check(camera: InputCamera, sizes: tuple[Size, Size], source: str) -> None:
     rotation = camera.world_to_camera[:, :3]
     finite = np.isfinite(camera.world_to_camera).all() and np.isfinite(camera.params).all()
     if not finite or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
@@ -137,12 +156,12 @@ def _check(camera: GivenCamera, sizes: tuple[Size, Size], source: str) -> None:
         raise FormatError(f"{problem} {sizes[0][0]} x {sizes[0][1]}; give the photos that the cameras were found with")
 
 
-def fits(camera: GivenCamera, size: Size) -> bool:
+def fits(camera: InputCamera, size: Size) -> bool:
     """Whether a picture of that size has the camera's shape; it may be a smaller copy."""
     return abs(camera.width * size[1] - camera.height * size[0]) <= 0.01 * camera.width * size[1]
 
 
-def _transforms(content: bytes, sizes: Sizes) -> list[GivenCamera]:
+def _transforms(content: bytes, sizes: Sizes) -> list[InputCamera]:
     try:
         document = json.loads(content)
         frames = [{**{k: v for k, v in document.items() if k != "frames"}, **frame} for frame in document["frames"]]
@@ -151,7 +170,7 @@ def _transforms(content: bytes, sizes: Sizes) -> list[GivenCamera]:
         raise FormatError(f"{TRANSFORMS} cannot be read: {error!r}; see nerfstudio's data conventions") from error
 
 
-def _from_frame(frame: dict[str, Any], sizes: Sizes) -> GivenCamera:
+def _from_frame(frame: dict[str, Any], sizes: Sizes) -> InputCamera:
     name = str(frame["file_path"])
     photo = _photo_named(name, sizes)
     width, height = sizes[photo][1] if photo is not None else (1, 1)
@@ -164,7 +183,7 @@ def _from_frame(frame: dict[str, Any], sizes: Sizes) -> GivenCamera:
     if str(frame.get("camera_model", "")).upper() == "OPENCV_FISHEYE":
         model, bends = "OPENCV_FISHEYE", tuple(float(frame.get(f"k{n}", 0)) for n in range(1, 5))
     to_world = np.array(frame["transform_matrix"], np.float64).reshape(4, 4)
-    return GivenCamera(
+    return InputCamera(
         photo=name,
         model=model,
         params=params if model == "PINHOLE" else (*params, *bends),
@@ -174,7 +193,7 @@ def _from_frame(frame: dict[str, Any], sizes: Sizes) -> GivenCamera:
     )
 
 
-def _llff(content: bytes, sizes: Sizes) -> tuple[GivenCamera, ...]:
+def _llff(content: bytes, sizes: Sizes) -> tuple[InputCamera, ...]:
     try:
         rows = np.load(BytesIO(content), allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
@@ -189,7 +208,7 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[GivenCamera, ...]:
         down, right, back, position = pose[:, :4].T
         if not (height >= 1 and width >= 1):
             raise FormatError(f"{LLFF} says that {name} has {width:g} x {height:g} pixels; give its size")
-        camera = GivenCamera(
+        camera = InputCamera(
             photo=name,
             model="SIMPLE_RADIAL",  # the file drops the lens's distortion, which refinement may find again
             params=(float(focal), float(width) / 2, float(height) / 2, 0.0),
@@ -226,15 +245,15 @@ def _inverted(rotation: Float64[np.ndarray, "3 3"], position: Float64[np.ndarray
     return np.concatenate([to_camera, -(to_camera @ position)[:, None]], axis=1)
 
 
-def _colmap(cameras: bytes, images: bytes, binary: bool) -> list[GivenCamera]:
-    read: Callable[[bytes, bytes], list[GivenCamera]] = _colmap_binary if binary else _colmap_text
+def _colmap(cameras: bytes, images: bytes, binary: bool) -> list[InputCamera]:
+    read: Callable[[bytes, bytes], list[InputCamera]] = _colmap_binary if binary else _colmap_text
     try:
         return read(cameras, images)
     except (struct.error, ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
         raise FormatError(f"the COLMAP model cannot be read: {error!r}; export it again") from error
 
 
-def _colmap_text(cameras: bytes, images: bytes) -> list[GivenCamera]:
+def _colmap_text(cameras: bytes, images: bytes) -> list[InputCamera]:
     lenses = {}
     for line in _lines(cameras):
         number, model, width, height, *params = line.split()
@@ -253,7 +272,7 @@ def _lines(content: bytes) -> list[str]:
     return [line for line in content.decode().splitlines() if line.strip() and not line.startswith("#")]
 
 
-def _colmap_binary(cameras: bytes, images: bytes) -> list[GivenCamera]:
+def _colmap_binary(cameras: bytes, images: bytes) -> list[InputCamera]:
     lenses, at = {}, 8
     for _ in range(struct.unpack_from("<Q", cameras)[0]):
         number, model_number, width, height = struct.unpack_from("<iiQQ", cameras, at)
@@ -270,12 +289,12 @@ def _colmap_binary(cameras: bytes, images: bytes) -> list[GivenCamera]:
     return result
 
 
-def _colmap_camera(name: str, lens: tuple[str, int, int, Sequence[float]], pose: Sequence[float]) -> GivenCamera:
+def _colmap_camera(name: str, lens: tuple[str, int, int, Sequence[float]], pose: Sequence[float]) -> InputCamera:
     model, width, height, params = lens
     if model not in _LENGTHS or len(params) != _LENGTHS[model] or min(width, height) < 1:
         raise ValueError(f"a camera of model {model} with {len(params)} numbers; {', '.join(_LENGTHS)} are allowed")
     rotation = quaternion_matrices(np.array([pose[:4]]) / np.linalg.norm(pose[:4]))[0]
     matrix = np.concatenate([rotation, np.array(pose[4:7])[:, None]], axis=1)
-    return GivenCamera(
+    return InputCamera(
         photo=name, model=model, params=tuple(params), width=width, height=height, world_to_camera=matrix
     )

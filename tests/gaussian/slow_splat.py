@@ -1,10 +1,11 @@
-"""The differentiable renderer's readable twin: every Gaussian at every pixel, in double precision, under autograd."""
+"""Readable twin of the renderer and its gradient: every Gaussian at every pixel, in double precision, by autograd."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, NEAR_M, PIXEL_PX2, WIDEST
 from dynamictree.render.camera import Camera
 
@@ -20,6 +21,15 @@ class Leaves:
     log_scales: Tensor
     logit_opacity: Tensor
     sh: Tensor
+
+
+def leaves_of(cloud: GaussianCloud) -> Leaves:
+    """A cloud in double precision."""
+    means, quaternions, scales, opacity, sh = (
+        torch.tensor(np.asarray(values, np.float64))
+        for values in (cloud.means, cloud.quaternions, cloud.scales, cloud.opacity, cloud.sh)
+    )
+    return Leaves(means=means, quaternions=quaternions, log_scales=scales.log(), logit_opacity=opacity.logit(), sh=sh)
 
 
 def harmonics(d: Tensor, degree: int) -> Tensor:
@@ -48,8 +58,13 @@ def _factorial(n: int) -> float:
     return float(np.prod(np.arange(1, n + 1)))
 
 
-def draw_slowly(leaves: Leaves, camera: Camera, *, width: int, height: int, antialias: bool) -> Tensor:
-    """Colour and depth, both times alpha, and what is left of the light [H, W, 5]."""
+def draw_slowly(
+    leaves: Leaves, camera: Camera, *, width: int, height: int, antialias: bool, min_alpha: float = MIN_ALPHA
+) -> Tensor:
+    """Colour and depth, both times alpha, and what is left of the light [H, W, 5].
+
+    With `min_alpha=0` nothing is left out.
+    """
     turn = torch.tensor(camera.world_to_camera)
     k = torch.tensor(camera.intrinsics_px(width, height))
     offset = leaves.means - torch.tensor(camera.position_m)
@@ -93,7 +108,7 @@ def draw_slowly(leaves: Leaves, camera: Camera, *, width: int, height: int, anti
             continue
         away = pixels - centres[g]
         alpha = opacity[g] * torch.exp(-0.5 * torch.einsum("hwi,ij,hwj->hw", away, conics[g], away))
-        alpha = torch.where(alpha < MIN_ALPHA, 0.0, alpha).clamp(max=MAX_ALPHA)
+        alpha = torch.where(alpha < min_alpha, 0.0, alpha).clamp(max=MAX_ALPHA)
         visible = (alpha * light)[..., None]
         total = total + visible * torch.cat([colors[g], z[g : g + 1]])
         light = light * (1 - alpha)

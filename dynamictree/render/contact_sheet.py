@@ -1,6 +1,6 @@
 """Preview of a motion as one still picture."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BytesIO
 
 import numpy as np
@@ -53,7 +53,7 @@ def amplitude_colors(
     return np.concatenate([rgb.round(), np.full((len(rgb), 1), 255)], axis=1).astype(np.uint8)
 
 
-def preview_sheet(
+def draw_contact_sheet(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], *, num_frames: int = NUM_FRAMES
 ) -> UInt8[np.ndarray, "H W 3"]:
     """One still, the sway in colours, a line of pixels stacked over time (as the paper's figures do), frames in a row.
@@ -65,7 +65,7 @@ def preview_sheet(
     amplitude = sway_amplitude(coefficients, num_frames)
     line, window = slice_window(mesh.vertices, amplitude, camera)
     stands = mesh.still_vertices
-    return composed_sheet(
+    sheet = ContactSheet(
         still=still_renderer.picture(displacement_at(coefficients, 0.0, num_frames)),
         sway=_sway_picture(mesh, amplitude, camera),
         time_slice=_space_time_slice(still_renderer, coefficients, num_frames, window),
@@ -76,51 +76,44 @@ def preview_sheet(
         some_stand=bool(stands.any()),
         num_frames=num_frames,
     )
+    return sheet.picture()
 
 
-def composed_sheet(
-    *,
-    still: UInt8[np.ndarray, "S S 3"],
-    sway: UInt8[np.ndarray, "H W 3"],
-    time_slice: UInt8[np.ndarray, "T W 3"],
-    strip: UInt8[np.ndarray, "h w 3"],
-    line: tuple[int, int, int],
-    title: str,
-    most_m: float,
-    some_stand: bool,
-    num_frames: int,
-) -> UInt8[np.ndarray, "A B 3"]:
-    """Put the four parts on one sheet with their titles.
+@dataclass(frozen=True, kw_only=True)
+class ContactSheet:
+    """The four parts of a sheet and their titles."""
 
-    Args:
-        still: the large picture, in which `line` has the slice's first and last column and its row.
-        sway: the amplitude in colours, of `SIDE_PX` times `HALF_PX`.
-        time_slice: the line, at one phase of the loop a row.
-        strip: `NUM_STRIP` frames side by side.
-        line: in the large picture [px].
-        title: of the large picture.
-        most_m: the largest amplitude [m].
-        some_stand: whether something is grey.
-        num_frames: of the loop.
-    """
-    sheet = Image.new("RGB", (STILL_PX + SIDE_PX, 2 * _TITLE_PX + STILL_PX + STRIP_PX[1]), _PAPER)
-    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
-    sheet.paste(Image.fromarray(still), (0, _TITLE_PX))
-    pen.line([(line[0], line[2] + _TITLE_PX), (line[1], line[2] + _TITLE_PX)], fill=(220, 60, 40), width=2)
-    sheet.paste(Image.fromarray(sway), (STILL_PX, _TITLE_PX))
-    enlarged = Image.fromarray(time_slice).resize((SIDE_PX, HALF_PX), Image.Resampling.BICUBIC)
-    sheet.paste(enlarged, (STILL_PX, 2 * _TITLE_PX + HALF_PX))
-    sheet.paste(Image.fromarray(strip), (0, 2 * _TITLE_PX + STILL_PX))
-    scale = f"0 (blue) to {_length(most_m)} (yellow)" + (", grey: stands still" if some_stand else "")
-    titles = (
-        ((8, 4), title),
-        ((STILL_PX + 8, 4), f"sway, root mean square: {scale}"),
-        ((STILL_PX + 8, 4 + _TITLE_PX + HALF_PX), "the red line over one loop, time runs down"),
-        ((8, 4 + _TITLE_PX + STILL_PX), f"one loop of {num_frames} frames"),
-    )
-    for place, words in titles:
-        pen.text(place, words, fill=_INK, font=font)
-    return np.asarray(sheet)
+    still: UInt8[np.ndarray, "S S 3"]
+    sway: UInt8[np.ndarray, "H W 3"]  # the amplitude in colours, of `SIDE_PX` times `HALF_PX`
+    time_slice: UInt8[np.ndarray, "T W 3"]  # the line, at one phase of the loop a row
+    strip: UInt8[np.ndarray, "h w 3"]  # `NUM_STRIP` frames side by side
+    line: tuple[int, int, int]  # the slice's first and last column and its row in the still [px]
+    title: str  # of the still
+    most_m: float  # the largest amplitude [m]
+    some_stand: bool  # whether something is grey
+    num_frames: int  # of the loop
+
+    def picture(self) -> UInt8[np.ndarray, "A B 3"]:
+        """All of it as one picture."""
+        sheet = Image.new("RGB", (STILL_PX + SIDE_PX, 2 * _TITLE_PX + STILL_PX + STRIP_PX[1]), _PAPER)
+        pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
+        sheet.paste(Image.fromarray(self.still), (0, _TITLE_PX))
+        first, last, row = self.line
+        pen.line([(first, row + _TITLE_PX), (last, row + _TITLE_PX)], fill=(220, 60, 40), width=2)
+        sheet.paste(Image.fromarray(self.sway), (STILL_PX, _TITLE_PX))
+        enlarged = Image.fromarray(self.time_slice).resize((SIDE_PX, HALF_PX), Image.Resampling.BICUBIC)
+        sheet.paste(enlarged, (STILL_PX, 2 * _TITLE_PX + HALF_PX))
+        sheet.paste(Image.fromarray(self.strip), (0, 2 * _TITLE_PX + STILL_PX))
+        scale = f"0 (blue) to {_length(self.most_m)} (yellow)" + (", grey: stands still" if self.some_stand else "")
+        titles = (
+            ((8, 4), self.title),
+            ((STILL_PX + 8, 4), f"sway, root mean square: {scale}"),
+            ((STILL_PX + 8, 4 + _TITLE_PX + HALF_PX), "the red line over one loop, time runs down"),
+            ((8, 4 + _TITLE_PX + STILL_PX), f"one loop of {self.num_frames} frames"),
+        )
+        for place, words in titles:
+            pen.text(place, words, fill=_INK, font=font)
+        return np.asarray(sheet)
 
 
 def _length(length_m: float) -> str:
