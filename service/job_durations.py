@@ -1,7 +1,7 @@
 """Estimate durations and sizes from medians of this service's own recent jobs, cached for seconds."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import median
 
@@ -9,11 +9,26 @@ from cachetools import TTLCache
 
 from jobs.lifecycle.maintenance import WORKER_LEASES, living
 from jobs.lifecycle.statistics import run_seconds, stage_bytes, stage_seconds
-from jobs.records import JobRecord
+from jobs.records import JobRecord, StageRecord
 from jobs.states import JobState, JobType
 from jobs.store import Store
 
 REMEMBERED_S = 10.0
+LEAST_PROGRESS = 0.02
+"""Of a stage that runs, before its pace tells when it ends."""
+OF_PHOTOS_S: dict[JobType, float] = {"reconstruct": 420.0, "voxelize": 5.0, "diffuse": 20.0, "animate": 40.0}
+"""Seconds that the stages of a job on photos usually take on two cores."""
+LEAST_OF_PHOTOS_S = 20.0
+"""A first stage that takes longer reconstructs photos; a cloud takes seconds."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Where a job stands."""
+
+    queue_position: int | None  # jobs before it; None once it has begun
+    progress: float  # share of its time
+    eta_s: float | None  # until it ends; None where that is not known
 
 
 @dataclass
@@ -37,28 +52,49 @@ class JobDurations:
         total = self._sum("bytes", stages, stage_bytes)
         return None if total is None else round(total)
 
-    def eta_s(self, job: JobRecord, position: int | None) -> float | None:
-        """Seconds until a job ends, as far as progress and history tell; never guessed.
+    def forecast(self, job: JobRecord, position: int | None) -> Forecast:
+        """Where a job stands; its end by the pace of the stage that runs and by this service's history.
 
-        A job that waits has `position` others before it, which the workers share. It changes only with the job, its
-        place in the queue and the history, so that an unchanged job stays unchanged.
+        After photos, which take minutes, later stages have an expected time even without a history. A job that waits
+        has `position` others before it, which the workers share.
         """
+        unknown = Forecast(queue_position=position, progress=self._progress(job), eta_s=None)
         if job.terminal or job.state == JobState.CANCELING:
-            return None
+            return unknown
         left = 0.0
         for stage in job.stages:
-            if stage.state in {"queued", "running"}:
-                seconds = self.stage_seconds((stage.name,))
-                if seconds is None:
-                    return None
-                left += seconds * (1 - stage.progress)
+            expected = self._expected_s(job, stage)
+            if expected is None:
+                return unknown
+            left += (1 - stage.progress) * expected
         if position:
             each = self._median("seconds", "any job", partial(run_seconds, self.store))
             if each is None:
-                return None
+                return unknown
             workers = self._median("number", "workers", lambda: [float(len(living(self.store, WORKER_LEASES)))])
             left += each * position / max(workers or 1.0, 1.0)
-        return round(left, 1)
+        return replace(unknown, eta_s=round(left, 1))
+
+    def _progress(self, job: JobRecord) -> float:
+        """Mean over the stages; of photos weighed by usual times, which a job keeps, so that it never goes back."""
+        first = job.stages[0]
+        weights = {stage.name: 1.0 for stage in job.stages}
+        took = 0.0 if first.started_at is None else (first.finished_at or self.store.clock()) - first.started_at
+        if first.name == "reconstruct" and first.progress > 0 and not first.cached and took >= LEAST_OF_PHOTOS_S:
+            weights = OF_PHOTOS_S
+        whole = sum(weights[stage.name] for stage in job.stages)
+        return round(sum(weights[stage.name] * stage.progress for stage in job.stages) / whole, 4)
+
+    def _expected_s(self, job: JobRecord, stage: StageRecord) -> float | None:
+        """Seconds that a stage will take in all; 0 of one that is done."""
+        if stage.state == "succeeded":
+            return 0.0
+        if stage.state == "running" and stage.started_at is not None and stage.progress >= LEAST_PROGRESS:
+            return (self.store.clock() - stage.started_at) / stage.progress
+        seconds = self.stage_seconds((stage.name,))
+        if seconds is None and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
+            return OF_PHOTOS_S[stage.name]
+        return seconds
 
     def _sum(
         self, what: str, stages: Sequence[JobType], look: Callable[[Store, JobType], Sequence[float]]

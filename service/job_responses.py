@@ -36,10 +36,8 @@ def listed(owned: Owned, page: list[JobRecord]) -> list[JobPayload]:
     payloads = []
     for job in page:
         position, artifacts = seen[job.id]
-        source, eta_s = sources.get(job.asset_id), durations.eta_s(job, position)
-        payloads.append(
-            job_payload(job, artifacts, source=source, queue_position=position, eta_s=eta_s, retention_s=retention_s)
-        )
+        source, forecast = sources.get(job.asset_id), durations.forecast(job, position)
+        payloads.append(job_payload(job, artifacts, source=source, forecast=forecast, retention_s=retention_s))
     return payloads
 
 
@@ -47,7 +45,7 @@ def _job_response(
     owned: Owned, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord], response: Response
 ) -> JobPayload:
     source = asset_summaries(owned.store, {job.asset_id}).get(job.asset_id) if artifacts else None
-    seen = f"{job.id} {job.version} {position}"  # not eta_s: each process has medians of its own
+    seen = f"{job.id} {job.version} {position}"  # not the forecast: each process has medians of its own
     response.headers["ETag"] = '"' + sha256(seen.encode()).hexdigest()[:32] + '"'
     if not job.terminal:
         response.headers["Retry-After"] = str(POLL_AFTER_S)
@@ -57,7 +55,6 @@ def _job_response(
         job,
         artifacts,
         source=source,
-        queue_position=position,
-        eta_s=owned.services.job_durations.eta_s(job, position),
+        forecast=owned.services.job_durations.forecast(job, position),
         retention_s=owned.services.settings.job_retention_s,
     )

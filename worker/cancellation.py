@@ -49,8 +49,10 @@ class Watch:
         if self._stopping():
             raise HandedBack(f"the worker stops; job {self.claimed.job.id} goes to another")
 
-    def report(self, stage: JobType, progress: float) -> None:
+    def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:
         """Check whether to go on, and report how much of a stage is done; the disk and the report not too often.
+
+        Work of earlier attempts counts in `worked_s`, the seconds that the stage took so far.
 
         Raises:
             Cancelled, FencedError, HandedBack: as `check`.
@@ -60,7 +62,7 @@ class Watch:
         now = time.monotonic()
         if now - self._reported_at >= self.resources.settings.progress_interval_s:
             require_free_disk(self.resources.settings)
-            report_progress(self.resources.store, self.claimed, stage, progress)
+            report_progress(self.resources.store, self.claimed, stage, progress, worked_s=worked_s)
             self._reported_at = now
 
 

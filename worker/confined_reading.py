@@ -15,12 +15,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from dynamictree.errors import DynamicTreeError, FormatError, InputError
 from dynamictree.formats.film import ffmpeg_program
-from dynamictree.reconstruct.given import GivenCamera
+from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.photo_input import Given, OnPhoto, read_photos
 from dynamictree.reconstruct.photos import Photo, PhotoFile
 from dynamictree.reconstruct.video_frames import Stretch, write_sharp_frames
@@ -75,7 +74,7 @@ def read_confined(
     """
     answer = _ask(Request(photos=tuple(photos), root=root, folder=folder), on_photo)
     assert answer.photos is not None
-    return None if answer.cameras is None else tuple(map(_camera, answer.cameras)), answer.photos
+    return None if answer.cameras is None else tuple(map(InputCamera.from_json, answer.cameras)), answer.photos
 
 
 def write_confined_frames(
@@ -94,11 +93,6 @@ def write_confined_frames(
         raise type(error)(str(error).replace(film.name, video.name)) from error
     assert answer.frames is not None
     return answer.frames
-
-
-def _camera(fields: dict[str, Any]) -> GivenCamera:
-    matrix = np.array(fields.pop("world_to_camera"), np.float64)
-    return GivenCamera(**fields | {"params": tuple(fields["params"])}, world_to_camera=matrix)
 
 
 def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
@@ -157,8 +151,7 @@ def _photos(request: Request, tell: Callable[[Answer], None]) -> Answer:
     given, photos = read_photos(request.photos, request.root, request.folder, lambda *done: tell(Answer(step=done)))
     if given is None:
         return Answer(photos=photos)
-    cameras = [vars(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in given]
-    return Answer(photos=photos, cameras=cameras)
+    return Answer(photos=photos, cameras=[camera.to_json() for camera in given])
 
 
 def _frames(request: Request, film: Path, tell: Callable[[Answer], None]) -> Answer:

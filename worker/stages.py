@@ -1,11 +1,10 @@
 """The four stages of a job. Inputs and outputs are files, so that any worker can continue."""
 
-import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, Protocol, TypeVar
 
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
@@ -30,6 +29,13 @@ from jobs.storage.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, 
 T = TypeVar("T")
 
 
+class Report(Protocol):
+    """Reports how far a stage is."""
+
+    def __call__(self, progress: float, worked_s: float | None = None) -> None:
+        """Report the share done in [0, 1], and the seconds that took, with earlier attempts that it continues."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class StageInput:
     """Input of a stage."""
@@ -42,7 +48,7 @@ class StageInput:
     photos: tuple[Path, ...]  # with the cameras and masks that came with them
     recall: Recall  # gives results that other jobs may have computed; of photos, alone in `resume_dir`
     publish: Callable[[Path], None]  # makes a file an artifact before the stage has ended
-    report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
+    report: Report  # raises when the stage should stop
     facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
 
 
@@ -50,31 +56,27 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     """Reconstruct a mesh from photos or a cloud."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
-    from dynamictree.reconstruct.from_request import reconstruct_capture  # not at start: it is long
+    from dynamictree.reconstruct import Callbacks  # not at start: it is long
+    from dynamictree.reconstruct.from_request import reconstruct_capture
     from worker.confined_reading import read_confined, write_confined_frames
 
-    params = ReconstructParams.part_of(given.job.params)
     capture = reconstruct_capture(
         given.photos,
         given.folder,
-        params,
-        root=_root(given.photos),
-        resume_dir=given.resume_dir,
+        ReconstructParams.part_of(given.job.params),
+        work=given.resume_dir,
         recall=given.recall,
-        read_photos=read_confined,
-        write_frames=write_confined_frames,
-        on_progress=given.report,
-        on_file=given.publish,
+        callbacks=Callbacks(
+            read_photos=read_confined,
+            write_frames=write_confined_frames,
+            on_progress=lambda progress: given.report(progress.total, progress.worked_s),
+            on_file=given.publish,
+        ),
     )
     assert capture.mesh is not None
     _written(capture.mesh, write_mesh_bundle, given.folder / MESH_BUNDLE)
     _written(capture, write_cloud_bundle, given.folder / CLOUD_BUNDLE)
     return sorted(path for path in given.folder.iterdir() if not path.name.startswith("."))
-
-
-def _root(photos: tuple[Path, ...]) -> Path:
-    """Deepest common folder of the photos."""
-    return Path(os.path.commonpath([path.parent for path in photos]))
 
 
 def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:

@@ -342,7 +342,7 @@ class Job(Model):
     seed: int
     params: dict[str, Any]
     attempt: int
-    # mean over the stages
+    # mean over the stages; of photos weighed by the time that stages usually take
     progress: float
     # jobs before this one; null once it has begun
     queue_position: int | None
@@ -769,6 +769,7 @@ class Stage(Model):
     progress: float
     # taken from an earlier job with the same inputs
     cached: bool
+    # earlier by the work of attempts that the stage continues
     started_at: datetime | None
     finished_at: datetime | None
 

@@ -87,12 +87,21 @@ def start_stage(store: Store, claimed: Claim, stage: JobType) -> None:
 
 
 @patient
-def report_progress(store: Store, claimed: Claim, stage: JobType, progress: float) -> None:
-    """Store the progress of a stage, a share in [0, 1]."""
+def report_progress(
+    store: Store, claimed: Claim, stage: JobType, progress: float, *, worked_s: float | None = None
+) -> None:
+    """Store the progress of a stage, a share in [0, 1].
+
+    A stage that continues an earlier attempt tells how long it has worked in all: it counts as begun that long ago.
+    """
+    values: dict[str, object] = {"progress": min(max(progress, 0.0), 1.0)}
+    if worked_s is not None:
+        begun, column = store.clock() - worked_s, t.stages.c.started_at
+        values["started_at"] = sa.case((column > begun + 1, begun), else_=column)
     with store.writing() as connection:
         _touch(connection, claimed)
         row = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage) & (t.stages.c.state == "running")
-        connection.execute(t.stages.update().where(row).values(progress=min(max(progress, 0.0), 1.0)))
+        connection.execute(t.stages.update().where(row).values(**values))
 
 
 @patient

@@ -9,6 +9,7 @@ from jobs.lifecycle.job_log import Level
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.states import JobState, JobType, Priority, StageState
 from jobs.storage.stage_files import MESH, SPECTRUM, VOXELS
+from service.job_durations import Forecast
 from service.schemas.assets import AssetSummary
 from service.schemas.base import Payload, Problem, Time, problem_of
 
@@ -20,7 +21,7 @@ class StagePayload(Payload):
     state: StageState
     progress: float = Field(ge=0, le=1)
     cached: bool = Field(description="taken from an earlier job with the same inputs")
-    started_at: Time | None
+    started_at: Time | None = Field(description="earlier by the work of attempts that the stage continues")
     finished_at: Time | None
 
 
@@ -48,7 +49,9 @@ class JobPayload(Payload):
     seed: int
     params: dict[str, object]
     attempt: int
-    progress: float = Field(ge=0, le=1, description="mean over the stages")
+    progress: float = Field(
+        ge=0, le=1, description="mean over the stages; of photos weighed by the time that stages usually take"
+    )
     queue_position: int | None = Field(description="jobs before this one; null once it has begun")
     eta_s: float | None = Field(description="null where it is not known")
     stages: list[StagePayload]
@@ -132,16 +135,15 @@ def job_payload(
     artifacts: list[ArtifactRecord],
     *,
     source: AssetSummary | None,
-    queue_position: int | None,
-    eta_s: float | None,
+    forecast: Forecast,
     retention_s: float,
 ) -> JobPayload:
     """A job as a response body."""
     return JobPayload.of(
         job,
-        progress=sum(stage.progress for stage in job.stages) / len(job.stages),
-        queue_position=queue_position,
-        eta_s=eta_s,
+        progress=forecast.progress,
+        queue_position=forecast.queue_position,
+        eta_s=forecast.eta_s,
         result=_result(job, artifacts, source),
         error=problem_of(job.error_code, job.error_message),
         webhook=job.webhook_id,

@@ -6,7 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 from PIL import Image
 
-from dynamictree.render.sheet import STRIP_PX
+from dynamictree.render.contact_sheet import STRIP_PX
 from jobs.records import AssetRecord
 from service.http.request_headers import ByteRange, UnsatisfiableRangeError, matches, parse_range
 from service.services import Services

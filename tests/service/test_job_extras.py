@@ -17,13 +17,14 @@ from jobs.lifecycle.attempts import report_progress, start_stage, succeed
 from jobs.lifecycle.maintenance import forget_expired, hold_lease, overdue, worker_lease
 from jobs.records import AssetPart, AssetRecord
 from jobs.settings import Settings
+from jobs.states import stages_of
 from jobs.storage.assets import add_asset
 from service.app import create_app
 from service.http.caller import ANYONE
 from service.routes import job_events
 from service.services import Services
 from tests import servers
-from tests.rows import asset_row
+from tests.rows import asset_row, job_row
 from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import claimed, create
@@ -113,8 +114,33 @@ def test_the_time_left_comes_from_what_jobs_took_here(
     assert [response["eta_s"] for response in waiting] == [40.0, 90.0, 140.0]
     running = hold(services, str(waiting[0]["id"]))
     start_stage(services.store, running, "voxelize")
+    url, began = f"/v1/jobs/{waiting[0]['id']}", services.store.clock()
+    report_progress(services.store, running, "voxelize", 0.01)
+    assert client.get(url).json()["eta_s"] == pytest.approx(39.6)  # by the history
+    services.store.clock = lambda: began + 60
     report_progress(services.store, running, "voxelize", 0.75)
-    assert client.get(f"/v1/jobs/{waiting[0]['id']}").json()["eta_s"] == 10.0
+    assert client.get(url).json()["eta_s"] == pytest.approx(20, abs=0.5)  # by its own pace
+
+
+def test_photos_tell_from_the_first_minute_when_they_end(
+    client: TestClient, asset: AssetRecord, services: Services
+) -> None:
+    """At 14 % by the mean of its stages a job was at 57 % of its time, and without a history its end was unknown."""
+    job = job_row(asset, "animate", now=services.store.clock())
+    job, _ = services.store.add_job(job, stages=stages_of("animate", "photos"))
+    lease, began = hold(services, job.id), services.store.clock()
+    start_stage(services.store, lease, "reconstruct")
+    services.store.clock = lambda: began + 40
+    report_progress(services.store, lease, "reconstruct", 0.1, worked_s=40.0)
+    early = client.get(f"/v1/jobs/{job.id}").json()
+    assert 360 < early["eta_s"] < 480
+    assert early["progress"] == pytest.approx(40 / (40 + early["eta_s"]), abs=0.01)
+    services.store.clock = lambda: began + 10_000
+    start_stage(services.store, lease, "reconstruct")  # again, by another attempt
+    report_progress(services.store, lease, "reconstruct", 0.6, worked_s=300.0)
+    resumed = client.get(f"/v1/jobs/{job.id}").json()
+    assert 200 < resumed["eta_s"] < 300
+    assert resumed["progress"] > 0.5
 
 
 def test_a_job_that_was_forgotten_is_gone(client: TestClient, asset: AssetRecord, services: Services) -> None:

@@ -13,14 +13,15 @@ import pytest
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, InputError
-from dynamictree.reconstruct.checkpoint import load_progress
+from dynamictree.reconstruct.progress import expected_seconds
+from dynamictree.reconstruct.splat_state import SplatState
 from jobs.lifecycle.attempts import offer, publish_stage, start_stage
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JobState, JobType, stages_of
 from jobs.storage.assets import add_asset
 from tests.formats.films import write_film
 from tests.reconstruct.conftest import Orbit, orbit  # noqa: F401
-from tests.reconstruct.test_given import write_transforms
+from tests.reconstruct.test_input_cameras import write_transforms
 from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
 from worker.attempt import Attempt, run_stages
@@ -30,7 +31,14 @@ from worker.runtime import Runtime
 from worker.tasks import end_attempt
 
 FRAMES = 8
-LEARNING = 0.95  # of the progress; depths end at 0.45 of it, the splat at 0.95
+STEPS = 100
+
+
+def at_step(step: int) -> float:
+    """Progress of a job on the orbit's photos at a step of the splat."""
+    expected_s = expected_seconds(num_photos=14, num_pairs=91, num_views=14, num_steps=STEPS, side_px=640)
+    before = sum(expected_s[stage] for stage in ("photos", "cameras", "depth"))
+    return 0.95 * (before + expected_s["splat"] * step / STEPS) / sum(expected_s.values())
 
 
 class Limited(Watch):
@@ -38,8 +46,8 @@ class Limited(Watch):
 
     limit = 1.0
 
-    def report(self, stage: JobType, progress: float) -> None:
-        super().report(stage, progress)
+    def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:
+        super().report(stage, progress, worked_s)
         if progress > self.limit:
             raise SoftTimeLimitExceeded
 
@@ -98,17 +106,18 @@ def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
     photos.mkdir()
     paths = [Path(os.link(path, photos / path.name) or photos / path.name) for path in orbit.photos]
     asset = add_photos(runtime, [*paths, write_transforms(tmp_path / "cameras", orbit)])
-    job = ended(runtime, add_job(runtime, asset, splat_steps=100), 0.6)
+    job = ended(runtime, add_job(runtime, asset, splat_steps=STEPS), at_step(STEPS // 4))
     assert {artifact.name for artifact in runtime.store.artifacts_of(job.id)} == {"cameras.json", "draft.splat"}
     work = half_done_folder(runtime.settings, job)
-    steps = load_progress(work / "splat.npz").step
-    assert 0 < steps < 100
-    again = add_job(runtime, asset, splat_steps=100, height_m=1.2)
+    steps = SplatState.load(work / "splat.npz").step
+    assert 0 < steps < STEPS
+    searched_s = json.loads((work / "times.json").read_text())["seconds"]["cameras"]
+    again = add_job(runtime, asset, splat_steps=STEPS, height_m=1.2)
     shares: list[float] = []
 
     class Listening(Watch):
-        def report(self, stage: JobType, progress: float) -> None:
-            super().report(stage, progress)
+        def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:
+            super().report(stage, progress, worked_s)
             shares.append(progress)
 
     with Listening(runtime, hold(runtime, again), stopping=lambda: False) as watching:
@@ -118,9 +127,8 @@ def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
     assert "draft.splat" not in artifacts
     report = json.loads(b"".join(runtime.artifacts.read(artifacts["report.json"].sha256)))
     assert report["splat_steps"] == 100
-    assert report["seconds"]["cameras"] + report["seconds"]["depth"] < 0.2 * report["seconds"]["splat"]
-    done = LEARNING * (0.45 + 0.5 * steps / 100)
-    assert not [share for share in shares if LEARNING * 0.46 < share < done - 1e-9]  # no step is learned twice
+    assert report["seconds"]["cameras"] == pytest.approx(searched_s, abs=1)  # of both attempts; once sought
+    assert not [share for share in shares if at_step(1) < share < at_step(steps) - 1e-9]  # no step is learned twice
     assert list(runtime.settings.scratch_dir.iterdir()) == []
 
 
