@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.formats.splat.splat import read_splat
+from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.reconstruct import draft as drafts
 from dynamictree.reconstruct.draft import DRAFT, Draft
@@ -25,7 +25,7 @@ def published(tmp_path: Path) -> list[GaussianCloud]:
 def draft(tmp_path: Path, published: list[GaussianCloud]) -> Draft:
     def publish(path: Path) -> None:
         with path.open("rb") as stream:
-            published.append(read_splat(stream))
+            published.append(read_cloud(stream, file_type="splat"))
 
     return Draft(folder=tmp_path, on_file=publish)
 
