@@ -9,6 +9,7 @@ import { Resolution } from "../../web/draw/resolution.js";
 import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
 import { carriedPoint } from "../../web/motion/grip.js";
+import { hangVoxels } from "../../web/motion/hang.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { Modes, modeSum } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
@@ -526,7 +527,7 @@ test("voxels without shapes move as the vertex in them, or as the nearest one", 
   const modes = Object.assign(Object.create(Modes.prototype), { V: 2, K: 2, voxelSize: 0.5, origin: [-1, -1, 0] });
   modes.coords = Int16Array.from([2, 2, 3, 2, 2, 0]); // the second vertex lies in the first voxel
   modes.centres = Float32Array.from(modes.coords, (step, i) => modes.origin[i % 3] + (step + 0.5) * modes.voxelSize);
-  modes.hangOn(surface);
+  hangVoxels(modes, surface);
   const q = [1, 0, 0.3, -0.8];
   assert.deepEqual(modes.voxelAt(0, q), modeSum(surface.shapes, surface.scale_m, 1, q));
   assert.deepEqual(modes.voxelAt(1, q), modeSum(surface.shapes, surface.scale_m, 0, q));

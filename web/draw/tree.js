@@ -1,8 +1,8 @@
 // A tree on the stage: its surface at rest as soon as there is one, in motion as soon as there are modes.
 
 import * as THREE from "three";
+import { hang } from "../motion/hang.js";
 import { carried, largestSwing } from "../motion/modes.js";
-import { hang } from "../motion/swing.js";
 import { fieldOf } from "./bone_field.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";

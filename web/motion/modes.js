@@ -1,7 +1,7 @@
 // A tree's motion as numbers: the file of /v1/spectra/{id}/modes, evaluated as docs/interaction.md says.
 
 import { readTensors } from "./tensors.js";
-import { nearest, plus, rowOf, turnedUpright } from "./vectors.js";
+import { plus, rowOf, turnedUpright } from "./vectors.js";
 
 /**
  * Coordinates of the wind's own loop: the lean, and q_k = e^{2πik·phase}. Real and imaginary part of K bins. `gains` are
@@ -41,26 +41,6 @@ export class Modes {
     this.origin = JSON.parse(metadata.origin_m);
     this.centres = Float32Array.from(this.coords, (step, i) => this.origin[i % 3] + (step + 0.5) * this.voxelSize);
     if (this.shapes) this._putLean();
-  }
-
-  /** Where the file leaves the voxels' motion out, each moves as the nearest vertex of a surface that has `shapes`. */
-  hangOn({ shapes, scale_m, vertices }) {
-    let own = null;
-    Object.assign(this, { scale_m });
-    const rowOfVoxel = (v) => nearest(vertices, rowOf(this.centres, v));
-    const made = () => rowsOf(shapes, 6 * this.K, this._verticesOf(vertices), rowOfVoxel);
-    Object.defineProperty(this, "shapes", { get: () => (own ??= made()) });
-  }
-
-  /** A vertex in each voxel; -1 where there is none. */
-  _verticesOf(vertices) {
-    const key = (x, y, z) => (x * 1024 + y) * 1024 + z;
-    const { coords, voxelSize, origin } = this;
-    const within = new Map();
-    for (let i = 0; i < vertices.length; i += 3) {
-      within.set(key(...[0, 1, 2].map((c) => Math.floor((vertices[i + c] - origin[c]) / voxelSize))), i / 3);
-    }
-    return Int32Array.from({ length: this.V }, (_, v) => within.get(key(...rowOf(coords, v))) ?? -1);
   }
 
   _putLean() {
@@ -182,16 +162,6 @@ export class Modes {
       }
     return moved;
   }
-}
-
-/** `width` numbers of a row for each of `rows`; of `otherwise(i)` where a row is -1. */
-function rowsOf(values, width, rows, otherwise) {
-  const all = new values.constructor(width * rows.length);
-  rows.forEach((row, i) => {
-    const from = width * (row < 0 ? otherwise(i) : row);
-    all.set(values.subarray(from, from + width), width * i);
-  });
-  return all;
 }
 
 /** A point under one bone's pose. */

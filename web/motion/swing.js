@@ -49,12 +49,6 @@ export function shapesOfBones(surface) {
   return inSteps(moved, K);
 }
 
-/** Let voxels and vertices move as a surface's bones say, where the files leave their shapes out. */
-export function hang(modes, surface) {
-  Object.assign(surface, shapesOfBones(surface));
-  modes.hangOn(surface);
-}
-
 /** θ × arm of real and imaginary part, θ in steps of `scale` [rad]. */
 function addTurned(out, at, turns, from, scale, [ax, ay, az]) {
   for (let i = 0; i < 2; i++) {
