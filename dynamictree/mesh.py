@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt8
@@ -209,7 +209,10 @@ class TriangleMesh(Surface):
         return replace(self, vertices=vertices, look=replace(self.look, normals=None), gltf=None)
 
 
-def triangle_mesh(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene") -> TriangleMesh:
+AnyMesh: TypeAlias = "TriangleMesh | trimesh.Trimesh | trimesh.Scene"
+
+
+def triangle_mesh(mesh: AnyMesh) -> TriangleMesh:
     """The mesh itself, or what an object of trimesh holds."""
     return mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh)
 

@@ -10,8 +10,8 @@ Importing this module loads no torch; `generate` does.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Literal
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex64, Float32
@@ -20,7 +20,7 @@ from dynamictree.devoxelize.nearest import nearest
 from dynamictree.gaussian.animate import iter_splat_frames
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import TriangleMesh, triangle_mesh
+from dynamictree.mesh import AnyMesh, triangle_mesh
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
 from dynamictree.rig.rig import rig_of
@@ -28,17 +28,12 @@ from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
-if TYPE_CHECKING:
-    import trimesh
-
-    from dynamictree.models import MotionModel
-
 Devoxelization = Literal["rig", "paper"]
 """From voxels to vertices: by bones that turn, or the nearest voxel's displacement."""
 
 
 def animate(
-    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
+    mesh: AnyMesh,
     *,
     wind: Wind | None = None,
     seed: int = 0,
@@ -56,7 +51,7 @@ def animate(
 
 def animate_splat(
     cloud: GaussianCloud,
-    mesh: "TriangleMesh | trimesh.Trimesh",
+    mesh: AnyMesh,
     spectrum: SparseVoxelSpectrum,
     *,
     num_frames: int | None = None,
@@ -67,9 +62,7 @@ def animate_splat(
     yield from iter_splat_frames(binding, move(spectrum, mesh, num_frames=num_frames))
 
 
-def voxelize(
-    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", *, resolution: Resolution = 128, source_sha256: str = ""
-) -> SurfaceVoxels:
+def voxelize(mesh: AnyMesh, *, resolution: Resolution = 128, source_sha256: str = "") -> SurfaceVoxels:
     """Find the voxels that the surface occupies, with their normals. Paper section 3.3.
 
     They record `source_sha256`, the hash of the mesh's file, and how that was read; so does what is generated of them.
@@ -101,11 +94,12 @@ def generate(
     was made of a cloud (`of_cloud`).
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
+    from dynamictree.models import loaded_once
     from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
     from dynamictree.models.several_trees import generate_trees
     from dynamictree.models.several_winds import with_bands
 
-    trained = motion_model(model)
+    trained = loaded_once(model)
     if period_s is None:
         period_s = period_by_height(voxels) if trained.paced_by_height else PERIOD_S
 
@@ -121,7 +115,7 @@ def generate(
 
 
 def devoxelize(
-    spectrum: SparseVoxelSpectrum, mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", how: Devoxelization = "rig"
+    spectrum: SparseVoxelSpectrum, mesh: AnyMesh, how: Devoxelization = "rig"
 ) -> Complex64[np.ndarray, "N K 3"]:
     """Give each vertex its spectrum [m]: Dev(·) of paper eq. 1.
 
@@ -139,7 +133,7 @@ def devoxelize(
 
 def move(
     spectrum: SparseVoxelSpectrum,
-    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
+    mesh: AnyMesh,
     *,
     num_frames: int | None = None,
     devoxelization: Devoxelization = "rig",
@@ -168,11 +162,3 @@ def displace(
     """
     num_frames = spectrum.num_frames if num_frames is None else num_frames
     return iter_motion(vertex_spectrum, np.arange(num_frames) / num_frames, spectrum.num_frames)
-
-
-@lru_cache(maxsize=2)
-def motion_model(name: str) -> "MotionModel":
-    """The trained model of this name, loaded once per process."""
-    from dynamictree.models import load_model
-
-    return load_model(name)

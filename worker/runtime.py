@@ -58,8 +58,8 @@ def load_heavy_modules() -> None:
     """
     import worker.stages  # noqa: F401
     from dynamictree.errors import CheckpointError
-    from dynamictree.method import motion_model
+    from dynamictree.models import loaded_once
     from dynamictree.requests import ModelParams
 
     with suppress(CheckpointError):  # the job that needs the model reports it
-        motion_model(ModelParams().preset)
+        loaded_once(ModelParams().preset)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,13 +13,10 @@ from dynamictree.export.stored_rig import Recall, stored_rig
 from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind
-from dynamictree.mesh import TriangleMesh, triangle_mesh
+from dynamictree.mesh import AnyMesh, TriangleMesh, triangle_mesh
 from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
-
-if TYPE_CHECKING:
-    import trimesh
 
 RIG_SHARE = 0.2
 """Of the progress: the rig, before the first file."""
@@ -29,7 +25,7 @@ OnFacts = Callable[[Format, Facts], None]
 
 
 def write_products(
-    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
+    mesh: AnyMesh,
     spectrum: SparseVoxelSpectrum,
     params: ExportParams,
     folder: Path,

@@ -1,5 +1,7 @@
 """Load a trained model of any kind, by name or from a file."""
 
+from functools import lru_cache
+
 from dynamictree.errors import CheckpointError
 from dynamictree.models.motion_model import MotionModel
 from dynamictree.models.weights_file import read_weights
@@ -29,3 +31,9 @@ def load_model(name_or_path: str = "small") -> MotionModel:
         f"{path.name} is {stored.kind} version {stored.version}; {needed} can be loaded: "
         "train again, or run the release that made it"
     )
+
+
+@lru_cache(maxsize=2)
+def loaded_once(name_or_path: str) -> MotionModel:
+    """The model of this name, loaded once per process."""
+    return load_model(name_or_path)
