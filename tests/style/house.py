@@ -5,13 +5,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 36_550,
+    "lines in dynamictree": 35_400,
     "lines in lab": 6_850,
     "lines in service, jobs and worker": 15_650,
-    "lines in tests": 41_550,
-    "names bound to numbers in dynamictree": 940,
-    "functions of dynamictree with more than 6 arguments": 16,
-    "modules of dynamictree with TYPE_CHECKING": 7,
+    "lines in tests": 41_350,
+    "names bound to numbers in dynamictree": 910,
+    "functions of dynamictree with more than 6 arguments": 9,
+    "modules of dynamictree with TYPE_CHECKING": 4,
 }
 _MOST_ARGUMENTS = 6
 _COMPILED = ("compiled", "compiled_fused", "compiled_reordered", "intrinsic")
