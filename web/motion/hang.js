@@ -24,8 +24,8 @@ function verticesNear({ coords, centres, voxelSize, origin, V }, vertices) {
   const voxelAt = new Map(Array.from({ length: V }, (_, v) => [key(...rowOf(coords, v)), v]));
   const rows = new Int32Array(V).fill(-1);
   const found = [];
-  const give = ([x, y, z], row) => {
-    const v = voxelAt.get(key(x, y, z));
+  const give = (place, row) => {
+    const v = voxelAt.get(key(place[0], place[1], place[2]));
     if (v === undefined || rows[v] >= 0) return;
     rows[v] = row;
     found.push(v);
