@@ -224,7 +224,7 @@ def test_a_search_that_takes_too_long_is_ended(orbit, tmp_path):
 
 def test_a_search_that_dies_tells_why(orbit, tmp_path):
     prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
-    (tmp_path / "photos" / prepared[0].name).unlink()
+    (tmp_path / "features.db").write_bytes(b"no database" * 100)
     with pytest.raises(CameraSearchError, match="the search for cameras ended with"):
         find_cameras(prepared, tmp_path)
 

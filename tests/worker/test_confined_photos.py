@@ -111,7 +111,7 @@ def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, mon
         photos=tuple(photos),
         recall=recall,
         publish=lambda path: None,
-        report=lambda share: None,
+        report=lambda share, worked_s=None: None,
     )
     given.resume_dir.mkdir()
     with pytest.raises(ReconstructionError):  # noise has nothing in common
