@@ -23,6 +23,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import AnyMesh, triangle_mesh
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
+from dynamictree.rig.flutter import flutter_modes, fluttering
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -39,13 +40,14 @@ def animate(
     seed: int = 0,
     model: str = "small",
     num_frames: int | None = None,
+    flutter: float = 1.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
     mesh = triangle_mesh(mesh)
     voxels = voxelize(mesh)
     spectrum = generate(voxels, wind=wind, seed=seed, model=model)
-    for displacement in move(spectrum, mesh, num_frames=num_frames, devoxelization=devoxelization):
+    for displacement in move(spectrum, mesh, num_frames=num_frames, flutter=flutter, devoxelization=devoxelization):
         yield mesh.vertices + displacement
 
 
@@ -136,11 +138,13 @@ def move(
     mesh: AnyMesh,
     *,
     num_frames: int | None = None,
+    flutter: float = 1.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Displacement of each vertex over one loop, frame by frame [m], as every product has it.
 
-    `num_frames` are spread over the loop; by default there is one every 1/24 s. With the devoxelization "paper" the
+    `num_frames` are spread over the loop; by default there is one every 1/24 s. `flutter` is how far leaves turn above
+    the spectrum's frequencies: 0 not at all, 1 as in nature. With the devoxelization "paper" the
     nearest voxels' displacements are added.
     """
     mesh = triangle_mesh(mesh)
@@ -148,7 +152,8 @@ def move(
         yield from displace(devoxelize(spectrum, mesh, "paper"), spectrum, num_frames=num_frames)
         return
     num_frames = spectrum.num_frames if num_frames is None else num_frames
-    rig = rig_of(mesh, spectrum)
+    still = rig_of(mesh, spectrum)
+    rig = fluttering(still, flutter_modes(still, spectrum, flutter))
     for theta in rig.theta(np.arange(num_frames) / num_frames):
         yield rig.displacement(theta, mesh.vertices, rig.vertices)
 

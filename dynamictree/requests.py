@@ -269,6 +269,13 @@ class ExportParams(Request):
     loop: bool = Field(
         default=True, description="Refuse a number of frames that is not a whole number of periods; not if turbulent"
     )
+    flutter: Finite = Field(
+        default=1.0,
+        ge=0,
+        le=2,
+        description="How far leaves turn above the spectrum, up to 8 Hz: 0 not at all, 1 as in nature by the "
+        "speed of the wind. In all that is written frame by frame and in skins; morph targets have none",
+    )
     formats: tuple[Format, ...] | None = Field(
         default=None,
         min_length=1,

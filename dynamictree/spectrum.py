@@ -23,6 +23,9 @@ NUM_FRAMES = 100  # T, paper section 5
 FPS = 24.0  # Blender's default, in which the paper's dataset was baked
 _FRAMES_AT_ONCE, _VALUES_AT_ONCE = 16, 4_000_000
 
+UNKNOWN_FOLIAGE = 0.6
+"""Where neither a request nor the shape tells it: a damping ratio of 0.08, between bare trees and trees in leaf."""
+
 Rest = Literal["unloaded", "first-frame", "mean"]
 RESTS: tuple[Rest, ...] = get_args(Rest)
 

@@ -10,6 +10,7 @@ from dynamictree.formats.gltf.motion import MorphOptions, MorphSummary, write_mo
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.requests import GlbCompression, GlbTextures
+from dynamictree.rig.flutter import fluttering
 from dynamictree.rig.skin import skin_of
 from dynamictree.skin import Skin, SkinSummary
 
@@ -95,7 +96,8 @@ def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Fa
 
 
 def _skin(tree: MovingTree) -> tuple[Skin, SkinSummary]:
-    return skin_of(tree.rig, tree.mesh.vertices, tree.params.joints or len(tree.rig.skeleton))
+    rig = fluttering(tree.rig, tree.flutter)
+    return skin_of(rig, tree.mesh.vertices, tree.params.joints or len(rig.skeleton))
 
 
 def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

@@ -11,8 +11,9 @@ from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import iter_turbulent_turns, turbulent_wind
 from dynamictree.requests import ExportParams
+from dynamictree.rig.flutter import flutter_modes, fluttering
 from dynamictree.rig.rig import Rig
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 Report = Callable[[float], None]
 """Gets the share done in [0, 1]; what it raises passes through."""
@@ -74,18 +75,28 @@ class MovingTree:
         return self.rig.loop(vertices, weights, min(enough, most))
 
     def loop_frames(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of the vertices at each frame of the loop [m]."""
-        for theta in self.rig.theta(np.arange(self.spectrum.num_frames) / self.spectrum.num_frames):
+        """Displacement of the vertices at each frame of the loop [m], leaves fluttering."""
+        phases = np.arange(self.spectrum.num_frames) / self.spectrum.num_frames
+        for theta in fluttering(self.rig, self.flutter).theta(phases):
             yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
 
+    @cached_property
+    def flutter(self) -> Complex64[np.ndarray, "B L 3"]:
+        """Turns of leaves above the spectrum's frequencies [rad], which morph targets lack."""
+        return flutter_modes(self.rig, self.spectrum, self.params.flutter)
+
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of the vertices, frame by frame [m]."""
+        """Displacement of the vertices, frame by frame [m], leaves fluttering."""
         for done, theta in enumerate(self._turns()):
             report(done / len(self.phases))
             yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
 
     def _turns(self) -> Iterator[Float32[np.ndarray, "B 3"]]:
         if self.params.wind_mode == "loop":
-            return self.rig.theta(self.phases)
+            yield from fluttering(self.rig, self.flutter).theta(self.phases)
+            return
         wind = turbulent_wind(self.spectrum, seed=self.spectrum.seed)
-        return iter_turbulent_turns(self.rig, wind, self.phases * self.spectrum.period_s)
+        turns = iter_turbulent_turns(self.rig, wind, self.phases * self.spectrum.period_s)
+        leaves = iter_motion(self.flutter, self.phases, self.spectrum.num_frames)
+        for theta, more in zip(turns, leaves, strict=True):
+            yield theta + more

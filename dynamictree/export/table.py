@@ -34,14 +34,15 @@ MEDIA_TYPES = {
     ".mp4": "video/mp4",
 }
 SPEED = frozenset({"speed"})
-FRAMES = SPEED | {"wind_mode", "num_frames", "fps", "loop", "first_frame"}
+FLUTTER = frozenset({"flutter"})
+FRAMES = SPEED | FLUTTER | {"wind_mode", "num_frames", "fps", "loop", "first_frame"}
 DETAIL = frozenset({"share", "sh_degree"})
 SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 JOINTS = frozenset({"joints"})
 COMPRESSION = frozenset({"glb_compression"})
 TEXTURES = frozenset({"glb_textures"})
-MORPHS = SPEED | NORMALS | COMPRESSION | TEXTURES
+MORPHS = SPEED | NORMALS | COMPRESSION | TEXTURES | FLUTTER  # which they lack, and say how much that is
 
 
 @dataclass(frozen=True)
@@ -84,19 +85,25 @@ PRODUCTS: dict[Format, Product] = {
         "Animated GLB, 8 targets",
         "tree-8-targets.glb",
         "mesh",
-        SPEED | NORMALS | COMPRESSION | TEXTURES,
+        MORPHS,
         write=write_reduced_glb,
     ),
     "glb-skinned": Product(
-        "Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS | TEXTURES, write=write_skinned_glb
+        "Skinned GLB", "tree-skinned.glb", "mesh", SPEED | FLUTTER | JOINTS | TEXTURES, write=write_skinned_glb
     ),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
     "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),
-    "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | NORMALS, write=write_page),
+    "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | FLUTTER | NORMALS, write=write_page),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "usd-skinned": Product(
-        "USD with a skeleton", "tree-skinned.usdz", "mesh", SPEED | JOINTS, "pxr", "usd", write=write_skinned_usdz
+        "USD with a skeleton",
+        "tree-skinned.usdz",
+        "mesh",
+        SPEED | FLUTTER | JOINTS,
+        "pxr",
+        "usd",
+        write=write_skinned_usdz,
     ),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),

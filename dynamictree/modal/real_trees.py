@@ -9,7 +9,7 @@ extrapolation. Damping: damped cosines fitted to 19 pull-and-release records of 
 import numpy as np
 from jaxtyping import Float64
 
-from dynamictree.spectrum import FPS, NUM_FRAMES
+from dynamictree.spectrum import FPS, NUM_FRAMES, UNKNOWN_FOLIAGE
 
 BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
 MEASURED_FROM_M = 12.0
@@ -19,8 +19,6 @@ LEARNED_AT_1M_HZ = 24 / (8 * np.pi)
 """0.955 Hz, times 1 / √L: stems of versions 1 to 4 of the data set, which the shipped weights learned from."""
 MAX_QUICKENING = 2.5
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
-UNKNOWN_FOLIAGE = 0.6
-"""Where neither a request nor the shape tells it: a damping ratio of 0.08, between bare trees and trees in leaf."""
 LEAST_BINS = 2
 """Of a loop's spectrum, the lean not counted, up to the lowest natural frequency."""
 MAX_LOOP_TIMES = 4

@@ -30,11 +30,12 @@ from dynamictree.export.moving_tree import Facts
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
 from dynamictree.formats.motion.alembic import write_motion_alembic
+from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.rig.rig import rig_of
 from dynamictree.rig.skin import skin_of
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.js_tools import validated
 
@@ -49,7 +50,7 @@ def tree() -> tuple[TriangleMesh, SparseVoxelSpectrum]:
 
 @pytest.fixture(scope="module")
 def truth(tree: tuple[TriangleMesh, SparseVoxelSpectrum]) -> np.ndarray:
-    return np.stack(list(method.move(tree[1], tree[0])))
+    return np.stack(list(method.move(tree[1], tree[0], flutter=0)))
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def products(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, Path], dict[str, Facts]]:
     facts: dict[str, Facts] = {}
-    options = ExportParams(formats=FORMATS, fps=24.0, joints=64)
+    options = ExportParams(formats=FORMATS, fps=24.0, joints=64, flutter=0)
     folder = tmp_path_factory.mktemp("products")
     paths = write_products(*tree, options, folder, on_facts=facts.__setitem__)
     return paths, facts
@@ -91,6 +92,21 @@ def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Pro
     assert facts["relative_error"] == pytest.approx(rms / np.sqrt((truth**2).sum(axis=2).mean()), rel=1e-3)
     assert reported_facts(content) == facts
     assert 0 < facts["relative_error"] < 0.35
+
+
+def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
+    tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray, tmp_path: Path
+) -> None:
+    mesh, spectrum = tree[0], replace(tree[1], wind=Wind(speed_m_s=8.0))
+    facts: dict[str, Facts] = {}
+    options = ExportParams(formats=("motion", "glb"), fps=24.0)
+    paths = write_products(mesh, spectrum, options, tmp_path, on_facts=facts.__setitem__)
+    with paths["motion"].open("rb") as stream:
+        played = read_motion(stream).displacement
+    np.testing.assert_allclose(played, np.stack(list(method.move(spectrum, mesh))), atol=1e-5)
+    apart = float(np.sqrt(((played - truth) ** 2).sum(axis=2).max()))
+    assert apart > 1e-3
+    assert facts["glb"]["max_error_m"] == pytest.approx(apart, rel=0.05)
 
 
 def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:

@@ -18,17 +18,18 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.plant.capture import Capture
 from dynamictree.requests import MAX_FRAMES, TURBULENT_FRAMES, ExportParams, Format, Shot
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import voxelize
 
-START = ExportParams(num_frames=4, fps=24.0, shot=Shot(side_px=64))
+START = ExportParams(num_frames=4, fps=4.0, shot=Shot(side_px=64))
 CHANGED = {
     "wind_mode": {"wind_mode": "turbulent"},
     "first_frame": {"first_frame": 1},
     "num_frames": {"num_frames": 8},
-    "fps": {"fps": 12.0, "num_frames": 2},
+    "fps": {"fps": 2.0, "num_frames": 2},
     "speed": {"speed": 2.0, "num_frames": 2},
     "loop": {"loop": False},
+    "flutter": {"flutter": 0.0},
     "share": {"share": 0.5},
     "sh_degree": {"sh_degree": 0},
     "shot": {"shot": Shot(side_px=64, azimuth_deg=120.0)},
@@ -82,7 +83,9 @@ def spectrum(capture: Capture) -> SparseVoxelSpectrum:
     coefficients = np.zeros((len(grid), 3, 3), np.complex64)
     coefficients[:, 1, 0] = 0.05 * grid.centres_m[:, 2] ** 2
     coefficients[:, 2, 1] = 0.02j * grid.centres_m[:, 2]
-    return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, fps=24.0, num_frames=4, model="test")
+    return SparseVoxelSpectrum(
+        grid=grid, coefficients=coefficients, fps=24.0, num_frames=24, model="test", wind=Wind(speed_m_s=15.0)
+    )
 
 
 def test_every_format_of_a_request_is_a_product_with_its_own_file() -> None:

@@ -1,0 +1,72 @@
+"""Laws of a rig's flutter: ends turn, faster than the spectrum, in a loop, by the wind's speed and the foliage."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamictree.rig.flutter import flutter_modes, fluttering
+from dynamictree.rig.rig import Rig, rig_of
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from lab.dataset.sample import Sample, make_sample, voxel_spectrum
+
+
+@pytest.fixture(scope="module")
+def sample() -> Sample:
+    return make_sample(3, "sapling")
+
+
+@pytest.fixture(scope="module")
+def spectrum(sample: Sample) -> SparseVoxelSpectrum:
+    return replace(voxel_spectrum(sample)[1], wind=Wind(speed_m_s=8.0), foliage=1.0)
+
+
+@pytest.fixture(scope="module")
+def rig(sample: Sample, spectrum: SparseVoxelSpectrum) -> Rig:
+    return rig_of(sample.mesh, spectrum)
+
+
+def test_only_ends_turn_and_only_above_the_spectrum(rig: Rig, spectrum: SparseVoxelSpectrum) -> None:
+    modes = flutter_modes(rig, spectrum, 1.0)
+    turning = np.abs(modes).max(axis=(1, 2)) > 0
+    assert turning.any()
+    assert not turning[rig.skeleton.above].any()
+    assert not modes[:, : spectrum.num_frequencies].any()
+    assert (modes.shape[1] - 1) / spectrum.period_s <= 8.0
+    np.testing.assert_array_equal(modes, flutter_modes(rig, spectrum, 1.0))
+    assert (modes != flutter_modes(rig, replace(spectrum, seed=spectrum.seed + 1), 1.0)).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "size"),
+    [({"wind": Wind(speed_m_s=1.0, gust=0.1)}, 1.0), ({"foliage": 0.0}, 1.0), ({}, 0.0)],
+    ids=["light air", "bare", "off"],
+)
+def test_nothing_flutters_in_light_air_on_bare_trees_or_where_it_is_turned_off(
+    rig: Rig, spectrum: SparseVoxelSpectrum, change: dict[str, object], size: float
+) -> None:
+    assert not flutter_modes(rig, replace(spectrum, **change), size).any()  # type: ignore[arg-type]
+
+
+def test_the_wind_makes_leaves_flutter_more(rig: Rig, spectrum: SparseVoxelSpectrum) -> None:
+    sizes = [
+        float(np.square(np.abs(flutter_modes(rig, replace(spectrum, wind=Wind(speed_m_s=speed)), 1.0))).sum())
+        for speed in (2.0, 5.0, 12.0)
+    ]
+    assert 0 < 10 * sizes[0] < sizes[1] < sizes[2]
+
+
+def test_leaves_move_on_their_twigs_and_the_trunk_stands_as_before(
+    rig: Rig, spectrum: SparseVoxelSpectrum, sample: Sample
+) -> None:
+    moving = fluttering(rig, flutter_modes(rig, spectrum, 1.0))
+    places = sample.mesh.vertices
+    for phase in (0.0, 0.37):
+        own, more = (
+            one.displacement(next(one.theta(np.array([phase]))), places, one.vertices) for one in (rig, moving)
+        )
+        far = np.linalg.norm(more - own, axis=1)
+        assert 0 < far.max() < 0.03 * sample.mesh.height_m
+        assert far[sample.part == 0].max() < 1e-6 * far.max()
+    again = moving.displacement(next(moving.theta(np.array([1.37]))), places, moving.vertices)
+    np.testing.assert_allclose(again, more, atol=1e-5 * sample.mesh.height_m)
