@@ -24,7 +24,7 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
     condition, schedule = network.condition(batch.inputs), linear_schedule().to(device)
 
     def predict_clean(noisy: Tensor, step: int) -> Tensor:
-        return denoise(network, noisy, step, bins, condition, batch.inputs, schedule)
+        return denoise(network, noisy, step, bins, condition, batch.inputs)
 
     start = torch.randn(truth.shape, generator=torch.Generator().manual_seed(seed)).to(device)
     drawn = sample_ddim(predict_clean, start, schedule, num_steps=num_steps) * network.frequency_sizes[1:, None]

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
+from dynamictree.diffusion.schedule import linear_schedule, predicted_clean
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork
 
 CLIP = 8.0
@@ -18,11 +18,10 @@ def denoise(
     bins: Int64[Tensor, " J"],
     condition: Float32[Tensor, "V D"],
     inputs: PaperInputs,
-    schedule: NoiseSchedule,
 ) -> Float32[Tensor, "V J 6"]:
-    """The clean spectra of one tree that the network expects at a step of the schedule, limited to the data's size."""
+    """The clean spectra of one tree that the network expects at a step of the linear schedule, of the data's size."""
     predicted = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, inputs)
-    return at_most_unit_size(predicted_clean(noisy, predicted, schedule.alpha_bar[step]))
+    return at_most_unit_size(predicted_clean(noisy, predicted, linear_schedule().alpha_bar[step]))
 
 
 def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6"]:

@@ -92,7 +92,7 @@ class PaperModel(MotionModel):
         bands = torch.split(torch.arange(len(bins)), min(band, BAND) if device.type == "cpu" else band)
 
         def predict_band(noisy: Tensor, step: int, band: Tensor) -> Tensor:
-            return denoise(self.network, noisy[:, band], step, bins[band].to(device), condition, inputs, schedule)
+            return denoise(self.network, noisy[:, band], step, bins[band].to(device), condition, inputs)
 
         def predict_clean(noisy: Tensor, step: int) -> Tensor:
             calls = [partial(predict_band, noisy, step, one) for one in bands]
