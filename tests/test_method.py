@@ -53,7 +53,7 @@ def test_a_splat_follows_its_mesh(post: trimesh.Trimesh, spectrum: SparseVoxelSp
         opacity=np.full(len(points), 0.9, np.float32),
         sh=np.zeros((len(points), 1, 3), np.float32),
     )
-    motion = list(method.displace(method.devoxelize(spectrum, post), spectrum, num_frames=NUM_FRAMES))
+    motion = list(method.move(spectrum, post, num_frames=NUM_FRAMES))
     for frame, displacement in zip(
         method.animate_splat(cloud, post, spectrum, num_frames=NUM_FRAMES), motion, strict=True
     ):

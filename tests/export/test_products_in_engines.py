@@ -50,7 +50,7 @@ def tree() -> tuple[TriangleMesh, SparseVoxelSpectrum]:
 
 @pytest.fixture(scope="module")
 def truth(tree: tuple[TriangleMesh, SparseVoxelSpectrum]) -> np.ndarray:
-    return np.stack(list(method.move(tree[1], tree[0], flutter=0)))
+    return np.stack(list(method.move(tree[1], tree[0], flutter=0.0)))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def products(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, Path], dict[str, Facts]]:
     facts: dict[str, Facts] = {}
-    options = ExportParams(formats=FORMATS, fps=24.0, joints=64, flutter=0)
+    options = ExportParams(formats=FORMATS, fps=24.0, joints=64, flutter=0.0)
     folder = tmp_path_factory.mktemp("products")
     paths = write_products(*tree, options, folder, on_facts=facts.__setitem__)
     return paths, facts
@@ -188,7 +188,7 @@ def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(
 def test_a_skin_of_all_bones_is_exact_and_small(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray, tmp_path: Path
 ) -> None:
-    path = write_products(*tree, ExportParams(formats=("glb-skinned",)), tmp_path)["glb-skinned"]
+    path = write_products(*tree, ExportParams(formats=("glb-skinned",), flutter=0.0), tmp_path)["glb-skinned"]
     assert errors_m(played_skin(path.read_bytes()), truth)[1] < 1e-5
     rest = len(trimesh.Trimesh(tree[0].vertices, tree[0].faces, process=False).export(file_type="glb"))
     assert path.stat().st_size < 1.3 * rest + 3e6
