@@ -71,6 +71,8 @@ def job(state: str, **changes: object) -> bytes:
         "attempt": 1,
         "progress": 0.5,
         "stages": [],
+        "processor_s": 0.0,
+        "gpu_s": 0.0,
         "created_at": moment,
     }
     return Job.model_construct(**(expected | changes)).model_dump_json(warnings=False).encode()
@@ -312,6 +314,7 @@ ASSET = json.dumps(
         "kind": "mesh",
         "parts": [],
         "summary": {},
+        "metadata": {},
         "created_at": "2026-01-01T00:00:00Z",
         "expires_at": "2026-01-02T00:00:00Z",
     }
