@@ -12,8 +12,9 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from dynamictree import method
+from dynamictree.export.moving_tree import iter_turbulent_turns
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.turbulence import iter_turbulent_turns, turbulent_wind
+from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.render.picture import Look, Renderer
 from dynamictree.requests import Wind
 from dynamictree.rig.rig import rig_of

@@ -9,7 +9,7 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.turbulence import iter_turbulent_turns, turbulent_wind
+from dynamictree.modal.turbulence import TurbulentWind, iter_turbulent_sums, turbulent_wind
 from dynamictree.requests import ExportParams
 from dynamictree.rig.flutter import flutter_modes, fluttering
 from dynamictree.rig.rig import Rig
@@ -23,6 +23,14 @@ _SAMPLED_VERTICES = 10_000  # that tell how many frequencies are needed
 
 Facts = dict[str, int | float]
 """How far a product is from the motion. Empty where it is exact."""
+
+
+def iter_turbulent_turns(
+    rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"]
+) -> Iterator[Float32[np.ndarray, "B 3"]]:
+    """How far each bone turns in turbulent wind, moment by moment [rad]."""
+    for theta, turn in iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames):
+        yield rig.in_wind(theta, turn)
 
 
 def frame_phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, " M"]:

@@ -22,7 +22,6 @@ from jaxtyping import Complex64, Complex128, Float32, Float64
 
 from dynamictree.modal.real_trees import natural_damping, natural_frequency_hz
 from dynamictree.requests import Wind
-from dynamictree.rig.rig import Rig
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
 
@@ -127,14 +126,6 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
 def turbulence_length_m(height_m: float) -> float:
     """Length of the gusts at the top of a tree [m]; EN 1991-1-4, annex B."""
     return float(300 * (max(height_m, 2.0) / 200) ** (0.67 + 0.05 * np.log(ROUGHNESS_M)))
-
-
-def iter_turbulent_turns(
-    rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"]
-) -> Iterator[Float32[np.ndarray, "B 3"]]:
-    """How far each bone turns, moment by moment [rad]."""
-    for theta, turn in iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames):
-        yield rig.in_wind(theta, turn)
 
 
 def iter_turbulent_sums(

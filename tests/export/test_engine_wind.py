@@ -19,9 +19,10 @@ from benchmarks._engine_wind import read_engine_wind
 from benchmarks._played import accessor, z_up
 from dynamictree import method
 from dynamictree.export.engine_wind import SHADERS
+from dynamictree.export.moving_tree import iter_turbulent_turns
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh, edges_of
-from dynamictree.modal.turbulence import iter_turbulent_turns, turbulent_wind
+from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.requests import ExportParams
 from dynamictree.rig.branch_groups import branches_of
 from dynamictree.rig.branch_pivots import branch_pivots

@@ -155,7 +155,7 @@ def _in_order(cells: OccupiedCells, label: Int64[np.ndarray, " V"]) -> Int32[np.
     order = sorted(range(len(feet)), key=lambda number: feet[number])
     renumber = np.full(len(feet) + 1, -1, np.int32)
     renumber[order] = np.arange(len(feet))
-    return renumber[label[cells.cell_of_point]]
+    return np.asarray(renumber[label[cells.cell_of_point]], np.int32)
 
 
 def _refuse_canopy(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> None:
