@@ -36,10 +36,9 @@ def sway(grid: VoxelGrid, seed: int, noise: float) -> np.ndarray:
 
 
 def on_vertices(grid: VoxelGrid, mesh: TriangleMesh, coefficients: np.ndarray, num_frames: int) -> np.ndarray:
-    """Displacement of the vertices [T, N, 3] by the rig of a motion of the voxels [m]."""
-    return np.stack(
-        list(method.move(SparseVoxelSpectrum(grid=grid, coefficients=coefficients, num_frames=num_frames), mesh))
-    )
+    """Displacement of the vertices [T, N, 3] by the rig of a motion of the voxels [m], without leaves' own flutter."""
+    spectrum = SparseVoxelSpectrum(grid=grid, coefficients=coefficients, num_frames=num_frames)
+    return np.stack(list(method.move(spectrum, mesh, flutter=0.0)))
 
 
 def most_of_voxels_around(points: np.ndarray, grid: VoxelGrid, reached: np.ndarray) -> np.ndarray:
