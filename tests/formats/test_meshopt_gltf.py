@@ -41,7 +41,7 @@ def files(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Files:
     written: Files = {}
     for name in ("none", "meshopt"):
         facts: dict[str, dict[str, float]] = {}
-        params = ExportParams(formats=("glb",), glb_compression=name)
+        params = ExportParams(formats=("glb",), glb_compression=name, flutter=0.0)
         folder = tmp_path_factory.mktemp(name)
         path = write_products(*tree, params, folder, on_facts=facts.__setitem__)["glb"]
         written[name] = (path.read_bytes(), facts.get("glb", {}))
