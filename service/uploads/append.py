@@ -61,17 +61,21 @@ def _taken_over(upload_id: str) -> ProblemError:
 
 
 async def _open(parts: PartStore, upload_id: str, offset: int) -> PartWriter:
+    """The upload's only writer. Where it stands is told once the older request has stored what it received."""
     deadline = time.monotonic() + TAKE_OVER_S
     while True:
-        size = await run_in_threadpool(parts.size, upload_id)
-        if size != offset:
-            raise stands_elsewhere(offset, size)
         try:
-            return await run_in_threadpool(parts.writer, upload_id, offset)
+            writer = await run_in_threadpool(parts.writer, upload_id, offset)
         except BlockingIOError as error:
             if time.monotonic() > deadline:
                 raise ProblemError("conflict", f"another request writes upload {upload_id}; try again") from error
             await asyncio.sleep(0.05)
+            continue
+        size = await run_in_threadpool(parts.size, upload_id)
+        if size != offset:
+            await run_in_threadpool(writer.keep)
+            raise stands_elsewhere(offset, size)
+        return writer
 
 
 @asynccontextmanager
