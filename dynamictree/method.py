@@ -40,7 +40,7 @@ def animate(
     seed: int = 0,
     model: str = "small",
     num_frames: int | None = None,
-    flutter: float = 1.0,
+    flutter: float = 0.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
@@ -138,7 +138,7 @@ def move(
     mesh: AnyMesh,
     *,
     num_frames: int | None = None,
-    flutter: float = 1.0,
+    flutter: float = 0.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Displacement of each vertex over one loop, frame by frame [m], as every product has it.

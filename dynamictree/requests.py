@@ -270,11 +270,12 @@ class ExportParams(Request):
         default=True, description="Refuse a number of frames that is not a whole number of periods; not if turbulent"
     )
     flutter: Finite = Field(
-        default=1.0,
+        default=0.0,
         ge=0,
         le=2,
         description="How far leaves turn above the spectrum, up to 8 Hz: 0 not at all, 1 as in nature by the "
-        "speed of the wind. In all that is written frame by frame and in skins; morph targets have none",
+        "speed of the wind. In all that is written frame by frame and in skins. Morph targets, the page and pushes "
+        "have none, so by default all show one motion",
     )
     formats: tuple[Format, ...] | None = Field(
         default=None,

@@ -974,8 +974,9 @@ class AnimateParams(DiffuseParams):
     # Refuse a number of frames that is not a whole number of periods; not if turbulent
     loop: bool = True
     # How far leaves turn above the spectrum, up to 8 Hz: 0 not at all, 1 as in nature by the speed of the wind. In
-    # all that is written frame by frame and in skins; morph targets have none
-    flutter: float = 1.0
+    # all that is written frame by frame and in skins. Morph targets, the page and pushes have none, so by default
+    # all show one motion
+    flutter: float = 0.0
     # Files to write; if unset ply, glb, png of a mesh or photos, splat, png of a splat or scan
     formats: (
         list[
