@@ -61,7 +61,7 @@ def _taken_over(upload_id: str) -> ProblemError:
 
 
 async def _open(parts: PartStore, upload_id: str, offset: int) -> PartWriter:
-    """The upload's only writer. Where it stands is told once the older request has stored what it received."""
+    """The upload's only writer. Its size is final once the older request has stored its bytes."""
     deadline = time.monotonic() + TAKE_OVER_S
     while True:
         try:
