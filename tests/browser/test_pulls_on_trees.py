@@ -110,6 +110,7 @@ WATCH = """async () => {
         tick.call(this);
     };
     window.takeRows = () => { const all = rows; [grasp, rows] = [null, []]; return all; };
+    while (!window.hand) await new Promise(requestAnimationFrame); // a turn may take seconds
 }"""
 
 # On the screen: the voxel nearest to four fifths of the way to the right of the tree, and two fifths down
