@@ -99,11 +99,11 @@ def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
 ) -> None:
     mesh, spectrum = tree[0], replace(tree[1], wind=Wind(speed_m_s=8.0))
     facts: dict[str, Facts] = {}
-    options = ExportParams(formats=("motion", "glb"), fps=24.0)
+    options = ExportParams(formats=("motion", "glb"), fps=24.0, flutter=1.0)
     paths = write_products(mesh, spectrum, options, tmp_path, on_facts=facts.__setitem__)
     with paths["motion"].open("rb") as stream:
         played = read_motion(stream).displacement
-    np.testing.assert_allclose(played, np.stack(list(method.move(spectrum, mesh))), atol=1e-5)
+    np.testing.assert_allclose(played, np.stack(list(method.move(spectrum, mesh, flutter=1.0))), atol=1e-5)
     apart = float(np.sqrt(((played - truth) ** 2).sum(axis=2).max()))
     assert apart > 1e-3
     assert facts["glb"]["max_error_m"] == pytest.approx(apart, rel=0.05)

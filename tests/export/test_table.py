@@ -29,7 +29,7 @@ CHANGED = {
     "fps": {"fps": 2.0, "num_frames": 2},
     "speed": {"speed": 2.0, "num_frames": 2},
     "loop": {"loop": False},
-    "flutter": {"flutter": 0.0},
+    "flutter": {"flutter": 1.0},
     "share": {"share": 0.5},
     "sh_degree": {"sh_degree": 0},
     "shot": {"shot": Shot(side_px=64, azimuth_deg=120.0)},
