@@ -115,7 +115,7 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
     viewer = view(900, 620)
     page = viewer.page
     waiting: list[object] = []
-    page.route("**/v1/spectra/*/modes", lambda route: waiting.append(route) or None)
+    page.route("**/v1/spectra/*/modes*", lambda route: waiting.append(route) or None)
     page.goto(f"{url}/#job={job_id}")
     expect(page.locator("#poster")).to_be_visible()
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")

@@ -248,15 +248,15 @@ def test_one_of_several_trees_is_chosen(view: Open, url: str, tmp_path: Path) ->
     page = viewer.page
     viewer.open(url)
     waiting: list[Route] = []
-    page.route("**/v1/jobs", waiting.append)
+    page.route("**/v1/jobs", lambda route: waiting.append(route) or None)
     page.set_input_files("#files", str(tmp_path / "pair.ply"))
     page.locator("#tree-details summary").click()
     expect(page.locator("#which-tree option")).to_have_text(["All 2", "Tree 1, 5.9 m", "Tree 2, 5.9 m"])
     page.locator("#which-tree").select_option("2")
     while not waiting:
         page.wait_for_timeout(100)
-    page.unroute("**/v1/jobs")
     waiting[0].continue_()  # its job comes once the choice is made
+    page.unroute("**/v1/jobs")
     page.wait_for_url("**/#job=*")
     expect(page.locator("#which-tree")).to_have_value("2")
     viewer.picture()
