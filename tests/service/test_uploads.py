@@ -155,7 +155,7 @@ def test_a_newer_request_takes_an_upload_over(
     async def two_requests() -> int:
         first = asyncio.create_task(append_body(owned, record, stalled(), 0))
         await asyncio.sleep(0.2)
-        offset = -1
+        offset = 79  # not where it stands
         while True:  # as a client does: it asks where the upload stands, until it has it
             try:
                 size = await append_body(owned, record, rest(offset), offset)
