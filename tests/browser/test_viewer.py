@@ -312,8 +312,8 @@ SAME_MOTION = """async ([spectrum, job]) => {
     const client = new Client();
     const { tensors, shape } = readTensors(await client.surface(spectrum));
     const file = (await client.artifacts(job)).find(isWorthLoading);
-    const read = await readShapes(await client.bytes(file.url));
     const K = shape.shapes[1];
+    const read = await readShapes(await client.bytes(file.url), K);
     let most = 0;
     for (let i = 0; i < read.shapes.length; i++) {
         const k = Math.floor(i / 6) % K;

@@ -8,27 +8,27 @@ export const isWorthLoading = ({ name, bytes }) => name === "tree.glb" && bytes 
 
 /**
  * Shapes [N, K, 3, 2] in 16-bit steps of `scale_m` [K], as …/surface has them; null where a skin places the vertices.
- * The file's morph targets are twice the real and imaginary part of each bin; the first is Re c_0 less all of these
- * parts (docs/formats.md).
+ * The file's morph targets are twice the real and imaginary part of each of its L ≥ K bins; the first is Re c_0 less all
+ * of these parts (docs/formats.md). Bins from K on, which a sum needs to turn as the bones do, have no coordinate here.
  */
-export async function readShapes(buffer) {
+export async function readShapes(buffer, K) {
   const { parser } = await new GLTFLoader().parseAsync(buffer, "");
   const { num_vertices: N, primitives } = parser.json.animations[0].extras;
   if (primitives.some(({ to_z_up_m }) => !to_z_up_m)) return null;
-  const K = (parser.json.asset.extras.num_targets + 1) / 2;
+  const L = (parser.json.asset.extras.num_targets + 1) / 2;
   const shapes = new Int16Array(6 * N * K);
   const scale_m = new Float32Array(K);
-  const lean = await target(parser, primitives, N, K, 0);
-  for (let k = K - 1; k >= 0; k--) {
+  const lean = await target(parser, primitives, N, L, 0);
+  for (let k = L - 1; k >= 0; k--) {
     const parts =
-      k === 0 ? [lean] : await Promise.all([2 * k - 1, 2 * k].map((m) => target(parser, primitives, N, K, m)));
+      k === 0 ? [lean] : await Promise.all([2 * k - 1, 2 * k].map((m) => target(parser, primitives, N, L, m)));
     const step = largestOf(parts) / 32767;
-    scale_m[k] = k === 0 ? step : step / 2;
+    if (k < K) scale_m[k] = k === 0 ? step : step / 2;
     parts.forEach((part, i) => {
       for (let v = 0; v < N; v++) {
         for (let axis = 0; axis < 3; axis++) {
           const value = part[3 * v + axis];
-          shapes[6 * (v * K + k) + 2 * axis + i] = Math.round(value / step);
+          if (k < K) shapes[6 * (v * K + k) + 2 * axis + i] = Math.round(value / step);
           if (k > 0) lean[3 * v + axis] += value / 2;
         }
       }
@@ -37,12 +37,12 @@ export async function readShapes(buffer) {
   return { shapes, scale_m };
 }
 
-/** Target m of ours, the last 2K - 1 of each primitive, for all vertices of the mesh: +Z up and in metres. */
-async function target(parser, primitives, N, K, m) {
+/** Target m of ours, the last 2L - 1 of each primitive, for all vertices of the mesh: +Z up and in metres. */
+async function target(parser, primitives, N, L, m) {
   const moved = new Float32Array(3 * N);
   for (const { node, primitive, first_vertex, to_z_up_m: a } of primitives) {
     const { targets } = parser.json.meshes[parser.json.nodes[node].mesh].primitives[primitive];
-    const accessor = targets[targets.length - (2 * K - 1) + m].POSITION;
+    const accessor = targets[targets.length - (2 * L - 1) + m].POSITION;
     const { array } = await parser.getDependency("accessor", accessor);
     for (let i = 0; i < array.length; i += 3) {
       const [x, y, z] = [array[i], array[i + 1], array[i + 2]];

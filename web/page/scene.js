@@ -219,7 +219,7 @@ export class Scene {
   async _ownMotion(tree, file, signal) {
     const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
     if (!isWorthLoading(file)) return;
-    const shapes = await readShapes(await this.client.bytes(file.url, { signal }));
+    const shapes = await readShapes(await this.client.bytes(file.url, { signal }), tree.modes.K);
     if (shapes && !signal.aborted) tree.setShapes(shapes);
   }
 
