@@ -120,14 +120,6 @@ def to_motion(
     return np.fft.irfft(spectrum, n=num_frames, axis=0, norm="forward").astype(np.float32)
 
 
-def synthesis(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, "D T"]:
-    """Matrix from the re and im of each coefficient in turn to the frames of one period: `to_motion` as a product."""
-    angle = 2 * np.pi * np.outer(np.arange(num_frequencies), np.arange(num_frames)) / num_frames
-    turns = np.stack([np.cos(angle), -np.sin(angle)], axis=1)  # [K, 2, T]
-    turns *= bin_weights(num_frequencies, num_frames)[:, None, None]
-    return turns.reshape(2 * num_frequencies, num_frames).astype(np.float32)
-
-
 def displacement_at(
     coefficients: Complex64[np.ndarray, "N K 3"], phase: float, num_frames: int = NUM_FRAMES
 ) -> Float32[np.ndarray, "N 3"]:
