@@ -564,6 +564,7 @@ test("what is no tree is told by its first bytes, before it is sent", async () =
   const file = (name, ...parts) => [{ name, content: new Blob(parts) }];
   const glb = Buffer.alloc(2000, 1);
   glb.write("glTF");
+  glb.writeUInt32LE(2, 4);
   glb.writeUInt32LE(5000, 8);
   await assert.rejects(checkContent(file("oak.glb", glb)), { code: "cut-off", size: 2000, whole: 5000 });
   await assert.rejects(checkContent(file("oak.ply", Buffer.alloc(1_000_000))), { code: "zeros" });

@@ -25,8 +25,8 @@ export async function checkContent([{ name, content }]) {
   if (await isZero(content, first)) throw new Problem({ code: "zeros", name });
   const text = latin(first);
   if (text.startsWith("glTF") && first.length >= GLB_HEAD) {
-    const whole = new DataView(first.buffer).getUint32(8, true);
-    if (size < whole) throw new Problem({ code: "cut-off", name, size, whole });
+    const [version, whole] = [4, 8].map((at) => new DataView(first.buffer).getUint32(at, true));
+    if (version === 2 && size < whole) throw new Problem({ code: "cut-off", name, size, whole });
   }
   const kind = kindOf(text, suffixOf(name)) ?? (text.startsWith(ZIP) ? await kindOfZip(content, suffixOf(name)) : null);
   if (kind) throw new Problem({ code: "foreign", name, kind });
