@@ -13,9 +13,10 @@ from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
 
 
-def test_many_may_make_the_tables_at_once(tmp_path: Path) -> None:
-    engines = [open_engine(f"sqlite:///{tmp_path / 'new' / 'jobs.sqlite'}") for _ in range(4)]
-    with ThreadPoolExecutor(4) as pool:
+@pytest.mark.parametrize("attempt", range(20))
+def test_many_may_make_the_tables_at_once(tmp_path: Path, attempt: int) -> None:
+    engines = [open_engine(f"sqlite:///{tmp_path / 'new' / 'jobs.sqlite'}") for _ in range(8)]
+    with ThreadPoolExecutor(8) as pool:
         list(pool.map(make_tables, engines))
     for engine in engines:
         with engine.connect() as connection:
