@@ -46,7 +46,6 @@ PRESET = PaperPreset(
         num_heads=2,
         num_groups=8,
         embedding=64,
-        resample_blocks=False,
     ),
 )
 

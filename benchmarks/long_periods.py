@@ -12,7 +12,7 @@ from benchmarks._machine import machine
 from dynamictree import method
 from dynamictree.models.periods import PERIOD_S, period_by_height
 from dynamictree.requests import Wind
-from dynamictree.spectrum import NUM_FRAMES, NUM_FREQUENCIES
+from dynamictree.spectrum import NUM_FREQUENCIES
 from lab.dataset.motion import vertex_spectrum
 from lab.dataset.sample import surface_average
 from lab.dataset.sapling import grow_tree
@@ -49,7 +49,7 @@ def _compared(species: str, height_m: float, seed: int) -> dict[str, object]:
     voxels = method.voxelize(tree.mesh)
     period_s = period_by_height(voxels)
     times = round(period_s / PERIOD_S)
-    motion = sway(tree, WIND, np.random.default_rng(1), num_frames=times * NUM_FRAMES, times=times)
+    motion = sway(tree, WIND, np.random.default_rng(1), times=times)
     own = vertex_spectrum(motion, tree.mesh.vertices, tree.node, NUM_FREQUENCIES * times)
     weights = surface_average(tree.mesh, voxels.grid).astype(np.float32)
     parts = np.ascontiguousarray(own).reshape(len(own), -1).view(np.float32)

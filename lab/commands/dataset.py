@@ -1,6 +1,5 @@
-"""`dynamictree dataset`: generate, filter, sheet, stats, export."""
+"""`dynamictree dataset`: generate, filter, sheet."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +12,7 @@ from dynamictree.errors import InputError
 from lab.dataset.limits import DatasetLimits
 from lab.training.progress import bars
 
-app = typer.Typer(
-    no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."
-)
+app = typer.Typer(no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet.")
 
 Folder = Annotated[Path, typer.Argument(help="Folder of the dataset.")]
 BakedFolder = Annotated[
@@ -38,8 +35,6 @@ def generate(
     resolution: Annotated[
         list[int], typer.Option(help="Voxels along the largest extent, 32 to 512; may be given several times.")
     ] = [128],  # noqa: B006 typer copies it
-    vertex_spectrum: Annotated[bool, typer.Option(help="Keep the spectrum of every vertex too (2 MB a tree).")] = False,
-    loop: Annotated[bool, typer.Option(help="All gusts on bins of the period, so that the motion loops.")] = True,
     review: Annotated[
         Path | None,
         typer.Option(help="Verdicts to honour, as `dataset sheet` writes them.", exists=True, dir_okay=False),
@@ -64,8 +59,6 @@ def generate(
         first_seed=first_seed,
         trees_per_shard=trees_per_shard,
         resolutions=tuple(resolution),
-        vertex_spectrum=vertex_spectrum,
-        loop=loop,
         species=species,
         limits=limits,
         review=verdicts,
@@ -158,65 +151,6 @@ def sheet(
         with review.open("wb") as stream:
             write_review(all_accepted(seeds), stream, notes=notes)
     tell({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
-
-
-@app.command()
-def stats(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for stats.json and the plots.")],
-    folder: BakedFolder = None,
-    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to measure, from seeds.")] = 100,
-    first_seed: FirstSeed = 0,
-    species: SpeciesName = None,
-    plots: Annotated[bool, typer.Option(help="Draw plots (needs the extra `plots`).")] = True,
-    as_json: AsJson = False,
-) -> None:
-    """Measure heights, lengths, frequencies and amplitudes by level, with plots."""
-    from lab.dataset.records import iter_seen
-    from lab.dataset.sample import make_sample
-    from lab.dataset.stats import draw_plots, numbers_of, tables_of
-
-    output.mkdir(parents=True, exist_ok=True)
-    if folder is not None:
-        seen = (tree.stems for tree in iter_seen(folder) if species in (None, tree.species))
-        tables = [stems for stems in seen if stems is not None]
-        if not tables:
-            raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
-    else:
-        tables = []
-        with bars(quiet=as_json) as report:
-            for index in range(trees):
-                tables.append(tables_of(make_sample(first_seed + index, species)))
-                report("trees", index + 1, trees, 0.0)
-    numbers = numbers_of(tables)
-    (output / "stats.json").write_text(json.dumps(numbers, indent=1))
-    files = [output / "stats.json"]
-    if plots:
-        files.append(output / "stats.png")
-        with files[-1].open("wb") as stream:
-            draw_plots(tables, stream)
-    tell({"files": [str(path) for path in files], **numbers}, as_json=as_json)
-
-
-@app.command()
-def export(
-    seed: Annotated[int, typer.Argument(min=0, help="The tree's seed.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
-    species: SpeciesName = None,
-    formats: Annotated[str, typer.Option("--format", help="Comma-separated: glb, ply (zip of frames), usd.")] = "glb",
-    as_json: AsJson = False,
-) -> None:
-    """Write one tree of the dataset and its motion as files for other programs."""
-    from lab.dataset.export import EXPORTS, export_sample
-    from lab.dataset.sample import make_sample
-
-    names = [name.strip() for name in formats.split(",")]
-    unknown = [name for name in names if name not in EXPORTS]
-    if unknown:
-        raise InputError(f"there is no format {unknown[0]!r}; choose from {', '.join(EXPORTS)}")
-    sample = make_sample(seed, species)
-    output.mkdir(parents=True, exist_ok=True)
-    files = [export_sample(sample, name, output) for name in names]
-    tell({"files": [str(path) for path in files], "species": sample.species}, as_json=as_json)
 
 
 def _part(text: str) -> tuple[int, int]:

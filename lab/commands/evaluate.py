@@ -17,7 +17,7 @@ from lab.training.progress import bars
 if TYPE_CHECKING:
     from dynamictree.mesh import TriangleMesh
     from dynamictree.spectrum import SparseVoxelSpectrum, Wind
-    from lab.evaluation.frame_distances import ImageEmbedder
+    from lab.evaluation.clip import ClipEmbedder
 
 
 def evaluate(
@@ -68,9 +68,6 @@ def evaluate(
         Path | None,
         typer.Option(help="CLIP's ViT-B/32 (model.safetensors, or its folder), for CLIP-I and CLIP-T.", exists=True),
     ] = None,
-    effnet: Annotated[
-        bool, typer.Option(help="EffNet-I and EffNet-T: frames are drawn and seen by EfficientNet-Lite0 (slow).")
-    ] = False,
     threads: Annotated[int, typer.Option(min=1, max=256, help="Of this process.")] = 2,
     as_json: AsJson = False,
 ) -> None:
@@ -100,7 +97,7 @@ def evaluate(
             report = evaluate_laws(trees, seed=seed, model=of_model, on_step=on_step)
         typer.echo(json.dumps(report)) if as_json else print_laws(report)
         return
-    files, embedders = _sapling(samples), _embedders(clip, effnet=effnet)
+    files, embedder = _sapling(samples), _embedder(clip)
     with bars(quiet=as_json) as on_step:
         if classifier:
             from lab.evaluation.classifier import classify
@@ -117,7 +114,7 @@ def evaluate(
                 seed=seed,
                 num_steps=steps,
                 sapling=files,
-                embedders=embedders,
+                embedder=embedder,
                 on_step=on_step,
             )
     if as_json:
@@ -138,14 +135,14 @@ def _sapling(folder: Path | None) -> Sequence[Path]:
     return sapling_files(folder)
 
 
-def _embedders(clip: Path | None, *, effnet: bool) -> "Sequence[ImageEmbedder]":
-    """Load the image networks that are asked for; print one line if none is."""
+def _embedder(clip: Path | None) -> "ClipEmbedder | None":
+    """Load CLIP's image tower; print one line if it is not given."""
     from lab.evaluation.clip import load_clip
-    from lab.evaluation.effnet import load_effnet
 
-    if clip is None and not effnet:
-        typer.echo("no frames are judged: --effnet does, and --clip with the file of ViT-B/32's weights", err=True)
-    return [*([load_clip(clip)] if clip is not None else []), *([load_effnet()] if effnet else [])]
+    if clip is None:
+        typer.echo("no frames are judged: --clip does, with the file of ViT-B/32's weights", err=True)
+        return None
+    return load_clip(clip)
 
 
 def _laws_of(path: Path, reading: Reading, model: str, seed: int) -> dict[str, Any]:
@@ -170,7 +167,7 @@ def print_figures(report: dict[str, Any]) -> None:
     """Print the figures of each group, the targets, and whether the model passes."""
     for group, rows in report["groups"].items():
         _print_columns(f"{group}: mean over {report['trees'][group]} trees", rows)
-    for group, rows in report.get("frame_distances", {}).items():
+    for group, rows in report["frame_distances"].items():
         _print_columns(f"{group}: distances of frames", rows)
     seeds = report["seed_difference"]
     typer.echo(f"difference between two seeds {seeds['model']:.2f}, between two true winds {seeds['truth']:.2f}")

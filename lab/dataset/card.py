@@ -12,9 +12,9 @@ Made by `dynamictree dataset generate` (generator version {version}); {state}. E
 | | |
 |---|---|
 | trees | {trees:,} in {num_shards:,} shards, {gigabytes:.2f} GB |
-| motion | one period of 100 frames at 24 fps, {loop}; the first 16 coefficients of the discrete Fourier transform |
+| motion | one period of 100 frames at 24 fps, a loop; the first 16 coefficients of the discrete Fourier transform |
 | rest pose | the tree without wind: coefficient 0 is the lean |
-| stored | mesh, part labels, skeleton, voxel spectrum at {resolutions}³ (float16){vertex_spectrum} |
+| stored | mesh, part labels, skeleton, voxel spectrum at {resolutions}³ (float16) |
 | wind | speed 1 to 25 m/s (log-uniform), any direction, gust 0.15 to 0.45 of the speed; recorded with each tree |
 | mean size | {mean_vertices:,.0f} vertices; {mean_voxels} |
 | splits | {splits} |
@@ -52,12 +52,11 @@ over edges and frames.
 | skeleton.stem_length_m | float32 [S] | |
 | r128.coords, .normals | int16 [V, 3], float16 [V, 3] | occupied voxels; other resolutions alike |
 | r128.spectrum | float16 [V, 16, 3, 2] | real and imaginary parts, metres |
-| vertex_spectrum | float16 [N, 16, 3, 2] | only where it was asked for |
 
 Displacement at frame n: Re Σ w_k c_k exp(2πi k n / 100), w_0 = 1, else 2. The metadata entry `4dtree` (JSON) holds
 version, frames a second, and of each tree seed, species, split, wind and grids. `manifest.json` holds each shard's
-sha256; beside each shard a JSON record tells sizes, filter measures and medians of stems by level
-(`dynamictree dataset filter FOLDER`, `stats FOLDER`, `sheet FOLDER`).
+sha256; beside each shard a JSON record tells sizes and filter measures (`dynamictree dataset filter FOLDER`, `sheet
+FOLDER`).
 
 ## Making it again
 
@@ -92,9 +91,7 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         state="complete" if manifest["complete"] else "not complete yet",
         num_shards=len(manifest["shards"]),
         gigabytes=manifest["bytes"] / 1e9,
-        loop="which loops" if manifest["loop"] else "which does not loop",
         resolutions="³ and ".join(str(size) for size in manifest["resolutions"]),
-        vertex_spectrum=", spectrum of every vertex (float16)" if manifest["vertex_spectrum"] else "",
         mean_vertices=manifest["mean_vertices"],
         mean_voxels=", ".join(f"{count:,.0f} voxels at {size}³" for size, count in manifest["mean_voxels"].items()),
         arguments=_arguments(manifest),
@@ -120,7 +117,6 @@ def _arguments(manifest: Mapping[str, Any]) -> str:
     arguments = [f"--trees {manifest['wanted']}", f"--first-seed {manifest['first_seed']}"]
     arguments += [f"--trees-per-shard {manifest['trees_per_shard']}"]
     arguments += [f"--resolution {size}" for size in manifest["resolutions"]]
-    arguments += ["--vertex-spectrum"] * manifest["vertex_spectrum"] + ["--no-loop"] * (not manifest["loop"])
     arguments += [f"--species {manifest['only_species']}"] * (manifest["only_species"] is not None)
     limits = {name: value for name, value in manifest["limits"].items() if name != "above_hz"}
     arguments += [f"--{name.replace('_', '-')} {value:g}" for name, value in limits.items()]

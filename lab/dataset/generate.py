@@ -26,7 +26,6 @@ from lab.dataset.limits import DatasetLimits
 from lab.dataset.review import Verdict
 from lab.dataset.sample import VERSION, Sample, make_sample
 from lab.dataset.shards import StoredTree, store, write_shard
-from lab.dataset.stats import table_facts, tables_of
 
 SEEDS_A_TREE = 4  # a shard gives up when so many times its trees were tried
 PAPER_TREES = 8786  # paper appendix A
@@ -40,8 +39,6 @@ class Recipe:
     first_seed: int = 0
     trees_per_shard: int = 25
     resolutions: tuple[int, ...] = (128,)
-    vertex_spectrum: bool = False
-    loop: bool = True
     species: str | None = None  # only this one; by default drawn from the seeds
     limits: DatasetLimits = DEFAULT_LIMITS
     review: Mapping[int, Verdict] = field(default_factory=dict)
@@ -68,8 +65,6 @@ class Recipe:
             "seeds": [seeds.start, seeds.stop],
             "trees": self.shard_trees(index),
             "resolutions": list(self.resolutions),
-            "vertex_spectrum": self.vertex_spectrum,
-            "loop": self.loop,
             "limits": self.limits.model_dump(),
             "review": {str(seed): self.review[seed] for seed in sorted(self.review) if seed in seeds},
         }
@@ -163,14 +158,14 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
             verdicts.append(("curation",))
             rejected[str(seed)] = {"rules": ["curation"]}
             continue
-        sample = make_sample(seed, recipe.species, loop=recipe.loop)
+        sample = make_sample(seed, recipe.species)
         measures = measure(sample, recipe.limits)
         broken = () if recipe.review.get(seed) == "accept" else measures.broken(recipe.limits)
         verdicts.append(broken)
         if broken:
             rejected[str(seed)] = {"rules": list(broken), "species": sample.species, "measures": asdict(measures)}
         else:
-            trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
+            trees.append(store(sample, resolutions=recipe.resolutions))
             records.append({**facts_of(sample, trees[-1]), "measures": asdict(measures)})
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
@@ -193,7 +188,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
 
 
 def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
-    """Values of a tree that are stored in the record, so that `filter` and `stats` need not generate the tree again."""
+    """Values of a tree that are stored in the record, so that `filter` need not generate the tree again."""
     return {
         "seed": sample.seed,
         "species": sample.species,
@@ -201,7 +196,6 @@ def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
         "vertices": sample.mesh.num_vertices,
         "faces": sample.mesh.num_faces,
         **{f"voxels_{size}": len(tree.tensors[f"r{size}.coords"]) for size in tree.grids},
-        "stems": table_facts(tables_of(sample)),
     }
 
 
@@ -211,10 +205,7 @@ def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:
     if not (record.exists() and shard.exists()):
         return False
     baked_record = json.loads(record.read_bytes())
-    measured = all("measures" in tree for tree in baked_record["trees"])  # older records have none
-    return bool(
-        measured and baked_record["recipe"] == recipe.of_shard(index) and baked_record["bytes"] == shard.stat().st_size
-    )
+    return bool(baked_record["recipe"] == recipe.of_shard(index) and baked_record["bytes"] == shard.stat().st_size)
 
 
 def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
@@ -235,8 +226,6 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
         "first_seed": recipe.first_seed,
         "trees_per_shard": recipe.trees_per_shard,
         "resolutions": list(recipe.resolutions),
-        "vertex_spectrum": recipe.vertex_spectrum,
-        "loop": recipe.loop,
         "only_species": recipe.species,
         "limits": recipe.limits.model_dump(),
         "reviewed": bool(recipe.review),

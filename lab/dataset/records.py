@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynamictree.errors import FormatError, InputError
+from dynamictree.errors import InputError
 from lab.dataset.filter import Measures
-from lab.dataset.stats import StemTable, table_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +18,6 @@ class SeenTree:
     species: str
     broken: tuple[str, ...]  # rules, by the limits of the bake
     measures: Measures
-    stems: StemTable | None  # of accepted trees
 
 
 def iter_seen(folder: Path) -> Iterator[SeenTree]:
@@ -27,36 +25,20 @@ def iter_seen(folder: Path) -> Iterator[SeenTree]:
 
     Raises:
         InputError: no shard lies in the folder.
-        FormatError: a shard was baked before records had measures.
     """
-    for path in _records(folder):
-        record = json.loads(path.read_bytes())
-        yield from (_accepted_tree(tree, path) for tree in record["trees"])
-        for seed, tree in record["rejected"].items():
-            if "measures" in tree:
-                yield SeenTree(
-                    seed=int(seed),
-                    species=tree["species"],
-                    broken=tuple(tree["rules"]),
-                    measures=Measures(**tree["measures"]),
-                    stems=None,
-                )
-
-
-def _records(folder: Path) -> list[Path]:
-    manifests = sorted(folder.glob("4dtree-*.json"))
-    if not manifests:
+    paths = sorted(folder.glob("4dtree-*.json"))
+    if not paths:
         raise InputError(f"no shard lies in {folder}; bake one with `dynamictree dataset generate`")
-    return manifests
+    for path in paths:
+        record = json.loads(path.read_bytes())
+        yield from (_seen(tree["seed"], tree) for tree in record["trees"])
+        yield from (_seen(int(seed), tree) for seed, tree in record["rejected"].items() if "measures" in tree)
 
 
-def _accepted_tree(tree: Mapping[str, Any], path: Path) -> SeenTree:
-    if "measures" not in tree:
-        raise FormatError(f"{path} has no measures: an earlier version baked it; remove it and generate again")
+def _seen(seed: int, tree: Mapping[str, Any]) -> SeenTree:
     return SeenTree(
-        seed=tree["seed"],
+        seed=seed,
         species=tree["species"],
-        broken=(),
+        broken=tuple(tree.get("rules", ())),
         measures=Measures(**tree["measures"]),
-        stems=table_of(tree["species"], tree["stems"]),
     )

@@ -47,20 +47,19 @@ class Sample:
         return self.motion.displacement(self.mesh.vertices, self.node)
 
 
-def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, loop: bool = True) -> Sample:
+def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None) -> Sample:
     """Generate the tree and motion of a seed; the result is identical on every run and machine.
 
     Args:
         seed: 0 or more.
         species: name in `SPECIES`, or CROSSED; by default drawn from the seed, among SPECIES.
         wind: by default drawn from the seed.
-        loop: whether all gusts lie on bins of the period, so that the last frame leads to the first.
 
     Raises:
         InputError: no such species, or a negative seed.
     """
     chosen, own_wind, tree, rng = _drawn(seed, species, wind)
-    motion = sway(tree, own_wind, rng, loop=loop)
+    motion = sway(tree, own_wind, rng)
     return Sample(
         seed=seed,
         species=chosen.name,

@@ -5,7 +5,6 @@ Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
     vertices float32 [N, 3] (m) · faces int32 [F, 3] · part int8 [N] (stem level, 9 is leaf)
     skeleton.position, .radius, .parent, .level, .stem, .stem_length_m
     r128.coords int16 [V, 3] · r128.normals float16 [V, 3] · r128.spectrum float16 [V, K, 3, 2] (re, im; m), and so on
-    vertex_spectrum float16 [N, K, 3, 2], on request
 
 The one metadata entry `4dtree` is JSON: version, fps, num_frames, and of each tree seed, species, split, wind, grids.
 """
@@ -17,7 +16,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import safetensors.numpy
-from jaxtyping import Complex64, Float16, Float32
+from jaxtyping import Complex64, Float16
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
@@ -75,24 +74,8 @@ class StoredTree:
 
 def packed(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
     """Complex to float16 (re, im)."""
-    return to_half(np.ascontiguousarray(coefficients).view(np.float32)).reshape(*coefficients.shape, 2)
-
-
-def to_half(values: Float32[np.ndarray, "..."]) -> Float16[np.ndarray, "..."]:
-    """`values.astype(np.float16)`, up to five times as fast where many are below 6e-5, as coefficients are.
-
-    Integer arithmetic on the bits, after "Half-precision conversion" by F. Giesen; numpy takes a slow path there.
-    """
-    bits = values.view(np.uint32)
-    magnitude = bits & np.uint32(0x7FFFFFFF)
-    assert not (magnitude >= np.uint32(143 << 23)).any(), "a value of 65536 or more has no float16"
-    half = np.array(0.5, np.float32).view(np.uint32)
-    small = (magnitude.view(np.float32) + np.float32(0.5)).view(np.uint32) - half  # the sum's rounding does the work
-    even = (magnitude >> np.uint32(13)) & np.uint32(1)  # ties go to even
-    large = (magnitude + np.uint32(0xC8000FFF) + even) >> np.uint32(13)
-    sign = (bits >> np.uint32(16)) & np.uint32(0x8000)
-    chosen: Float16[np.ndarray, ...] = np.where(magnitude < np.uint32(113 << 23), small, large) | sign
-    return chosen.astype(np.uint16).view(np.float16)
+    pairs = np.ascontiguousarray(coefficients).view(np.float32).reshape(*coefficients.shape, 2)
+    return pairs.astype(np.float16)
 
 
 def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N K 3"]:
@@ -100,7 +83,7 @@ def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N 
     return np.ascontiguousarray(pairs.astype(np.float32)).view(np.complex64)[..., 0]
 
 
-def store(sample: Sample, *, resolutions: tuple[int, ...], vertex_spectrum: bool = False) -> StoredTree:
+def store(sample: Sample, *, resolutions: tuple[int, ...]) -> StoredTree:
     """Convert a sample to what a shard stores."""
     tensors: dict[str, np.ndarray] = {
         "vertices": sample.mesh.vertices,
@@ -115,8 +98,6 @@ def store(sample: Sample, *, resolutions: tuple[int, ...], vertex_spectrum: bool
         tensors[f"r{resolution}.normals"] = voxels.normals.astype(np.float16)
         tensors[f"r{resolution}.spectrum"] = packed(spectrum.coefficients)
         grids[resolution] = (voxels.grid.origin_m, voxels.grid.voxel_size_m)
-    if vertex_spectrum:
-        tensors["vertex_spectrum"] = packed(sample.coefficients)
     return StoredTree(
         seed=sample.seed,
         species=sample.species,
@@ -147,12 +128,8 @@ def write_shard(trees: list[StoredTree], stream: ByteWriter) -> None:
     stream.write(safetensors.numpy.save(tensors, metadata={METADATA: json.dumps(head, sort_keys=True)}))
 
 
-def iter_shard(path: str, *, names: tuple[str, ...] | None = None) -> Iterator[StoredTree]:
-    """Trees of a shard one by one, each read when its turn comes.
-
-    Args:
-        path: of the file; a shard is mapped, not read whole.
-        names: tensors wanted, all by default.
+def iter_shard(path: str) -> Iterator[StoredTree]:
+    """Trees of a shard one by one, each read when its turn comes; the file is mapped, not read whole.
 
     Raises:
         FormatError: not a shard of this version.
@@ -176,7 +153,7 @@ def iter_shard(path: str, *, names: tuple[str, ...] | None = None) -> Iterator[S
                 species=record["species"],
                 split=record["split"],
                 wind=Wind(**record["wind"]),
-                tensors={name: shard.get_tensor(prefix + name) for name in own if names is None or name in names},
+                tensors={name: shard.get_tensor(prefix + name) for name in own},
                 grids={
                     int(resolution): ((origin[0], origin[1], origin[2]), size)
                     for resolution, (origin, size) in record["grids"].items()

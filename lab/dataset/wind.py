@@ -40,8 +40,6 @@ from lab.dataset.tubes import own_rings
 ABOVE_FLARE = 0.15  # of a trunk's length; Weber and Penn's flare ends at 1/8
 TRUNK_BEND = 0.6
 """Lean of a trunk, over that of a branch as slender: with the usual flare as much as by the radius at the ground."""
-FREE_TIMES = 4
-"""Motion that does not loop is a part of a loop so many times as long."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,19 +71,9 @@ class _Moving:
         )
 
 
-def sway(
-    tree: Tree,
-    wind: Wind,
-    rng: np.random.Generator,
-    *,
-    num_frames: int = NUM_FRAMES,
-    loop: bool = True,
-    times: int = 1,
-) -> Sway:
-    """Move a tree in the wind for `num_frames` frames at 24 fps; a loop has `times` T of them."""
-    times = times if loop else FREE_TIMES
-    motion = sway_stems(tree.stems, wind, rng, leaves=tree.leaves, bare=tree.bare, times=times)
-    return motion if num_frames == len(motion.shift) else motion.frames(np.arange(num_frames) % len(motion.shift))
+def sway(tree: Tree, wind: Wind, rng: np.random.Generator, *, times: int = 1) -> Sway:
+    """Move a tree in the wind through a loop of `times` T frames at 24 fps."""
+    return sway_stems(tree.stems, wind, rng, leaves=tree.leaves, bare=tree.bare, times=times)
 
 
 def sway_stems(

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Float64, Int32
-from scipy.spatial import cKDTree
+from jaxtyping import Complex64, Float64, Int32
 
-from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.wind import wind_axes
 from dynamictree.spectrum import Wind
@@ -32,8 +30,7 @@ def training_tree(seed: int, resolution: int = 128) -> TrainingTree:
     """The dataset's tree of a seed."""
     sample = make_sample(seed)
     voxels, spectrum = voxel_spectrum(sample, resolution)
-    _, height_m = _unit_coords(voxels.grid.coords)
-    turned = spectrum.coefficients @ wind_axes(sample.wind).T / (height_m * voxels.grid.voxel_size_m)
+    turned = spectrum.coefficients @ wind_axes(sample.wind).T / voxels.grid.height_m
     return TrainingTree(coords=voxels.grid.coords, spectrum=turned.astype(np.complex64))
 
 
@@ -73,24 +70,6 @@ def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
     return ByHeight(log_size=mean[:, 1:], lean=mean[:, 0])
 
 
-def nearest_tree(voxels: SurfaceVoxels, wind: Wind, trees: Sequence[TrainingTree]) -> Complex64[np.ndarray, "V K 3"]:
-    """The motion of the training tree of most like shape, copied to the nearest voxels, both scaled to height 1."""
-    ours, height_m = _unit_coords(voxels.grid.coords)
-    height_m *= voxels.grid.voxel_size_m
-    seen = ours[:: max(1, len(ours) // 1000)]
-    best: tuple[float, TrainingTree, cKDTree] | None = None
-    for one in trees:
-        theirs, _ = _unit_coords(one.coords)
-        tree = cKDTree(theirs)
-        other = theirs[:: max(1, len(theirs) // 1000)]
-        distance = float(np.mean(tree.query(seen)[0]) + np.mean(cKDTree(seen).query(other)[0]))
-        if best is None or distance < best[0]:
-            best = distance, one, tree
-    assert best is not None, "there must be training trees to copy from"
-    rows = best[2].query(ours)[1]
-    return _in_metres(best[1].spectrum[rows], wind, height_m)
-
-
 def regression(
     model: SmallModel, voxels: SurfaceVoxels, wind: Wind, rng: np.random.Generator
 ) -> Complex64[np.ndarray, "V K 3"]:
@@ -101,25 +80,10 @@ def regression(
     return prepared.to_metres(prepared.moved(phase.expand(prepared.amplitude.shape)))
 
 
-def noise_only(model: SmallModel, voxels: SurfaceVoxels, wind: Wind, seed: int) -> Complex64[np.ndarray, "V K 3"]:
-    """Amplitude A times the initial noise of the sampler: the model without its diffusion."""
-    generator = torch.Generator().manual_seed(seed)
-    with torch.no_grad():
-        prepared = model.prepare(voxels, wind)
-        start = prepared.noise.draw(model.network.noise_shares, generator, channels=CHANNELS)
-        return prepared.to_metres(prepared.assemble(start, generator))
-
-
 def one_phase(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
     """A random phase for each frequency and axis."""
     turn: Complex64[np.ndarray, "J 3"] = np.exp(2j * np.pi * rng.random((num_moving, 3))).astype(np.complex64)
     return turn
-
-
-def _unit_coords(coords: np.ndarray) -> tuple[Float32[np.ndarray, "V 3"], float]:
-    height = int(np.ptp(coords[:, 2])) + 1
-    centre = np.array([*coords[:, :2].mean(axis=0), coords[:, 2].min()])
-    return ((coords - centre) / height).astype(np.float32), float(height)
 
 
 def _in_metres(relative: np.ndarray, wind: Wind, height_m: float) -> Complex64[np.ndarray, "V K 3"]:

@@ -24,8 +24,6 @@ TOWER = ("vision_model.", "visual_projection.")
 class ClipEmbedder:
     """Embeds pictures by CLIP's image tower."""
 
-    name = "clip"
-
     def __init__(self, network: "CLIPVisionModelWithProjection") -> None:
         self.network = network.train(mode=False).requires_grad_(False)
 

@@ -1,11 +1,9 @@
-"""How far the frames of a motion are from the tree at rest (-I), and from the frame before (-T), for an image network.
+"""CLIP-I and CLIP-T, paper section 6: how far frames are from the tree at rest, and from the frame before.
 
-1 - cosine of two feature vectors, the mean over frames; CLIP-I and CLIP-T of the paper's section 6 where the network is
-CLIP. Values of different networks do not compare.
+1 - cosine of two feature vectors, the mean over frames.
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -16,6 +14,7 @@ from torch import Tensor
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.spectrum import NUM_FRAMES, iter_motion
+from lab.evaluation.clip import ClipEmbedder
 
 SIDE_PX = 224
 BATCH = 16
@@ -25,18 +24,7 @@ LARGEST_ERROR = 5.0
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
-@runtime_checkable
-class ImageEmbedder(Protocol):
-    """A network that gives pictures features. `name` is the prefix of its figures."""
-
-    name: str
-
-    def features(self, pixels: Float32[Tensor, "P 3 S S"]) -> Float32[Tensor, "P D"]:
-        """Features of pictures of values in [0, 1], `SIDE_PX` wide and high."""
-        ...
-
-
-def embedded(embedder: ImageEmbedder, pictures: Iterable[Picture]) -> Float32[Tensor, "P D"]:
+def embedded(embedder: ClipEmbedder, pictures: Iterable[Picture]) -> Float32[Tensor, "P D"]:
     """One unit vector a picture; pictures are taken as they come, a batch at a time."""
     rows, waiting = [], []
     for picture in pictures:
@@ -49,7 +37,7 @@ def embedded(embedder: ImageEmbedder, pictures: Iterable[Picture]) -> Float32[Te
     return torch.cat(rows)
 
 
-def frame_distances(embedder: ImageEmbedder, view: Picture, frames: Iterable[Picture]) -> tuple[float, float]:
+def frame_distances(embedder: ClipEmbedder, view: Picture, frames: Iterable[Picture]) -> tuple[float, float]:
     """The mean distance of frames to the input view, and to the frame before."""
     (seen,) = embedded(embedder, [view])
     rows = embedded(embedder, frames)
@@ -57,7 +45,7 @@ def frame_distances(embedder: ImageEmbedder, view: Picture, frames: Iterable[Pic
 
 
 def motion_distances(
-    embedder: ImageEmbedder,
+    embedder: ClipEmbedder,
     mesh: TriangleMesh,
     coefficients: Complex64[np.ndarray, "N K 3"],
     *,
@@ -88,7 +76,7 @@ def _frames(
         yield renderer.picture(displacement, camera=camera)
 
 
-def _unit(embedder: ImageEmbedder, pixels: list[Float32[Tensor, "3 S S"]]) -> Float32[Tensor, "P D"]:
+def _unit(embedder: ClipEmbedder, pixels: list[Float32[Tensor, "3 S S"]]) -> Float32[Tensor, "P D"]:
     with torch.no_grad():
         return torch.nn.functional.normalize(embedder.features(torch.stack(pixels)), dim=1)
 

@@ -1,7 +1,7 @@
 """Compare a model with its baselines on trees that no training saw: one row of figures per method."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -20,20 +20,19 @@ from lab.evaluation.baselines import (
     ByHeight,
     TrainingTree,
     fit_by_height,
-    nearest_tree,
-    noise_only,
     regression,
     training_tree,
 )
+from lab.evaluation.clip import ClipEmbedder
 from lab.evaluation.figures import TreeReference, figures_of
-from lab.evaluation.frame_distances import ImageEmbedder, distance_error, motion_distances
+from lab.evaluation.frame_distances import distance_error, motion_distances
 from lab.evaluation.held_out_trees import Group, HeldOutTree, iter_held_out, iter_sapling
 from lab.evaluation.metrics import energy_by_frequency, relative_difference
 from lab.evaluation.targets import RULE, passes, targets_of
 from lab.training.progress import OnStep
 
 DRAWN_METHODS = ("truth", "model", "by-height mean", "second wind")
-"""Whose frames are drawn for image networks; the truth comes first."""
+"""Whose frames are drawn for CLIP; the truth comes first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,10 +50,8 @@ def iter_motions(
     """Each method's motion of the tree's vertices [m].
 
     - model
-    - regression: the small model's amplitudes with one random phase per frequency; noise only: its amplitudes times
-      the noise that its diffusion starts from. Both only for the small model.
+    - regression: the small model's amplitudes with one random phase per frequency
     - by-height mean: geometric mean of the training trees by height
-    - nearest tree: the motion of the training tree of the most similar shape
     - representation: the true motion, voxelized and back
     - second wind: the true motion of the same tree in other gusts, which is what chance makes; only of grown trees
     """
@@ -68,9 +65,7 @@ def iter_motions(
     yield "model", devoxelize(generated, tree.mesh)
     if isinstance(model, SmallModel):
         yield "regression", on_vertices(regression(model, tree.voxels, tree.wind, rng))
-        yield "noise only", on_vertices(noise_only(model, tree.voxels, tree.wind, seed))
     yield "by-height mean", on_vertices(methods.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
-    yield "nearest tree", on_vertices(nearest_tree(tree.voxels, tree.wind, methods.training_trees))
     yield "representation", on_vertices(reference.on_voxels(tree.truth))
     if tree.second is not None:
         yield "second wind", tree.second
@@ -102,7 +97,7 @@ def evaluate_model(
     seed: int,
     num_steps: int | None = None,
     sapling: Sequence[Path] = (),
-    embedders: Sequence[ImageEmbedder] = (),
+    embedder: ClipEmbedder | None = None,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
     """Mean figures by group and method, the targets, and whether the model passes.
@@ -115,7 +110,7 @@ def evaluate_model(
         seed: of the generated motions.
         num_steps: of the sampler.
         sapling: files of trees that Blender's add-on baked, a third group.
-        embedders: image networks; each gives distances of frames for `DRAWN_METHODS`.
+        embedder: gives distances of frames for `DRAWN_METHODS`.
         on_step: called with the group, the trees done, their number, and 0.
     """
     model = load_model(name)
@@ -123,7 +118,7 @@ def evaluate_model(
     methods = Methods(model=model, by_height=fit_by_height(trees), training_trees=trees)
     begun = time.process_time()
     reports = {
-        group: evaluate_group(own, methods, seed=seed, num_steps=num_steps, embedders=embedders, on_step=on_step)
+        group: evaluate_group(own, methods, seed=seed, num_steps=num_steps, embedder=embedder, on_step=on_step)
         for group in get_args(Group)
         if (own := trees_of_group(group, num_trees, sapling)).count
     }
@@ -133,7 +128,7 @@ def evaluate_model(
         "trees": {group: one.count for group, one in reports.items()},
         "groups": {group: one.figures for group, one in reports.items()},
         "energy_by_frequency": {group: one.energies for group, one in reports.items()},
-        **({"frame_distances": {group: one.frame_distances for group, one in reports.items()}} if embedders else {}),
+        "frame_distances": {group: one.frame_distances for group, one in reports.items() if one.frame_distances},
         "seed_difference": {"model": float(between[0]), "truth": float(between[1])},
         "targets": targets_of(reports["unseen-species"].figures),
         "rule": RULE,
@@ -168,7 +163,7 @@ def evaluate_group(
     *,
     seed: int,
     num_steps: int | None,
-    embedders: Sequence[ImageEmbedder],
+    embedder: ClipEmbedder | None,
     on_step: OnStep,
 ) -> GroupReport:
     """Measure every method on every tree of a group."""
@@ -178,16 +173,17 @@ def evaluate_group(
     difference = None
     for index, tree in enumerate(group.trees):
         reference = TreeReference.of(tree)
-        true_distances: dict[str, tuple[float, float]] = {}
+        true_distances = (0.0, 0.0)
         motions = chain([("truth", tree.truth)], iter_motions(reference, methods, seed=seed, num_steps=num_steps))
         for method, motion in motions:
             shares.setdefault(method, []).append(energy_by_frequency(motion))
             if method != "truth":
                 rows.setdefault(method, []).append(asdict(figures_of(motion, reference)))
-            if embedders and method in DRAWN_METHODS:
-                seen = {one.name: motion_distances(one, tree.mesh, motion) for one in embedders}
+            if embedder is not None and method in DRAWN_METHODS:
+                seen = motion_distances(embedder, tree.mesh, motion)
                 true_distances = seen if method == "truth" else true_distances
-                drawn.setdefault(method, []).append(_distance_columns(seen, true_distances))
+                error = distance_error(seen, true_distances)
+                drawn.setdefault(method, []).append({"clip_i": seen[0], "clip_t": seen[1], "clip_error": error})
         if index == 0:
             difference = seed_difference(tree, methods.model, num_steps)
         on_step(group.group, index + 1, group.count, 0.0)
@@ -198,17 +194,6 @@ def evaluate_group(
         frame_distances={method: mean_of(of_method) for method, of_method in drawn.items()},
         seed_difference=difference,
     )
-
-
-def _distance_columns(
-    seen: Mapping[str, tuple[float, float]], truth: Mapping[str, tuple[float, float]]
-) -> dict[str, float]:
-    """Columns of each image network: both distances, and how far they are from those of the true motion."""
-    return {
-        f"{name}_{column}": value
-        for name, (near, smooth) in seen.items()
-        for column, value in (("i", near), ("t", smooth), ("error", distance_error((near, smooth), truth[name])))
-    }
 
 
 def trees_of_group(group: Group, num_trees: int, sapling: Sequence[Path]) -> TreeGroup:

@@ -7,7 +7,7 @@ from typing import Literal
 Methods = Mapping[str, Mapping[str, float]]
 """Figures by method."""
 
-BASELINES = ("regression", "noise only", "by-height mean", "nearest tree")
+BASELINES = ("regression", "by-height mean")
 FLOOR = "second wind"
 MAX_ROUGHNESS_ERROR = 0.5
 RULE = (

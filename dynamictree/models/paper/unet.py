@@ -27,7 +27,6 @@ class UNetShape:
     num_heads: int = 8
     num_groups: int = 32
     embedding: int = 512
-    resample_blocks: bool = True  # residual blocks between levels; without them a linear map
 
     @property
     def widths(self) -> tuple[int, ...]:
@@ -53,28 +52,6 @@ class Stage(nn.Module):
         return hidden if self.attention is None else self.attention(hidden, level)
 
 
-class LinearResample(nn.Module):
-    """The cheap change of level: resample, then a linear map of each row."""
-
-    def __init__(self, in_channels: int, out_channels: int) -> None:
-        super().__init__()
-        self.linear = nn.Linear(in_channels, out_channels)
-
-    def forward(
-        self,
-        features: Float[Tensor, "V *inner C"],
-        level: SparseLevel,
-        embedding: Float[Tensor, "B *inner E"],
-        *,
-        resample: Resample,
-    ) -> Float[Tensor, "W *inner D"]:
-        """Linear first where that is cheaper: on the coarser of the two levels."""
-        if resample.coarser:
-            pooled: Tensor = self.linear(resample.apply(features))
-            return pooled
-        return resample.apply(self.linear(features))
-
-
 class SparseUNet(nn.Module):
     """Stem, down, middle, up with skips, zero-initialised head. XCube's, with fewer skips where the shape says so."""
 
@@ -94,8 +71,8 @@ class SparseUNet(nn.Module):
                 nn.ModuleList(Stage(2 * width, width, shape, attention=attention) for _ in range(shape.num_skips))
             )
         for width, below in pairwise(widths):
-            self.pool.append(_change_of_level(width, below, shape))
-            self.unpool.append(_change_of_level(below, width, shape))
+            self.pool.append(ResBlock(width, below, shape.embedding, num_groups=shape.num_groups))
+            self.unpool.append(ResBlock(below, width, shape.embedding, num_groups=shape.num_groups))
         self.middle = nn.ModuleList(
             Stage(widths[-1], widths[-1], shape, attention=attend) for attend in (bool(shape.attention_levels), False)
         )
@@ -137,12 +114,6 @@ class SparseUNet(nn.Module):
 
 def _stages(levels: nn.ModuleList) -> list[nn.ModuleList]:
     return [stages for stages in levels if isinstance(stages, nn.ModuleList)]
-
-
-def _change_of_level(in_channels: int, out_channels: int, shape: UNetShape) -> ResBlock | LinearResample:
-    if shape.resample_blocks:
-        return ResBlock(in_channels, out_channels, shape.embedding, num_groups=shape.num_groups)
-    return LinearResample(in_channels, out_channels)
 
 
 def _resample(grids: Pyramid, start: int, end: int) -> Resample:

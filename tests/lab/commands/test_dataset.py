@@ -54,15 +54,3 @@ def test_sheet_draws_pages_and_never_overwrites_a_review(tmp_path):
     (tmp_path / "review.txt").write_text("0 reject\n")
     ran(*arguments)
     assert (tmp_path / "review.txt").read_text() == "0 reject\n"
-
-
-def test_stats_writes_numbers_and_plots(tmp_path):
-    report = json.loads(ran("stats", "-o", tmp_path, "--trees", 2, "--species", "sapling", "--json"))
-    assert report["levels"]["0"]["frequency_hz"] < report["levels"]["2"]["frequency_hz"]
-    assert (tmp_path / "stats.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((tmp_path / "stats.json").read_text())["trees"] == 2
-
-
-def test_an_unknown_export_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no format 'fbx'"):
-        ran("export", 1, "-o", tmp_path, "--format", "fbx")

@@ -10,7 +10,7 @@ import pytest
 
 from dynamictree.spectrum import Wind
 from lab.dataset.sample import make_sample
-from lab.dataset.stats import StemTable, bending, first_bins_share, tables_of
+from tests.lab.dataset.stems import StemTable, bending, first_bins_share, tables_of
 
 OURS = ("round-broadleaf", "maple", "columnar", "conical-conifer", "pine", "birch", "bare-winter", "sapling")
 
@@ -35,10 +35,6 @@ def sapling_table(path: Path) -> StemTable:
         radius_m=np.array([ring.mean() for ring in near], np.float32),
         frequency_hz=frequency,
         amplitude_rad=amplitude,
-        count=np.ones(len(first), np.int32),
-        height_m=float(np.ptp(rest[:, 2])),
-        species=path.stem,
-        wind_speed_m_s=5.0,
         first_bins_share=first_bins_share(displacement),
     )
 
