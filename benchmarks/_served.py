@@ -12,7 +12,7 @@ from pathlib import Path
 
 import httpx
 
-from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -62,7 +62,7 @@ def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleM
     services.settings.state_dir.mkdir(parents=True, exist_ok=True)
     now = services.store.clock()
     bundle, file = io.BytesIO(), io.BytesIO()
-    write_mesh_bundle(mesh, bundle)
+    write_bundle(mesh, bundle)
     write_spectrum(spectrum, file)
     digest, size = _stored(services, "mesh.safetensors", bundle.getvalue())
     part = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt8
 
-from dynamictree.color import linear_to_srgb
 from dynamictree.errors import MeshError
 from dynamictree.source import METRES_Z_UP, Source
 
@@ -186,24 +185,6 @@ class TriangleMesh(Surface):
             raise MeshError("the scene has no triangles; a mesh with faces is needed, not points or lines")
         return joined(parts)
 
-    def to_trimesh(self) -> "trimesh.Trimesh":
-        """Convert to a mesh of trimesh with the same vertices in the same order; several materials become colours."""
-        import trimesh
-
-        result = trimesh.Trimesh(vertices=self.vertices, faces=self.faces, process=False)
-        if self.look.vertex_colors is not None:
-            result.visual.vertex_colors = self.look.vertex_colors
-        elif len(self.look.materials) == 1 and self.look.uv is not None:
-            (material,) = self.look.materials
-            result.visual = trimesh.visual.TextureVisuals(
-                uv=self.look.uv * [1, -1] + [0, 1], material=_to_trimesh_material(material)
-            )
-        elif self.look.face_material is not None:
-            colors = np.array([material.base_color for material in self.look.materials])[self.look.face_material]
-            colors[:, :3] = linear_to_srgb(colors[:, :3])
-            result.visual.face_colors = np.round(colors * 255).astype(np.uint8)
-        return result
-
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
         """Give the same mesh with other positions, in the same order [m]."""
         return replace(self, vertices=vertices, look=replace(self.look, normals=None), gltf=None)
@@ -357,21 +338,6 @@ def _from_trimesh_material(source: "trimesh.visual.material.Material", *, textur
         base_color=(float(rgba[0]), float(rgba[1]), float(rgba[2]), float(rgba[3]) if len(rgba) > 3 else 1.0),
         texture_png=png,
         alpha_cutoff=0.5 if mode in ("MASK", "BLEND") else None,
-    )
-
-
-def _to_trimesh_material(material: Material) -> "trimesh.visual.material.PBRMaterial":
-    import trimesh
-    from PIL import Image
-
-    image = None if material.texture_png is None else Image.open(BytesIO(material.texture_png))
-    return trimesh.visual.material.PBRMaterial(
-        name=material.name,
-        baseColorFactor=np.round(np.array(material.base_color) * 255).astype(np.uint8),
-        baseColorTexture=image,
-        alphaMode=None if material.alpha_cutoff is None else "MASK",
-        alphaCutoff=material.alpha_cutoff,
-        doubleSided=material.double_sided,
     )
 
 

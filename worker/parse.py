@@ -82,7 +82,7 @@ def _cloud(
     from dynamictree.formats.description import describe_capture
     from dynamictree.formats.source_file import read_capture
     from dynamictree.formats.suffixes import MASK_NAME
-    from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
+    from dynamictree.formats.tensors.bundle import write_bundle
 
     paths = dict(zip(request.names, request.paths, strict=True))
     masks = [path for other, path in beside.items() if PurePosixPath(other).name == MASK_NAME]
@@ -96,7 +96,7 @@ def _cloud(
             companions=beside_model(mesh or name, {other: path.read_bytes() for other, path in beside.items()}),
         )
     with request.prepared.open("xb") as stream:
-        write_cloud_bundle(capture, stream)
+        write_bundle(capture, stream)
     return ParseAnswer(kind="cloud", summary=describe_capture(capture))
 
 
@@ -104,7 +104,7 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
     from dynamictree.formats.companions import beside_model
     from dynamictree.formats.description import describe_mesh
     from dynamictree.formats.mesh_file import read_mesh
-    from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+    from dynamictree.formats.tensors.bundle import write_bundle
 
     companions = beside_model(name, {other: path.read_bytes() for other, path in beside.items()})
     with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
@@ -115,7 +115,7 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
             companions=companions,
         )
     with request.prepared.open("xb") as stream:
-        write_mesh_bundle(mesh, stream)
+        write_bundle(mesh, stream)
     return ParseAnswer(kind="mesh", summary=describe_mesh(mesh))
 
 

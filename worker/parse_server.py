@@ -30,8 +30,7 @@ LIBRARIES = (
     "dynamictree.formats.mesh_file",
     "dynamictree.formats.photo",
     "dynamictree.formats.source_file",
-    "dynamictree.formats.tensors.cloud_bundle",
-    "dynamictree.formats.tensors.mesh_bundle",
+    "dynamictree.formats.tensors.bundle",
 )
 
 _PR_SET_PDEATHSIG = 1

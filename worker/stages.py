@@ -13,8 +13,7 @@ from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
-from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_cloud_bundle, read_mesh_bundle, write_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.mesh import TriangleMesh
@@ -74,8 +73,8 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         ),
     )
     assert capture.mesh is not None
-    _written(capture.mesh, write_mesh_bundle, given.folder / MESH_BUNDLE)
-    _written(capture, write_cloud_bundle, given.folder / CLOUD_BUNDLE)
+    _written(capture.mesh, write_bundle, given.folder / MESH_BUNDLE)
+    _written(capture, write_bundle, given.folder / CLOUD_BUNDLE)
     return sorted(path for path in given.folder.iterdir() if not path.name.startswith("."))
 
 
@@ -87,7 +86,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
     mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params))
     return (
         _written(mesh, write_ply, given.folder / MESH),
-        _written(mesh, write_mesh_bundle, given.folder / MESH_BUNDLE),
+        _written(mesh, write_bundle, given.folder / MESH_BUNDLE),
     )
 
 

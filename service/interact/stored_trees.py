@@ -105,7 +105,7 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
         NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: the asset is of another kind.
     """
-    from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
+    from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
     digest = _prepared(owned, asset_id, "cloud", "only splats and scans have points")
     return read_cloud_bundle(_stored(owned, digest, f"cloud {asset_id}")).cloud
@@ -118,7 +118,7 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudPar
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
         ProblemError: the source is no cloud.
     """
-    from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
+    from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
     job = owned.store.job(spectrum_artifact(owned, spectrum_id).job_id)
     asset = read_asset(owned.store, job.asset_id)
@@ -139,7 +139,7 @@ def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], other
 
 
 def _mesh(owned: Owned, digest: str, whose: str) -> TriangleMesh:
-    from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+    from dynamictree.formats.tensors.bundle import read_mesh_bundle
 
     return read_mesh_bundle(_stored(owned, digest, f"mesh {whose}"))
 

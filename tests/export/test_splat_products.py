@@ -23,7 +23,7 @@ from dynamictree.formats.motion.splat_sequence import requested_bytes
 from dynamictree.formats.motion.usd_splat import usd_splat_bytes
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.animated_splat import read_animated_splat
-from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
+from dynamictree.formats.tensors.bundle import read_cloud_bundle, write_bundle
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -216,7 +216,7 @@ def test_a_capture_is_read_with_what_came_with_it(capture: Capture, mesh: Triang
     assert carrying_mesh(read) is read.mesh
     np.testing.assert_array_equal(moving_part(read), moving_part(capture, CloudParams(box_m=BOX)))
     packed = io.BytesIO()
-    write_cloud_bundle(read, packed)
+    write_bundle(read, packed)
     packed.seek(0)
     again = read_cloud_bundle(packed)
     for name in ("means", "quaternions", "scales", "opacity", "sh"):

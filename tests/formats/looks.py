@@ -9,7 +9,7 @@ import numpy as np
 
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.mesh import TriangleMesh
 from tests.formats import artists
 from tests.formats.artists import Document, document_of
@@ -154,7 +154,7 @@ def local_matrix(node: dict[str, Any]) -> np.ndarray:
 def through_the_parser(mesh: TriangleMesh) -> TriangleMesh:
     """The mesh as a job's worker gets it."""
     stream = io.BytesIO()
-    write_mesh_bundle(mesh, stream)
+    write_bundle(mesh, stream)
     return read_mesh_bundle(io.BytesIO(stream.getvalue()), with_source=True)
 
 

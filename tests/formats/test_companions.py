@@ -11,7 +11,7 @@ import pytest
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import Companions, beside_model, find_companion, is_system_file
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
 from tests.formats.meshes import image_bytes, triangle_gltf
@@ -104,7 +104,7 @@ def test_a_missing_texture_is_a_warning_with_its_name() -> None:
         ("texture-missing", True)
     ]
     stream = io.BytesIO()
-    write_mesh_bundle(mesh, stream)
+    write_bundle(mesh, stream)
     assert read_mesh_bundle(io.BytesIO(stream.getvalue())).warnings == mesh.warnings
 
 

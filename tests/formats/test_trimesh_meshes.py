@@ -6,10 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.mesh import Material, MeshLook, TriangleMesh
+from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
 from tests.formats.meshes import image_bytes, named_collada, trunk_and_crown, zipped
 
@@ -17,8 +19,7 @@ KINDS = ["off", "3mf", "dae"]
 
 
 def exported(mesh: TriangleMesh, kind: str) -> bytes:
-    bare = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces)
-    content = bare.to_trimesh().export(file_type=kind)
+    content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=kind)
     return content.encode() if isinstance(content, str) else content
 
 
@@ -91,32 +92,34 @@ def test_a_zip_of_something_else_is_no_3mf() -> None:
         read_mesh(io.BytesIO(zipped({"tree.obj": b"v 0 0 0"})), file_type="3mf")
 
 
-def test_a_mesh_comes_back_from_trimesh_with_its_texture(rng: np.random.Generator) -> None:
+def test_a_texture_comes_from_trimesh(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
-    leaf = Material(name="leaf", base_color=(0.2, 0.6, 0.2, 1.0), texture_png=image_bytes(), alpha_cutoff=0.5)
-    textured = TriangleMesh(
-        vertices=mesh.vertices,
-        faces=mesh.faces,
-        look=MeshLook(uv=mesh.look.uv, face_material=np.zeros(mesh.num_faces, np.int32), materials=(leaf,)),
+    leaf = trimesh.visual.material.PBRMaterial(
+        name="leaf",
+        baseColorFactor=[51, 153, 51, 255],
+        baseColorTexture=Image.open(io.BytesIO(image_bytes())),
+        alphaMode="MASK",
     )
-    result = TriangleMesh.from_trimesh(textured.to_trimesh())
+    assert mesh.look.uv is not None
+    upward = mesh.look.uv * [1, -1] + [0, 1]
+    visual = trimesh.visual.TextureVisuals(uv=upward, material=leaf)
+    result = TriangleMesh.from_trimesh(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, visual=visual))
     np.testing.assert_array_equal(result.vertices, mesh.vertices)
     np.testing.assert_array_equal(result.faces, mesh.faces)
     assert result.look.uv is not None
     np.testing.assert_allclose(result.look.uv, mesh.look.uv, atol=1e-6)
     assert result.look.materials[0].texture_png is not None
     assert (result.look.materials[0].name, result.look.materials[0].alpha_cutoff) == ("leaf", 0.5)
-    np.testing.assert_allclose(result.look.materials[0].base_color, leaf.base_color, atol=1 / 255)
+    np.testing.assert_allclose(result.look.materials[0].base_color, (0.2, 0.6, 0.2, 1.0), atol=1 / 255)
 
 
 def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) -> None:
-    import trimesh
-
     mesh = trunk_and_crown(rng)
-    scene = trimesh.Scene(mesh.to_trimesh())
+    own = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_colors=mesh.look.vertex_colors)
+    scene = trimesh.Scene(own)
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     mirror[:3, 3] = [10, 0, 0]
-    scene.add_geometry(mesh.to_trimesh(), transform=mirror)
+    scene.add_geometry(own, transform=mirror)
     result = TriangleMesh.from_trimesh(scene)
     np.testing.assert_array_equal(result.vertices[: mesh.num_vertices], mesh.vertices)
     np.testing.assert_allclose(result.vertices[mesh.num_vertices :], mesh.vertices * [-1, 1, 1] + [10, 0, 0], atol=1e-6)
@@ -126,8 +129,6 @@ def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) ->
 
 
 def test_a_scene_of_points_is_no_mesh() -> None:
-    import trimesh
-
     with pytest.raises(MeshError, match="no triangles"):
         TriangleMesh.from_trimesh(trimesh.Scene(trimesh.PointCloud(np.zeros((3, 3)))))
 

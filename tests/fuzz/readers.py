@@ -8,7 +8,7 @@ from pathlib import Path
 from dynamictree.errors import InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels

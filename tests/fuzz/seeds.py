@@ -19,7 +19,7 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.sog import write_sog
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
-from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import write_voxels
@@ -193,7 +193,7 @@ def seeds() -> dict[str, list[bytes]]:
         "spectrum": [spectrum()],
         "voxels": [voxels()],
         "motion": [motion()],
-        "mesh-bundle": [written(write_mesh_bundle, mesh)],
+        "mesh-bundle": [written(write_bundle, mesh)],
         "jpeg": [photo("JPEG"), photo("JPEG", "L")],
         "png": [photo("PNG"), photo("PNG", "P")],
         "webp-tiff": [photo("WEBP"), photo("TIFF")],

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from dynamictree.cli import app
 from dynamictree.errors import InputError
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.choice import choose_gaussians, with_choice
 from dynamictree.requests import CloudParams, Reading
@@ -35,7 +35,7 @@ def scene() -> bytes:
 def read() -> TriangleMesh:
     """As a worker has it: through the bundle."""
     stream = BytesIO()
-    write_mesh_bundle(read_mesh(BytesIO(scene()), file_type="glb"), stream)
+    write_bundle(read_mesh(BytesIO(scene()), file_type="glb"), stream)
     return read_mesh_bundle(BytesIO(stream.getvalue()))
 
 

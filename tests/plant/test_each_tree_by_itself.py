@@ -10,8 +10,7 @@ import pytest
 from dynamictree import method
 from dynamictree.errors import FormatError
 from dynamictree.export.write import write_products
-from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_cloud_bundle, read_mesh_bundle, write_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.mesh import StillPart, TriangleMesh, edges_of, joined
@@ -130,7 +129,7 @@ def test_trees_side_by_side_get_a_grid_as_fine_as_a_single_one(pair: TriangleMes
 
 def test_bundles_and_voxel_files_hold_the_trees(pair: TriangleMesh) -> None:
     stream = io.BytesIO()
-    write_mesh_bundle(pair, stream)
+    write_bundle(pair, stream)
     assert (read_mesh_bundle(io.BytesIO(stream.getvalue())).face_tree == pair.face_tree).all()
     voxels, stream = method.voxelize(pair, resolution=32), io.BytesIO()
     write_voxels(voxels, stream)
@@ -150,7 +149,7 @@ def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() ->
     number[:10] = -1
     capture = Capture(cloud=cloud, tree=number)
     stream = io.BytesIO()
-    write_cloud_bundle(capture, stream)
+    write_bundle(capture, stream)
     again = read_cloud_bundle(io.BytesIO(stream.getvalue()))
     assert again.tree is not None
     assert (again.tree == number).all()

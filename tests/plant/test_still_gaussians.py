@@ -9,7 +9,7 @@ import pytest
 
 from dynamictree import method
 from dynamictree.formats.description import describe_capture
-from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
+from dynamictree.formats.tensors.bundle import read_cloud_bundle, write_bundle
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -147,7 +147,7 @@ def test_still_parts_survive_the_bundle_and_are_described() -> None:
     tree = plant("sapling")
     capture = with_still_parts(Capture(cloud=joined(tree, SCENES["pot"](height(tree)))[0]))
     stream = BytesIO()
-    write_cloud_bundle(capture, stream)
+    write_bundle(capture, stream)
     again = read_cloud_bundle(BytesIO(stream.getvalue()))
     assert again.still_parts == capture.still_parts
     np.testing.assert_array_equal(again.part_of, capture.part_of)

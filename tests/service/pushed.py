@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from jobs.lifecycle.attempts import succeed
@@ -34,7 +34,7 @@ def spectrum(grown) -> SparseVoxelSpectrum:
 def spectrum_id(client: TestClient, services: Services, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
     bundle = tmp_path / "mesh.safetensors"
     with bundle.open("wb") as stream:
-        write_mesh_bundle(grown.mesh, stream)
+        write_bundle(grown.mesh, stream)
     part = stored_part(services.artifacts, bundle)
     now = services.store.clock()
     row = asset_row(part, now=now, id=ASSET_ID, expires_at=now + 500)

@@ -7,7 +7,7 @@ import pytest
 from fastapi.testclient import TestClient
 from PIL import Image
 
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle
 from jobs.storage.assets import read_asset
 from service.http.multipart import MAX_FILES, MAX_PARTS
 from service.services import Services

@@ -11,7 +11,7 @@ from safetensors.numpy import load
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
-from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
+from dynamictree.formats.tensors.bundle import read_cloud_bundle
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.plant.capture import Capture, carrying_mesh
 from dynamictree.source import Source

@@ -10,8 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
-from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
-from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.deform import Deformer
@@ -39,7 +38,7 @@ def cloud_spectrum(
 ) -> str:
     path = tmp_path / "cloud.safetensors"
     with path.open("wb") as stream:
-        write_cloud_bundle(capture, stream)
+        write_bundle(capture, stream)
     part = stored_part(services.artifacts, path)
     asset = asset_row(part, now=services.store.clock(), kind="cloud")
     top = float(capture.cloud.means[:, 2].max())
@@ -48,7 +47,7 @@ def cloud_spectrum(
     services.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
     lease = hold(services, job.id)
     mesh, file = BytesIO(), BytesIO()
-    write_mesh_bundle(grown.mesh, mesh)
+    write_bundle(grown.mesh, mesh)
     write_spectrum(spectrum, file, dtype="float32")
     publish(services, lease, "reconstruct", "mesh.safetensors", mesh.getvalue())
     publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")

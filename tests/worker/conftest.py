@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.mesh import TriangleMesh
 from jobs.lifecycle.attempts import claim
 from jobs.records import AssetRecord, Claim, JobRecord
@@ -36,7 +36,7 @@ def wedge(height_m: float = 2.0) -> TriangleMesh:
 @pytest.fixture
 def asset(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     packed = BytesIO()
-    write_mesh_bundle(wedge(), packed)
+    write_bundle(wedge(), packed)
     path = tmp_path / "mesh.safetensors"
     path.write_bytes(packed.getvalue())
     row = asset_row(stored_part(runtime.artifacts, path), now=runtime.store.clock())

@@ -10,8 +10,7 @@ import pytest
 
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.tensors.animated_splat import read_animated_splat
-from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.plant.capture import Capture
 from jobs.records import AssetRecord
 from jobs.states import JobState
@@ -25,7 +24,7 @@ from worker.runtime import Runtime
 
 def keep(runtime: Runtime, capture: Capture, path: Path) -> AssetRecord:
     with path.open("wb") as stream:
-        write_cloud_bundle(capture, stream)
+        write_bundle(capture, stream)
     row = asset_row(stored_part(runtime.artifacts, path), now=runtime.store.clock(), kind="cloud")
     return add_asset(runtime.store, row)[0]
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+from dynamictree.formats.tensors.bundle import read_mesh_bundle
 from dynamictree.reconstruct.recut import pack
 from jobs.records import AssetRecord, JobRecord
 from jobs.states import stages_of
