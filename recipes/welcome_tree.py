@@ -4,8 +4,8 @@
 
 Runs a service of its own on one of the page's examples, with the shipped model. The files are thinned for a download:
 every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by two pixels left out,
-the modes of the vertices, which bones carry, and those of the bones of a push, which the page bends by itself; places
-to 2 mm, and shapes in fewer steps, which gzip packs.
+and the modes of the bones of a push, which the page bends by itself; places to 2 mm, and turns in fewer steps, which
+gzip packs.
 """
 
 import argparse
@@ -23,15 +23,15 @@ from recipes.demo import checked, served
 EXAMPLES = Path(__file__).parents[1] / "web" / "examples"
 LONGEST_S = 600.0
 EVERY_VOXEL = 8
-STEPS = {"turn_shapes": 1024, "shapes": 8192}
-"""Of 16 bits, which stay: 32 either way of a bone's turn, 4 of a voxel's motion, which is 7 pixels at most."""
-PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "lean_m": 2**-8, "bone_reach_m": 2**-9}
+STEP = 1024
+"""Of the 16 bits of a bone's turn: 32 steps either way stay."""
+PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "bone_reach_m": 2**-9}
 """Steps of places [m] and directions, of which float32 then has zeros at its end."""
 BINS = 10
 """Bins that stay, 0 to 1.08 Hz: on a screen the tree is 600 pixels high, and the last moves no point by 1.5."""
-SHAPES = {"shapes", "bone_shapes", "turn_shapes"}
+SHAPES = {"bone_shapes", "turn_shapes"}
 PER_BIN = {"scale_m", "turn_scale_rad", "frequencies_hz"}
-PER_VOXEL = ("coords", "shapes", "bone_of_voxel", "lean_m")
+PER_VOXEL = ("coords", "bone_of_voxel")
 
 
 def main() -> None:
@@ -58,7 +58,8 @@ def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
         raise SystemExit(f"the job {job['state']}: {job['error']}")
     for name in ("surface", "modes"):
         path = output / f"{mesh.stem}.{name}.safetensors"
-        path.write_bytes(client.get(f"/v1/spectra/{job['result']['spectrum_id']}/{name}").raise_for_status().content)
+        url = f"/v1/spectra/{job['result']['spectrum_id']}/{name}"
+        path.write_bytes(client.get(url, params={"shapes": False}).raise_for_status().content)
         path.write_bytes(thinned(path))
         print(
             f"{path}  {path.stat().st_size / 1e6:.2f} MB, {len(gzip.compress(path.read_bytes(), 6)) / 1e6:.2f} packed"
@@ -66,11 +67,9 @@ def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
 
 
 def thinned(path: Path) -> bytes:
-    """A surface or modes file of a tenth of its size."""
+    """A surface or modes file of a fraction of its size."""
     with safe_open(path, "np") as file:
         metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    if "turn_shapes" in tensors:
-        del tensors["shapes"]
     if "coords" in tensors:
         tensors |= {name: np.ascontiguousarray(tensors[name][::EVERY_VOXEL]) for name in PER_VOXEL}
     for name in tensors.keys() & SHAPES:
@@ -79,9 +78,10 @@ def thinned(path: Path) -> bytes:
         tensors[name] = tensors[name][:BINS].copy()
     if "bone_shapes" in tensors:
         tensors["bone_shapes"][:] = 0
-    for name in tensors.keys() & STEPS:
-        step, largest = STEPS[name], 32767 // STEPS[name]
-        tensors[name] = (np.clip(np.rint(tensors[name] / step), -largest, largest) * step).astype(np.int16)
+    if "turn_shapes" in tensors:
+        largest = 32767 // STEP
+        steps = np.clip(np.rint(tensors["turn_shapes"] / STEP), -largest, largest)
+        tensors["turn_shapes"] = (steps * STEP).astype(np.int16)
     for name in tensors.keys() & PLACES:
         tensors[name] = np.float32(np.rint(tensors[name] / PLACES[name]) * PLACES[name])
     return save(tensors, metadata)

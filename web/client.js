@@ -152,13 +152,13 @@ export class Client {
     return this.json("GET", `/v1/spectra/${id}/wind?seed=${seed}`);
   }
 
-  /** Without `shapes` a fifth of the bytes: the bones of the surface say the same. */
-  modes(id, { shapes = true, ...options } = /** @type {any} */ ({})) {
+  /** Without `shapes` a fifth of the bytes: the bones of the surface say how voxels move. */
+  modes(id, { shapes = false, ...options } = /** @type {any} */ ({})) {
     return this.bytes(`/v1/spectra/${id}/modes?shapes=${shapes}`, options);
   }
 
-  surface(id, { shapes = true, ...options } = /** @type {any} */ ({})) {
-    return this.bytes(`/v1/spectra/${id}/surface?shapes=${shapes}`, options);
+  surface(id, options) {
+    return this.bytes(`/v1/spectra/${id}/surface`, options);
   }
 
   assetSurface(id, options) {

@@ -21,7 +21,8 @@ export async function viewTree(canvas, { surface, modes, theme = "light" }) {
   const { K, frequencies_hz: hz } = tree.modes;
   stage.renderer.setAnimationLoop((now) => {
     stage.controls.update();
-    tree.move(windCoordinates(K, ((now / 1000) * hz[1]) % 1), 0, []);
+    tree.swing(windCoordinates(K, ((now / 1000) * hz[1]) % 1), 0);
+    tree.bend([]);
     stage.draw(now);
   });
   const stop = () => {

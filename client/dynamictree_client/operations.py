@@ -316,11 +316,9 @@ def get_asset_surface(id: str) -> Call[bytes]:
     return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
 
 
-def get_surface(id: str, *, shapes: bool | None = None) -> Call[bytes]:
-    """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
-    return Call(
-        method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes, query={"shapes": shapes}
-    )
+def get_surface(id: str) -> Call[bytes]:
+    """The source mesh, the bones that turn in the wind, and those that carry it under a push."""
+    return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
 
 
 def list_webhook_endpoints() -> Call[EndpointList]:

@@ -14,8 +14,7 @@ from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.stored_trees import load_spectrum
-from service.interact.tree_cache import ready_tree, with_mesh
-from service.routes.surface import MAX_OWN_SHAPES, Shapes
+from service.interact.tree_cache import ready_tree
 from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -29,13 +28,17 @@ BYTES = "application/octet-stream"
     response_class=Response,
     responses=refusals("not-found", "expired") | file_of(SAFETENSORS, "safetensors; see docs/interaction.md"),
 )
-def get_modes(id: Id, owned: OwnedDep, shapes: Shapes = True) -> Response:
+def get_modes(
+    id: Id,
+    owned: OwnedDep,
+    shapes: Annotated[bool, Query(description="false leaves out what the bones of …/surface say as well")] = True,
+) -> Response:
     """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
     ready = ready_tree(owned, id)
     tree = ready.tree
     lean = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
     tensors = mode_tensors(tree.system, tree.bones) | {"lean_m": lean}
-    if not shapes and with_mesh(owned, ready, id).num_vertices <= MAX_OWN_SHAPES:
+    if not shapes:
         del tensors["shapes"], tensors["lean_m"]
     content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
     return PackedResponse(content, 200, CACHED, SAFETENSORS)

@@ -1,18 +1,15 @@
 """The source mesh for a viewer: as uploaded, and with the motion of its vertices."""
 
 import json
-from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter
 from fastapi.responses import Response
-from jaxtyping import Float64, Int32, Int64
 from safetensors.numpy import save
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import bin_weights
-from dynamictree.voxel.grid import VoxelGrid
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
@@ -23,18 +20,8 @@ from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
 
-MAX_OWN_SHAPES = 20_000
-"""Vertices up to which each moves as in the products: a few seconds of solving. Larger meshes hang on near voxels."""
-
-Shapes = Annotated[
-    bool, Query(description="false leaves mode shapes out where the surface has bones, which say the same")
-]
-
 BONES = 4
 """A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
-
-TIES = 4
-"""Voxels that a vertex of a large mesh hangs on."""
 
 _FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
 
@@ -58,15 +45,11 @@ def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     response_class=Response,
     responses=refusals("not-found", "expired") | _FILE,
 )
-def get_surface(id: Id, owned: OwnedDep, shapes: Shapes = True) -> Response:
-    """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
+def get_surface(id: Id, owned: OwnedDep) -> Response:
+    """The source mesh, the bones that turn in the wind, and those that carry it under a push."""
     ready = ready_tree(owned, id)
     mesh = with_mesh(owned, ready, id)
-    own = mesh.num_vertices <= MAX_OWN_SHAPES
-    motion = _own_motion(owned, id, ready, mesh) if own else _near_motion(ready, mesh)
-    if own and not shapes:
-        del motion["shapes"]
-    return _response(mesh_tensors(mesh) | motion, mesh)
+    return _response(mesh_tensors(mesh) | _motion(owned, id, ready, mesh), mesh)
 
 
 def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
@@ -83,17 +66,13 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     return tensors
 
 
-def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    """A spectrum for each vertex, the bones that turn in the wind, and those that carry it under a push."""
+def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
     rig = rig_for(owned, ready, spectrum_id)
     weights = bin_weights(rig.turns.shape[1], rig.num_frames)[:, None]  # bin 0 is the lean, the others φ_k = 2 c_k
-    shapes, scale = quantised(rig.loop(mesh.vertices, rig.vertices) * weights)
     turns, step_rad = quantised(rig.turns * weights)
     carried = bone_ties(ready, mesh)
     strongest = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
     return {
-        "shapes": shapes,
-        "scale_m": scale,
         "bone_rows": np.take_along_axis(carried.rows, strongest, axis=1).astype(np.uint16),
         "bone_weights": _bytes(np.take_along_axis(carried.weights, strongest, axis=1)),
         "turn_shapes": turns,
@@ -104,40 +83,6 @@ def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: Triangle
         "turn_bone": rig.vertices.rows[:, 0],
         "turn_share": rig.vertices.shares[:, 1],
     }
-
-
-def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    """Nearest voxels of each vertex and their bones: faster than `_own_motion`, for large meshes."""
-    grid, bones = ready.tree.system.grid, ready.tree.bones
-    far, rows = nearest_voxels(grid, ready.tree.system.tree, mesh)
-    weights = np.where(mesh.still_vertices[:, None], 0, 1 / (far**2 + grid.voxel_size_m**2))
-    return {
-        "tie_rows": rows.astype(np.int32),
-        "tie_weights": _bytes(weights),
-        "bone_rows": bones.bone_of_voxel[rows].astype(np.uint16),
-        "bone_weights": _bytes(weights),
-    }
-
-
-def nearest_voxels(
-    grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None, mesh: TriangleMesh
-) -> tuple[Float64[np.ndarray, "N T"], Int64[np.ndarray, "N T"]]:
-    """Distances [m] and rows of the voxels next to each vertex; of several trees those of its own."""
-    from scipy.spatial import cKDTree  # not at start: half a second
-
-    if tree is None or mesh.face_tree is None:
-        every = [(np.arange(mesh.num_vertices), np.arange(len(grid)))]
-    else:
-        every = [
-            (np.unique(mesh.faces[mesh.face_tree == number]), np.flatnonzero(tree == number))
-            for number in np.unique(tree)
-        ]
-    far, rows = np.zeros((mesh.num_vertices, TIES)), np.zeros((mesh.num_vertices, TIES), np.int64)
-    for vertices, own in every:
-        distance, index = cKDTree(grid.centres_m[own]).query(mesh.vertices[vertices], k=np.arange(1, TIES + 1))
-        far[vertices] = distance  # infinite where there are fewer
-        rows[vertices] = own[np.minimum(index, len(own) - 1)]
-    return far, rows
 
 
 def _bytes(weights: np.ndarray) -> np.ndarray:

@@ -9,12 +9,11 @@ import { Resolution } from "../../web/draw/resolution.js";
 import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
 import { carriedPoint } from "../../web/motion/grip.js";
-import { hangVoxels } from "../../web/motion/hang.js";
+import { verticesNear } from "../../web/motion/hang.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
-import { Modes, modeSum } from "../../web/motion/modes.js";
+import { Modes } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
-import { shapesOfBones } from "../../web/motion/swing.js";
-import { vertexInWind } from "../../web/motion/vertex.js";
+import { binSizes, displaced, swingBones } from "../../web/motion/swing.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { widestGap } from "../../web/page/camera_circle.js";
 import { proposals } from "../../web/page/doubt.js";
@@ -375,13 +374,13 @@ test("gains are the model's at its speeds, rise between them, and stay above the
   assert.ok(Math.abs(bandGains(law, 12)[1] - 2 ** 1.4) < 1e-12);
 });
 
-test("a voxel that moves in one bin alone sways at its frequency", () => {
-  const K = 4;
-  const shapes = new Int16Array(2 * K * 6);
-  shapes[6 * (K + 2)] = 100; // voxel 1, bin 2
-  const modes = { K, shapes, scale_m: [0, 1, 1, 1], frequencies_hz: [0, 0.5, 1, 1.5] };
-  assert.equal(swayFrequency(modes, 1), 1);
-  assert.equal(swayFrequency(modes, 0), 0.5);
+test("a voxel whose vertex moves in one bin alone sways at its frequency", () => {
+  const surface = bent();
+  const K = surface.turn_scale_rad.length;
+  surface.turn_shapes.fill(0);
+  surface.turn_shapes[6 * (2 * K + 1)] = 100; // the upper bone, bin 1
+  const modes = { K, frequencies_hz: [0, 0.5] };
+  assert.equal(swayFrequency({ surface, modes, vertexOf: [2] }, 0), 0.5);
 });
 
 test("a stroke stays on its photo, keeps its distance between points, and can be taken back", () => {
@@ -474,23 +473,6 @@ test("what is let go leaves the hand slowly, and goes all the way", () => {
   assert.ok(distance(places.at(-1), tip.rest) < 0.01 && places.length < 90);
 });
 
-test("a vertex of a large mesh moves with the mean of its voxels, and stands still where it hangs on none", () => {
-  const K = 2;
-  const shapes = Int16Array.from({ length: 2 * K * 6 }, (_, i) => (7 * i) % 11);
-  const modes = Object.assign(Object.create(Modes.prototype), { V: 2, K, shapes, scale_m: [0.5, 2] });
-  modes.centres = new Float32Array(6);
-  const surface = {
-    tie_rows: Int32Array.from([0, 1, 0, 0, 0, 1, 0, 1]),
-    tie_weights: Uint8Array.from([204, 51, 0, 0, 0, 0, 0, 0]),
-  };
-  const [q, turn] = [[1, 0, 0.3, -0.8], 0.6];
-  const [a, b] = [0, 1].map((v) => modes.voxelInWind(v, q, turn));
-  const mean = a.map((x, i) => 0.8 * x + 0.2 * b[i]);
-  assert.ok(distance(mean, [0, 0, 0]) > 1);
-  assert.ok(distance(vertexInWind({ surface, modes }, 0, q, turn), mean) < 1e-9);
-  assert.deepEqual(vertexInWind({ surface, modes }, 1, q, turn), [0, 0, 0]);
-});
-
 test("the side that no photo shows is the widest gap of the circle, across its beginning too", () => {
   assert.equal(widestGap([0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]), null);
   assert.deepEqual(widestGap([20, 50, 140, 170, 200, 230, 260, 290, 320, 350]), { from: 50, to: 140 });
@@ -511,26 +493,25 @@ const bent = () => ({
   vertices: Float32Array.from([0.1, 0, 0.7, 0.3, 0.2, 1.9, -0.2, 0.4, 3]),
 });
 
-test("shapes out of bones are what small turns of the bones do", () => {
+test("the size of a bin is how far small turns of the bones move a vertex", () => {
   const surface = bent();
-  const { shapes, scale_m } = shapesOfBones(surface);
-  const q = [0.8, 0, 0.5, -0.6];
-  for (const v of [0, 1, 2]) {
-    const exact = vertexInWind({ surface }, v, q, 0);
-    assert.ok(distance(exact, [0, 0, 0]) > 0.0002, "it moves");
-    assert.ok(distance(modeSum(shapes, scale_m, v, q), exact) < 0.02 * distance(exact, [0, 0, 0]), `${v}`);
-  }
+  const swings = new Float32Array(8 * surface.turn_parent.length);
+  const moved = (...q) => {
+    swingBones(surface, q, 0, swings);
+    return [0, 1, 2].map((v) => Math.hypot(...displaced(surface, v, swings)));
+  };
+  const [real, imaginary] = [moved(0, 0, 1, 0), moved(0, 0, 0, 1)];
+  binSizes(surface, 1, [0, 1, 2]).forEach((size, v) => {
+    assert.ok(size > 0.0002, "it moves");
+    assert.ok(Math.abs(size - Math.hypot(real[v], imaginary[v])) < 0.02 * size, `${v}`);
+  });
 });
 
-test("voxels without shapes move as the vertex in them, or as the nearest one", () => {
-  const surface = { ...bent(), ...shapesOfBones(bent()) };
-  const modes = Object.assign(Object.create(Modes.prototype), { V: 2, K: 2, voxelSize: 0.5, origin: [-1, -1, 0] });
+test("a voxel moves with the vertex in it, or with the nearest one", () => {
+  const modes = { V: 2, voxelSize: 0.5, origin: [-1, -1, 0] };
   modes.coords = Int16Array.from([2, 2, 3, 2, 2, 0]); // the second vertex lies in the first voxel
   modes.centres = Float32Array.from(modes.coords, (step, i) => modes.origin[i % 3] + (step + 0.5) * modes.voxelSize);
-  hangVoxels(modes, surface);
-  const q = [1, 0, 0.3, -0.8];
-  assert.deepEqual(modes.voxelAt(0, q), modeSum(surface.shapes, surface.scale_m, 1, q));
-  assert.deepEqual(modes.voxelAt(1, q), modeSum(surface.shapes, surface.scale_m, 0, q));
+  assert.deepEqual([...verticesNear(modes, bent().vertices)], [1, 0]);
 });
 
 // ---- names, sizes, first bytes, gusts

@@ -17,21 +17,22 @@ STORM_GAIN = 7.0  # of the drag from 5 to 20 m/s
 TURN_RAD = 0.7
 DISPLACED = """async ({ path, q, turn }) => {
     const THREE = await import("three");
-    const [{ readSurface }, { fieldOf }, { vertexInWind }] = await Promise.all(
-        ["draw/surface", "draw/bone_field", "motion/vertex"].map((name) => import(`/web/${name}.js`)));
+    const [{ readSurface }, { Field }, { displaced }] = await Promise.all(
+        ["draw/surface", "draw/field", "motion/swing"].map((name) => import(`/web/${name}.js`)));
     const surface = await readSurface(await (await fetch(path)).arrayBuffer());
     const renderer = new THREE.WebGLRenderer();
     const still = q.map(() => 0);
-    const own = fieldOf(surface);
+    const own = new Field(surface);
     const copies = own.copied(2);
-    own.evaluate(renderer, q, turn);
-    copies.evaluateAll(renderer, [{ q: still, turn: 0 }, { q, turn }]);
+    own.swing([{ q, turn }]);
+    copies.swing([{ q: still, turn: 0 }, { q, turn }]);
+    for (const field of [own, copies]) field.render(renderer);
     const read = (field, row) => {
         const texels = new Float32Array(4 * 2048 * field.rows);
         renderer.readRenderTargetPixels(field.target, 0, row * field.rows, 2048, field.rows, texels);
         return [...texels.subarray(0, 4 * surface.N)];
     };
-    const byOne = Array.from({ length: surface.N }, (_, v) => [...vertexInWind({ surface }, v, q, turn), 0]);
+    const byOne = Array.from({ length: surface.N }, (_, v) => [...displaced(surface, v, own.ofCopy[0]), 0]);
     return [read(own, 0), read(copies, 0), read(copies, 1), byOne.flat()];
 }"""
 

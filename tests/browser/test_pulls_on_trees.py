@@ -30,11 +30,9 @@ CLOSE_PX = 5
 PULL_PX = 45
 WAY = ((1.0, 0.3), (-0.6, -0.5))  # of the hand, in shares of the pull
 
-# Frame by frame: the pointer and what is pulled. A vertex as web/draw/follow.js draws it from textures of the GPU; a
-# Gaussian as Spark has put it into its own texture, whose bits are floats
+# Frame by frame: the pointer and what is pulled, a vertex as web/draw/follow.js draws it from textures of the GPU
 WATCH = """async () => {
     const { Hand } = await import("/web/page/hand.js");
-    const { gripNow } = await import("/web/motion/grip.js");
     const pointer = { x: 0, y: 0 };
     const place = ({ clientX: x, clientY: y }) => Object.assign(pointer, { x, y });
     for (const kind of ["pointerdown", "pointermove"]) addEventListener(kind, place, true);
@@ -48,10 +46,8 @@ WATCH = """async () => {
             const values = tree.surface.geometry.getAttribute(name);
             return [..."XYZW"].slice(0, values.itemSize).map((c) => values[`get${c}`](vertex));
         };
-        const rows = tree.surface.tie_rows ? of("tieRows") : [vertex];
-        const shares = tree.surface.tie_rows ? of("tieWeights") : [1];
-        const u = rows.map((row) => displaced(tree, row));
-        const at = of("position").map((x, c) => x + rows.reduce((sum, _, i) => sum + shares[i] * u[i][c], 0));
+        const u = displaced(tree, vertex);
+        const at = of("position").map((x, c) => x + u[c]);
         if (!tree.groups.length) return at;
         const [bones, weights] = [of("boneRows"), of("boneWeights")];
         const left = 1 - weights.reduce((sum, w) => sum + w, 0);
@@ -60,19 +56,6 @@ WATCH = """async () => {
             return sum + weights[i] * (m[0] * at[0] + m[1] * at[1] + m[2] * at[2] + m[3]);
         }, left * x));
     };
-    const gaussian = ({ stage, splat }, row) => {
-        const gl = stage.renderer.getContext(), { target } = splat.renderer.current, bits = new Uint32Array(4);
-        stage.renderer.setRenderTarget(target, 0);
-        gl.readBuffer(gl.COLOR_ATTACHMENT0);
-        const at = [row % target.width, Math.floor(row / target.width)];
-        gl.readPixels(...at, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
-        stage.renderer.setRenderTarget(null);
-        return [...new Float32Array(bits.buffer).subarray(0, 3)];
-    };
-    const pulled = (tree, place) => {
-        if (place.gaussian !== undefined) return gaussian(tree, place.gaussian);
-        return place.vertex === undefined ? gripNow(tree, place) : drawn(tree, place.vertex);
-    };
     const low = ({ V, centres, voxelSize, bone_joint_m: [x, y] }) => { // of the trunk, not of branches that hang low
         const all = [...Array(V).keys()], at = (v) => centres.subarray(3 * v, 3 * v + 3);
         const least = all.reduce((least, v) => Math.min(least, at(v)[2]), Infinity);
@@ -80,8 +63,9 @@ WATCH = """async () => {
         return all.filter((v) => at(v)[2] < least + voxelSize && near(v));
     };
     const away = (tree, v) => {
-        const [now, wind] = [tree.voxelNow(v), tree.modes.voxelInWind(v, tree.q, tree.turn)];
-        return Math.hypot(...now.map((x, i) => x - wind[i])) / tree.modes.voxelSize;
+        const u = displaced(tree, tree.vertexOf[v]);
+        const wind = [0, 1, 2].map((c) => tree.modes.centres[3 * v + c] + u[c]);
+        return Math.hypot(...tree.voxelNow(v).map((x, i) => x - wind[i])) / tree.modes.voxelSize;
     };
     let grasp = null, feet = null, rows = [], shadow = true;
     const watchShadow = ({ shadowMap }) => { // whether each turn has its own; Spark draws more than once in a turn
@@ -98,7 +82,7 @@ WATCH = """async () => {
             grasp ??= grip?.place;
             feet ??= low(tree.modes);
             watchShadow(stage.renderer);
-            const at = grasp && pulled(tree, grasp);
+            const at = grasp && drawn(tree, grasp.vertex);
             const { x, y } = grasp ? stage.onScreen(at) : {};
             if (grasp) rows.push({
                 seconds: performance.now() / 1000, at: [x, y], pointer: [pointer.x, pointer.y], pulling: Boolean(grip),

@@ -33,7 +33,8 @@ DISPLACEMENTS = """async (spectrum) => {
     const tree = new Tree(stage);
     tree.setSurface(surface);
     tree.setModes(modes);
-    tree.move(windCoordinates(modes.K, 0.3, 1), 0.4, []);
+    tree.swing(windCoordinates(modes.K, 0.3), 0.4);
+    tree.bend([]);
     tree.prepare(stage.renderer);
     const { target, rows } = tree.field;
     const texels = new Float32Array(4 * 2048 * rows);

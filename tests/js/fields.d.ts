@@ -24,21 +24,9 @@ declare module "../../web/client/push.js" {
   }
 }
 
-declare module "../../web/draw/bone_field.js" {
-  interface BoneField {
-    boneRows: any; isCopy: any; own: any; surface: any; swings: any;
-  }
-}
-
 declare module "../../web/draw/copies.js" {
   interface Copies {
     one: any; other: any; places: any;
-  }
-}
-
-declare module "../../web/draw/field.js" {
-  interface Field {
-    P: any; places: any; scale: any;
   }
 }
 

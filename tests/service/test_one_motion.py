@@ -25,12 +25,16 @@ DRIVER = """
 import { readFileSync } from "node:fs";
 import { windCoordinates } from "WEB/motion/modes.js";
 import { readTensors } from "WEB/motion/tensors.js";
-import { vertexInWind } from "WEB/motion/vertex.js";
+import { displaced, swingBones } from "WEB/motion/swing.js";
 const file = readFileSync(process.argv[2]);
 const { tensors } = readTensors(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
 const { vertices, times } = JSON.parse(readFileSync(process.argv[3], "utf8"));
 const K = tensors.turn_scale_rad.length;
-const at = (phase) => vertices.map((v) => vertexInWind({ surface: tensors }, v, windCoordinates(K, phase), 0));
+const swings = new Float32Array(8 * tensors.turn_parent.length);
+const at = (phase) => {
+  swingBones(tensors, windCoordinates(K, phase), 0, swings);
+  return vertices.map((v) => displaced(tensors, v, swings));
+};
 console.log(JSON.stringify(Array.from({ length: times }, (_, i) => at(i / times))));
 """
 

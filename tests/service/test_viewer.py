@@ -24,14 +24,13 @@ from pydantic import ValidationError
 from safetensors.numpy import load
 
 import web
-from dynamictree import method
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
 from service.local.serve import Announcer
-from service.routes import modes, pages, surface
+from service.routes import pages, surface
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
@@ -244,21 +243,6 @@ def test_an_asset_that_is_no_mesh_or_has_lost_its_bytes_has_no_surface(client: T
     assert (response.status_code, response.json()["code"]) == (410, "expired")
 
 
-def test_a_surface_moves_as_the_library_moves_it(
-    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum
-) -> None:
-    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
-    parts = tensors["shapes"] * tensors["scale_m"][:, None, None]  # [N, K, 3, 2]
-    expected = method.devoxelize(spectrum, grown.mesh)
-    expected[:, 1:] *= 2
-    drawn = parts[..., 0] + 1j * parts[..., 1]
-    largest = np.abs(expected).max(axis=(0, 2))
-    assert (np.abs(drawn - expected).max(axis=(0, 2)) <= largest / 32767 + 1e-9).all()
-    assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
-    num_bones = len(load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)["bone_parent"])
-    assert tensors["bone_rows"].max() < num_bones
-
-
 def test_a_surface_has_the_bones_that_turn_in_the_wind(
     client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum
 ) -> None:
@@ -277,34 +261,17 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(
         np.testing.assert_allclose(tensors[f"turn_{name}"], expected, atol=1e-6)
     np.testing.assert_allclose(tensors["turn_foot_m"], skeleton.foot_m, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(tensors["turn_direction"], axis=1), 1, atol=1e-6)
+    assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
+    num_bones = len(load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)["bone_parent"])
+    assert tensors["bone_rows"].max() < num_bones
     again = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
     np.testing.assert_array_equal(again["turn_shapes"], tensors["turn_shapes"])
 
 
-def test_a_large_surface_hangs_on_the_voxels(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(surface, "MAX_OWN_SHAPES", 10)
-    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
-    assert not {"shapes", "turn_shapes"} & set(tensors)
-    assert (tensors["tie_weights"].astype(int).sum(axis=1) == 255).all()
-    near = spectrum.grid.centres_m[tensors["tie_rows"][:, 0]] - tensors["vertices"]
-    assert np.linalg.norm(near, axis=1).max() <= np.sqrt(0.75) * spectrum.grid.voxel_size_m * 1.001
-    assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
-
-
-def test_mode_shapes_are_left_out_where_bones_say_the_same(
-    client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def tensors(kind: str, shapes: str) -> dict[str, np.ndarray]:
-        return load(client.get(f"/v1/spectra/{spectrum_id}/{kind}", params={"shapes": shapes}).content)
-
-    assert tensors("surface", "true").keys() - tensors("surface", "false").keys() == {"shapes"}
-    assert tensors("modes", "true").keys() - tensors("modes", "false").keys() == {"shapes", "lean_m"}
-    for module in (surface, modes):
-        monkeypatch.setattr(module, "MAX_OWN_SHAPES", 10)
-    assert "shapes" in tensors("modes", "false"), "a large surface has no bones"
-    assert "tie_rows" in tensors("surface", "false")
+def test_mode_shapes_of_voxels_are_left_out_where_they_are_not_wanted(client: TestClient, spectrum_id: str) -> None:
+    path = f"/v1/spectra/{spectrum_id}/modes"
+    whole, small = (load(client.get(path, params={"shapes": shapes}).content) for shapes in ("true", "false"))
+    assert whole.keys() - small.keys() == {"shapes", "lean_m"}
 
 
 @pytest.mark.parametrize("kind", ["surface", "modes"])

@@ -10,18 +10,15 @@ export class Copies {
    */
   constructor({ surface, field, box, still }, places, other = null) {
     Object.assign(this, { places, other, one: box });
-    const source = other ?? field;
-    this.field = source.copied(places.length);
+    this.field = (other ?? field).copied(places.length);
     const uniforms = {
       moved: { value: this.field.texture },
       copyRows: { value: this.field.rows },
       poses: { value: still },
       bent: { value: 0 },
       coloured: { value: 0 },
-      restAt: { value: still }, // a sampler without a texture spoils every draw
     };
-    const ties = source.byVoxel ? surface.geometry.attributes.tieRows : null;
-    const { lit, depth } = surfaceMaterials({ ...surface, tie_rows: ties }, uniforms);
+    const { lit, depth } = surfaceMaterials(surface, uniforms);
     this.mesh = new THREE.InstancedMesh(surface.geometry, lit, places.length);
     this.mesh.customDepthMaterial = depth;
     this.mesh.castShadow = this.mesh.receiveShadow = true;
@@ -45,11 +42,11 @@ export class Copies {
 
   /** `motions` are `{ q, turn }`, one a copy. */
   move(motions) {
-    this.motions = motions;
+    this.field.swing(motions);
   }
 
   prepare(renderer) {
-    if (this.motions && this.mesh.visible) this.field.evaluateAll(renderer, this.motions);
+    if (this.mesh.visible) this.field.render(renderer);
   }
 
   dispose() {

@@ -1,29 +1,21 @@
-// The voxel view: the three faces of each voxel that look at the camera, in one draw.
+// The voxel view: a cube for each voxel that is seen, which moves with a vertex in or near it; one draw.
 
 import * as THREE from "three";
 import { makeFollow } from "./follow.js";
 
-const WIDTH = 2048; // texels of a row; draw/follow.js reads with the same
-const QUADS = [0, 1, 2].flatMap((axis) => [-1, 1].flatMap((a) => [-1, 1].map((b) => [axis, a, b])));
-
-/** A mesh of voxels; `uniforms.moved` must hold the voxels' displacements. */
-export function buildCubes(modes, uniforms) {
-  const all = { ...uniforms, voxels: { value: voxelTexture(modes) }, halfSize: { value: modes.voxelSize / 2 } };
-  const cubes = new THREE.Mesh(cubeGeometry(visibleVoxels(modes)), makeFollow(litMaterial(), all, "cubes"));
-  const depth = new THREE.MeshDepthMaterial({ side: THREE.DoubleSide });
-  cubes.customDepthMaterial = makeFollow(depth, all, "cubes");
+/** A mesh of a tree's voxels. */
+export function buildCubes({ modes, vertexOf, uniforms }) {
+  const geometry = cubeGeometry(modes, vertexOf, visibleVoxels(modes));
+  const cubes = new THREE.Mesh(geometry, makeFollow(new THREE.MeshLambertMaterial(), uniforms, "cubes"));
+  cubes.customDepthMaterial = makeFollow(new THREE.MeshDepthMaterial(), uniforms, "cubes");
   cubes.castShadow = cubes.receiveShadow = true;
   cubes.frustumCulled = false;
   return cubes;
 }
 
 export function disposeCubes(cubes) {
-  cubes.geometry.dispose();
-  cubes.material.dispose();
-  cubes.customDepthMaterial.dispose();
+  for (const part of [cubes.geometry, cubes.material, cubes.customDepthMaterial]) part.dispose();
 }
-
-const litMaterial = () => new THREE.MeshLambertMaterial({ side: THREE.DoubleSide, shadowSide: THREE.DoubleSide });
 
 /** Rows of the voxels that have a free side. */
 export function visibleVoxels({ coords, V }) {
@@ -40,35 +32,17 @@ export function visibleVoxels({ coords, V }) {
   return rows;
 }
 
-function cubeGeometry(rows) {
-  const corners = new Int8Array(rows.length * 36);
-  const voxelRow = new Float32Array(rows.length * 12);
-  const index = new Uint32Array(rows.length * 18);
-  const quads = QUADS.flat();
-  rows.forEach((row, i) => {
-    corners.set(quads, 36 * i);
-    voxelRow.fill(row, 12 * i, 12 * i + 12);
-    for (let face = 0; face < 3; face++) {
-      const first = 12 * i + 4 * face;
-      index.set([first, first + 1, first + 2, first + 2, first + 1, first + 3], 18 * i + 6 * face);
-    }
-  });
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(corners, 3));
-  // unused, but without normals three.js shades flat and declares none
-  geometry.setAttribute("normal", new THREE.BufferAttribute(new Int8Array(corners.length), 3, true));
-  geometry.setAttribute("voxelRow", new THREE.BufferAttribute(voxelRow, 1));
-  geometry.setIndex(new THREE.BufferAttribute(index, 1));
+/** A box for each of `rows`: its centre, and the vertex and the bone that it moves with. */
+function cubeGeometry({ centres, bone_of_voxel, voxelSize }, vertexOf, rows) {
+  const box = new THREE.BoxGeometry(voxelSize, voxelSize, voxelSize);
+  const geometry = new THREE.InstancedBufferGeometry();
+  geometry.setIndex(box.index);
+  for (const name of ["position", "normal"]) geometry.setAttribute(name, box.attributes[name]);
+  const perCube = (name, width, of) => {
+    const values = new Float32Array(rows.flatMap(of));
+    geometry.setAttribute(name, new THREE.InstancedBufferAttribute(values, width));
+  };
+  perCube("centre", 3, (v) => [...centres.subarray(3 * v, 3 * v + 3)]);
+  perCube("carrier", 2, (v) => [vertexOf[v], bone_of_voxel[v]]);
   return geometry;
-}
-
-function voxelTexture({ centres, bone_of_voxel: bones, V }) {
-  const texels = new Float32Array(4 * WIDTH * Math.ceil(V / WIDTH));
-  for (let v = 0; v < V; v++) {
-    texels.set(centres.subarray(3 * v, 3 * v + 3), 4 * v);
-    texels[4 * v + 3] = bones[v];
-  }
-  const texture = new THREE.DataTexture(texels, WIDTH, texels.length / 4 / WIDTH, THREE.RGBAFormat, THREE.FloatType);
-  texture.needsUpdate = true;
-  return texture;
 }

@@ -8,7 +8,7 @@ const LEAF_FACES = 400;
 /** Change the normals of small parts, and set the vertex colours of all. */
 export function softenFoliage(geometry, surface) {
   const { N, vertices, vertex_colors: colours } = surface;
-  const part = partsOf(surface);
+  const part = surface.parts ?? connectedParts(surface.faces, N);
   const boxes = boxesOf(part, vertices, N);
   const isLeaf = leafTest(surface.box);
   const crown = new THREE.Box3();
@@ -72,9 +72,6 @@ function boxesOf(part, vertices, N) {
   }
   return boxes;
 }
-
-/** `connectedParts` of a surface, found once. */
-export const partsOf = (surface) => (surface.parts ??= connectedParts(surface.faces, surface.N));
 
 /** The connected part of each vertex: union-find over the faces. */
 export function connectedParts(faces, N) {

@@ -5,11 +5,14 @@ import * as THREE from "three";
 export const SLACK = 0.012; // of the stage's radius: so far a shadow stays off its surface
 
 /** Whether the wind has moved a Tree further than that since its shadow was drawn. */
-export function leavesItsShadow({ q, turn, shadowed, largest, stage }) {
-  if (!shadowed || shadowed.turn !== turn) return true;
-  let squares = 0; // the bins' largest motions are taken to meet at one place, not at one time
-  for (let i = 0; i < q.length; i++) squares += (largest[i >> 1] * (q[i] - shadowed.q[i])) ** 2;
-  return Math.sqrt(squares) > SLACK * stage.radius;
+export function leavesItsShadow({ swings, shadowed, stage }) {
+  if (!shadowed) return true;
+  let most = 0; // squared, of the feet of the bones
+  for (let i = 4; i < swings.length; i += 8) {
+    const [x, y, z] = [swings[i] - shadowed[i], swings[i + 1] - shadowed[i + 1], swings[i + 2] - shadowed[i + 2]];
+    most = Math.max(most, x * x + y * y + z * z);
+  }
+  return Math.sqrt(most) > SLACK * stage.radius;
 }
 
 const SAMPLES = 5;

@@ -1,25 +1,20 @@
 // A cloud of Gaussians that hangs on a mesh, drawn by Spark: the rules of docs/formats-splat.md in Spark's own shader.
 
 import * as THREE from "three";
-import { modeSum } from "../motion/modes.js";
 import { readTensors } from "../motion/tensors.js";
-import { turnedUpright } from "../motion/vectors.js";
-import { Field, placesTexture } from "./field.js";
-import { halvesOf, modifier, WIDTH } from "./splat_shader.js";
+import { rowOf } from "../motion/vectors.js";
+import { texture, WIDTH } from "./field.js";
+import { halvesOf, modifier } from "./splat_shader.js";
 
 const SAME_PLACE = 1e-6; // of the tree's size: a camera that has moved less stands still
 
 /** The body of a `.animated-splat.safetensors`; its harmonics stay the half floats that a texture takes. */
 export function readSplat(buffer) {
-  const { tensors, shape, metadata } = readTensors(buffer, { halves: ["sh"] });
+  const { tensors, shape } = readTensors(buffer, { halves: ["sh"] });
   return {
     .../** @type {any} */ (tensors),
     G: shape.means[0],
-    N: shape.vertices[0],
-    K: shape.coefficients[1],
     harmonics: shape.sh[1],
-    frames: Number(metadata.num_frames),
-    fps: Number(metadata.fps),
   };
 }
 
@@ -41,15 +36,15 @@ export function sparkRenderer(spark, stage) {
 }
 
 export class SplatView {
-  /** `ride` is that of draw/ride.js or `ownRide`; `poses` and `bent` are the tree's uniforms. */
-  static async make(stage, splat, ride, uniforms) {
+  /** Gaussians that hang on a tree's `surface`, whose `uniforms` say how it moves. */
+  static async make(stage, splat, surface, uniforms) {
     const spark = await import("@sparkjsdev/spark");
     const view = new SplatView();
     view.stage = stage;
-    Object.assign(view, { ride, field: ride.field, uniforms });
+    view.uniforms = uniforms;
     view.box = new THREE.Box3().setFromArray(splat.means);
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
-    view.textures = texturesOf(splat, ride, view.harmonics);
+    view.textures = texturesOf(splat, surface, view.harmonics);
     const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
     const [at, scales, turn, grey] = [
       new THREE.Vector3(),
@@ -85,7 +80,7 @@ export class SplatView {
 
   _values({ dynoSampler2D, dynoFloat, dynoVec3 }) {
     return {
-      moved: dynoSampler2D(this.field.texture),
+      moved: dynoSampler2D(this.uniforms.moved.value),
       poses: dynoSampler2D(this.uniforms.poses.value),
       bent: dynoFloat(0),
       corners: dynoSampler2D(this.textures.corners),
@@ -108,7 +103,7 @@ export class SplatView {
   }
 
   /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
-  evaluate(renderer, q, turn) {
+  evaluate(q, turn) {
     const { camera, radius } = this.stage;
     const { position } = camera;
     const now = [turn, ...q].join();
@@ -116,7 +111,6 @@ export class SplatView {
     const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
     if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
-    if (!this.ride.borrowed) this.field.evaluate(renderer, q, turn);
     this.values.eye.value.copy(position);
     this.values.bent.value = this.uniforms.bent.value;
     this.values.poses.value = this.uniforms.poses.value;
@@ -127,33 +121,8 @@ export class SplatView {
     this.stage.scene.remove(this.mesh, this.renderer);
     this.renderer.activeSplats = 0;
     this.mesh.dispose();
-    if (!this.ride.borrowed) this.field.dispose();
     for (const texture of Object.values(this.textures)) texture.dispose();
   }
-}
-
-/** How Gaussians ride on the faces of a mesh that moves as their file says; `carriers`: four bones and weights a vertex. */
-export function ownRide(splat, carriers) {
-  const { means, face_of, triangles, weights, vertices, N } = splat;
-  const { shapes, scale_m } = stepsOf(splat);
-  const inWind = (row, q, turn) => turnedUpright(modeSum(shapes, scale_m, row, q), turn);
-  const field = new Field(shapes, scale_m, N, 1, { places: placesTexture(vertices) });
-  return { means, face_of, triangles, weights, vertices, carriers, field, inWind };
-}
-
-/** Float16 coefficients as 16-bit steps a bin, weighted as the spectrum's sum wants them. */
-function stepsOf({ coefficients, K, frames }) {
-  const scale = new Float32Array(K);
-  const shapes = new Int16Array(coefficients.length);
-  const bin = (i) => Math.floor(i / 6) % K;
-  coefficients.forEach((value, i) => {
-    scale[bin(i)] = Math.max(scale[bin(i)], Math.abs(value));
-  });
-  coefficients.forEach((value, i) => {
-    shapes[i] = Math.round((32767 * value) / Math.max(scale[bin(i)], 1e-12));
-  });
-  const weighted = scale.map((most, k) => (Math.max(most, 1e-12) / 32767) * (k === 0 || 2 * k === frames ? 1 : 2));
-  return { shapes, scale_m: weighted };
 }
 
 /** As many degrees as one texture holds: all four up to some millions of Gaussians. */
@@ -166,38 +135,35 @@ function harmonicsTexture({ G, harmonics, sh }, count) {
   const width = halvesOf(count);
   const padded = new Uint16Array(4 * WIDTH * Math.ceil((G * width) / 4 / WIDTH));
   for (let g = 0; g < G; g++) padded.set(sh.subarray(3 * g * harmonics, 3 * (g * harmonics + count)), g * width);
-  return asTexture(padded, THREE.HalfFloatType);
+  return texture(padded, THREE.HalfFloatType);
 }
 
-function texturesOf(splat, { triangles, vertices, carriers }, harmonics) {
-  const corners = new Float32Array(8 * splat.G);
-  for (let g = 0; g < splat.G; g++) {
-    const face = splat.face_of[g];
+function texturesOf(splat, surface, harmonics) {
+  const { G, face_of, triangles, weights } = splat;
+  const rows = rowsOnSurface(splat, surface);
+  const corners = floats(8 * G);
+  for (let g = 0; g < G; g++) {
+    const face = face_of[g];
     if (face < 0) continue; // stays still: its fourth number is 0
-    for (let c = 0; c < 3; c++) {
-      corners[8 * g + c] = triangles[3 * face + c];
-      corners[8 * g + 4 + c] = splat.weights[3 * g + c];
-    }
-    corners[8 * g + 3] = 1;
+    corners.set([...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g)], 8 * g);
   }
-  const rest = new Float32Array((4 * vertices.length) / 3);
-  for (let v = 0; v < vertices.length / 3; v++) rest.set(vertices.subarray(3 * v, 3 * v + 3), 4 * v);
-  return {
-    corners: texture(corners),
-    rest: texture(rest),
-    bones: texture(carriers),
-    sh: harmonicsTexture(splat, harmonics),
-  };
+  const rest = floats(4 * surface.N);
+  const bones = floats(8 * surface.N);
+  for (let v = 0; v < surface.N; v++) {
+    rest.set(rowOf(surface.vertices, v), 4 * v);
+    bones.set(surface.bone_rows.subarray(4 * v, 4 * v + 4), 8 * v);
+    for (let i = 0; i < 4; i++) bones[8 * v + 4 + i] = surface.bone_weights[4 * v + i] / 255;
+  }
+  const sh = harmonicsTexture(splat, harmonics);
+  return { corners: texture(corners), rest: texture(rest), bones: texture(bones), sh };
 }
 
-function texture(values) {
-  const padded = new Float32Array(4 * WIDTH * Math.max(1, Math.ceil(values.length / 4 / WIDTH)));
-  padded.set(values);
-  return asTexture(padded, THREE.FloatType);
+/** The surface's vertex in the place of each of the splat's, which are of the same mesh. */
+function rowsOnSurface({ vertices }, surface) {
+  const key = (places, v) => rowOf(places, v).join();
+  const at = new Map(Array.from({ length: surface.N }, (_, v) => [key(surface.vertices, v), v]));
+  return Array.from({ length: vertices.length / 3 }, (_, v) => at.get(key(vertices, v)));
 }
 
-function asTexture(padded, type) {
-  const made = new THREE.DataTexture(padded, WIDTH, padded.length / 4 / WIDTH, THREE.RGBAFormat, type);
-  made.needsUpdate = true;
-  return made;
-}
+/** Room for so many numbers, in whole rows of a texture. */
+const floats = (count) => new Float32Array(4 * WIDTH * Math.max(1, Math.ceil(count / 4 / WIDTH)));

@@ -1,7 +1,6 @@
 // The deformation of Gaussians in Spark's own shader: the rules of docs/formats-splat.md.
 
-/** Texels of a row of every texture that the shader reads. */
-export const WIDTH = 2048;
+import { WIDTH } from "./field.js";
 
 // Y_h of a direction d, with the signs of Kerbl et al. 2023, as dynamictree/gaussian/harmonics.py has them
 const HARMONICS = [

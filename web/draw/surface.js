@@ -2,7 +2,6 @@
 
 import * as THREE from "three";
 import { readTensors } from "../motion/tensors.js";
-import { noCards } from "./cards.js";
 import { softenFoliage } from "./foliage.js";
 
 const BESIDE = 0.4; // of the plant's size
@@ -33,7 +32,7 @@ function buildGeometry(surface) {
   geometry.setAttribute("position", new THREE.BufferAttribute(surface.vertices, 3));
   if (surface.uv) geometry.setAttribute("uv", new THREE.BufferAttribute(surface.uv, 2));
   geometry.setAttribute("still", new THREE.BufferAttribute(surface.still ?? new Uint8Array(surface.N), 1));
-  geometry.setAttribute("cardRows", noCards(surface.N));
+  geometry.setAttribute("share", new THREE.BufferAttribute(new Float32Array(surface.N), 1));
   setBones(geometry, surface);
   const { index, groups } = byMaterial(surface);
   geometry.setIndex(new THREE.BufferAttribute(index, 1));
@@ -64,9 +63,6 @@ function setBones(geometry, surface) {
   const still = (width) => new Uint8Array(width * surface.N);
   geometry.setAttribute("boneRows", new THREE.BufferAttribute(surface.bone_rows ?? new Uint16Array(4 * surface.N), 4));
   geometry.setAttribute("boneWeights", new THREE.BufferAttribute(surface.bone_weights ?? still(4), 4, true));
-  if (!surface.tie_rows) return;
-  geometry.setAttribute("tieRows", new THREE.BufferAttribute(Float32Array.from(surface.tie_rows), 4));
-  geometry.setAttribute("tieWeights", new THREE.BufferAttribute(surface.tie_weights, 4, true));
 }
 
 /** Faces sorted by material: one draw each. */

@@ -1,12 +1,13 @@
 // A tree on the stage: its surface at rest as soon as there is one, in motion as soon as there are modes.
 
 import * as THREE from "three";
-import { hang } from "../motion/hang.js";
-import { carried, largestSwing } from "../motion/modes.js";
-import { fieldOf } from "./bone_field.js";
+import { verticesNear } from "../motion/hang.js";
+import { carried } from "../motion/modes.js";
+import { binSizes, displaced } from "../motion/swing.js";
+import { plus, rowOf } from "../motion/vectors.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
-import { PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
+import { Field, PoseTexture, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { LEAST } from "./resolution.js";
 import { leavesItsShadow } from "./shadow.js";
@@ -17,12 +18,12 @@ export class Tree {
     Object.assign(this, { stage, group: new THREE.Group() });
     stage.scene.add(this.group);
     this.still = zeroTexture();
+    this.ofVoxels = null; // once they are asked for
     this.uniforms = {
-      moved: { value: this.still },
+      moved: { value: /** @type {THREE.Texture} */ (this.still) },
       poses: { value: this.still },
       bent: { value: 0 },
       coloured: { value: 0 },
-      restAt: { value: this.still }, // a sampler without a texture spoils every draw
     };
     this.groups = []; // of pushes: { q, perBone }
     Object.assign(this, { view: "surface", q: null, turn: 0 });
@@ -32,8 +33,14 @@ export class Tree {
     return Boolean(this.modes);
   }
 
-  get usesNearVoxels() {
-    return Boolean(this.surface?.tie_rows);
+  /** How the bones swing now, see `swingBones`. */
+  get swings() {
+    return this.field.ofCopy[0];
+  }
+
+  /** The vertex that each voxel moves with. */
+  get vertexOf() {
+    return (this.ofVoxels ??= verticesNear(this.modes, this.surface.vertices));
   }
 
   // ---- what it consists of
@@ -71,23 +78,10 @@ export class Tree {
 
   setModes(modes) {
     this.modes = modes;
-    const { surface } = this;
-    if (!modes.shapes) hang(modes, surface);
     this.poses = new PoseTexture(modes.B);
     this.uniforms.poses.value = this.poses.texture;
-    if (surface?.shapes || surface?.turn_parent) this.field = fieldOf(surface, modes);
-    if (this.usesNearVoxels) this.field = this._voxelField();
-    if (this.field) this.uniforms.moved.value = this.field.texture;
-    this.largest = largestSwing(surface?.shapes ? surface : modes);
-  }
-
-  /** A large mesh's own motion in place of its nearest voxels', once the job's files contain it. */
-  setShapes(shapes) {
-    Object.assign(this.surface, shapes, { tie_rows: null });
-    this.field = fieldOf(this.surface);
+    this.field = new Field(this.surface);
     this.uniforms.moved.value = this.field.texture;
-    this.largest = largestSwing(this.surface);
-    this._setMaterials();
   }
 
   /** Metal, roughness and maps of the materials, one a material or null, once a file says more than colours. */
@@ -97,10 +91,6 @@ export class Tree {
     this.surface.textures.push(...maps); // behind the colours, to be disposed of with them
     this.stage.surroundings.reflect(this.stage.renderer);
     this._setMaterials();
-  }
-
-  _voxelField() {
-    return (this.voxelField ??= voxelFieldOf(this.modes));
   }
 
   /** The points of a cloud at rest, until its Gaussians move. */
@@ -122,8 +112,8 @@ export class Tree {
 
   /** Gaussians in place of the mesh, which carries them and goes on casting the shadow. */
   async setSplat(splat) {
-    const [{ SplatView }, { rideOf }] = await Promise.all([import("./splat.js"), import("./ride.js")]);
-    const view = await SplatView.make(this.stage, splat, rideOf(splat, this), this.uniforms);
+    const { SplatView } = await import("./splat.js");
+    const view = await SplatView.make(this.stage, splat, this.surface, this.uniforms);
     if (this.disposed) return view.dispose();
     Object.assign(this.stage.resolution, { stillScale: 1, least: LEAST }); // Gaussians have soft edges, and cost by pixels
     this.splat = view;
@@ -155,7 +145,7 @@ export class Tree {
     const cubes = view === "voxels" && this.moves;
     if (this.splat) this.splat.visible = view === "surface";
     if (cubes && !this.cubes) {
-      this.cubes = buildCubes(this.modes, { ...this.uniforms, moved: { value: this._voxelField().texture } });
+      this.cubes = buildCubes(this);
       this.group.add(this.cubes);
     }
     if (this.cubes) this.cubes.visible = cubes;
@@ -178,17 +168,34 @@ export class Tree {
     for (const material of [this.mesh?.material ?? []].flat()) material.colorWrite = material.depthWrite = seen;
   }
 
-  /** Colour the share that a bin has in the motion of each place; null for none. */
-  setShown(k) {
-    this.field?.show(k, k === null ? 1 : this.largest[k]);
+  /** Colour how far bin k moves each place; returns the furthest [m]. */
+  showBin(k) {
+    const { surface } = this;
+    const sizes = binSizes(
+      surface,
+      k,
+      surface.turn_bone.map((_, v) => v),
+    );
+    const largest = sizes.reduce((most, size) => Math.max(most, size), 1e-12);
+    const { share } = surface.geometry.attributes;
+    share.array.set(sizes.map((size) => size / largest));
+    share.needsUpdate = true;
     this.stage.stale = true;
+    return largest;
   }
 
   // ---- motion
 
-  /** The wind's coordinates [2K] turned by `turn` [rad], and groups of pushes. */
-  move(q, turn, groups) {
-    Object.assign(this, { q, turn, groups });
+  /** Take the wind's coordinates [2K], turned by `turn` [rad]. */
+  swing(q, turn) {
+    this.q = q;
+    this.turn = turn;
+    this.field.swing([{ q, turn }]);
+  }
+
+  /** Take groups of pushes, under the wind that it swings in. */
+  bend(groups) {
+    this.groups = groups;
     this.uniforms.bent.value = groups.length ? 1 : 0;
     if (groups.length) {
       this.boneMotion ??= new Float32Array(12 * this.modes.B);
@@ -200,24 +207,22 @@ export class Tree {
   /** A gust over the wind: see Gust.after. */
   blow(gust) {
     this.blown = Boolean(gust);
-    for (const field of [this.field, this.voxelField, this.splat?.field]) field?.blow(gust);
+    this.field.blow(gust);
   }
 
   /** Before each draw. */
   prepare(renderer) {
     if (this.splat) this._showOne();
     if (!this.q) return;
-    if (renderer.shadowMap.needsUpdate) this.shadowed = { q: this.q.slice(), turn: this.turn };
-    const cubes = this.cubes?.visible;
-    if (this.field && (this.field !== this.voxelField || !cubes)) this.field.evaluate(renderer, this.q, this.turn);
+    if (renderer.shadowMap.needsUpdate) this.shadowed = this.swings.slice();
+    this.field.render(renderer);
     this.copies?.prepare(renderer);
-    if (cubes) this.voxelField.evaluate(renderer, this.q, this.turn);
-    if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
+    if (this.splat?.visible) this.splat.evaluate(this.q, this.turn);
   }
 
   /** Where a voxel is now [m]. */
   voxelNow(v) {
-    const at = this.modes.voxelInWind(v, this.q, this.turn);
+    const at = plus(rowOf(this.modes.centres, v), displaced(this.surface, this.vertexOf[v], this.swings));
     return this.groups.length ? carried(this.boneMotion, this.modes.bone_of_voxel[v], at) : at;
   }
 
@@ -239,7 +244,7 @@ export class Tree {
     this.splat?.dispose();
     this.points?.dispose();
     if (this.cubes) disposeCubes(this.cubes);
-    for (const resource of new Set([this.field, this.voxelField, this.poses, this.still])) resource?.dispose();
+    for (const resource of [this.field, this.poses, this.still]) resource?.dispose();
     this.stage.scene.remove(this.group);
     Object.assign(this.stage, { stale: true, swift: false });
   }

@@ -1,69 +1,33 @@
-// A place of the tree that is pulled: the point that is drawn there, and the bones that carry it.
+// A place of the tree that is pulled: the vertex that is drawn there, and the bones that carry it.
 
-import { bonesOfGaussian, gaussianInWind } from "./gaussian.js";
 import { carried } from "./modes.js";
+import { displaced } from "./swing.js";
 import { nearest, plus, rowOf } from "./vectors.js";
-import { vertexInWind } from "./vertex.js";
 
-/** The place to pull at a voxel of a Tree. */
-export function gripAt({ modes, surface, hidden, splat }, voxel) {
-  if (splat?.visible) return gripOfGaussian(modes, splat.ride, voxel);
-  return surface && !hidden && !splat ? gripOfSurface(modes, surface.geometry, voxel) : gripOfVoxel(modes, voxel);
+/**
+ * The place to pull at a voxel of a Tree: the nearest vertex that is of the plant, `{ voxel, vertex, rest, bones, weights }`.
+ * Leaves and twigs move with the bone of the place where they hang, so the voxel to pull at is the nearest of the vertex'
+ * strongest bone. Gaussians ride on the same vertices.
+ */
+export function gripAt({ modes, surface }, voxel) {
+  const { vertices, bone_rows, bone_weights } = surface;
+  const at = rowOf(modes.centres, voxel);
+  const vertex = nearest(vertices, at, (v) => bone_weights[4 * v] > 0);
+  const four = (values) => Array.from(values.subarray(4 * vertex, 4 * vertex + 4));
+  const [bones, weights] = [four(bone_rows), four(bone_weights).map((byte) => byte / 255)];
+  const strongest = bones[weights.indexOf(Math.max(...weights))];
+  const rest = rowOf(vertices, vertex);
+  const pulled = nearest(modes.centres, rest, (v) => modes.bone_of_voxel[v] === strongest);
+  return { voxel: pulled ?? voxel, vertex, rest, bones, weights };
 }
 
 /** Where the wind alone has a place that is pulled [m]. */
-export function gripInWind(tree, place, q, turn) {
-  const { voxel, vertex, gaussian, rest } = place;
-  if (gaussian !== undefined) return gaussianInWind(tree.splat.ride, gaussian, q, turn);
-  if (vertex === undefined) return tree.modes.voxelInWind(voxel, q, turn);
-  return plus(rest, vertexInWind(tree, vertex, q, turn));
-}
+export const gripInWind = ({ surface, swings }, { vertex, rest }) => plus(rest, displaced(surface, vertex, swings));
 
 /** Where it is now [m]. */
 export function gripNow(tree, place) {
-  const at = gripInWind(tree, place, tree.q, tree.turn);
+  const at = gripInWind(tree, place);
   return tree.groups.length ? carriedPoint(tree.boneMotion, place, at) : at;
-}
-
-/** The voxel itself, where no surface is drawn. */
-export const gripOfVoxel = (modes, voxel) => ({
-  voxel,
-  rest: Array.from(modes.centres.subarray(3 * voxel, 3 * voxel + 3)),
-  bones: [modes.bone_of_voxel[voxel]],
-  weights: [1],
-});
-
-/**
- * The drawn vertex nearest to a voxel: `{ voxel, vertex, rest, bones, weights }`. Leaves and twigs move with the bone of
- * the place where they hang, so the voxel to pull at is the nearest of the vertex' strongest bone.
- */
-function gripOfSurface(modes, geometry, voxel) {
-  const own = gripOfVoxel(modes, voxel);
-  const vertex = nearest(geometry.getAttribute("position").array, own.rest);
-  const [bones, weights] = ["boneRows", "boneWeights"].map((name) => {
-    const values = geometry.getAttribute(name);
-    return ["getX", "getY", "getZ", "getW"].map((get) => values[get](vertex));
-  });
-  if (!Math.max(...weights)) return own;
-  const rest = rowOf(geometry.getAttribute("position").array, vertex);
-  return { voxel: pulledBy(modes, rest, { bones, weights }) ?? voxel, vertex, rest, bones, weights };
-}
-
-/** The drawn Gaussian nearest to a voxel: `{ voxel, gaussian, rest, bones, weights }`. */
-function gripOfGaussian(modes, ride, voxel) {
-  const own = gripOfVoxel(modes, voxel);
-  const gaussian = nearest(ride.means, own.rest, (g) => ride.face_of[g] >= 0);
-  if (gaussian === null) return own;
-  const carriers = bonesOfGaussian(ride, gaussian);
-  if (!carriers.bones.length) return own;
-  const rest = rowOf(ride.means, gaussian);
-  return { voxel: pulledBy(modes, rest, carriers) ?? voxel, gaussian, rest, ...carriers };
-}
-
-/** The voxel at which the service pulls: the nearest of those that the strongest bone carries. */
-function pulledBy(modes, rest, { bones, weights }) {
-  const strongest = bones[weights.indexOf(Math.max(...weights))];
-  return nearest(modes.centres, rest, (v) => modes.bone_of_voxel[v] === strongest);
 }
 
 /** Where the bones carry a point [m]; what no bone carries stays. */

@@ -1,24 +1,25 @@
 // Pulls that the page answers by itself, without a service: the bends of the joints that carry the pulled place, which
 // ring out after the release. What motion/remote.js asks of the service is a whole tree's response; this is one branch's.
 
-import { gripOfVoxel } from "./grip.js";
 import { Pin } from "./pin.js";
+import { binSizes } from "./swing.js";
+import { rowOf } from "./vectors.js";
 
 const DAMPING = 0.13; // share of critical damping of a tree in leaf: docs/laws.md
 const AT_REST = 0.01; // of the bend
 
-/** A source for page/hand.js of a tree's Modes. */
-export const localSource = (modes) => ({
-  push: (options) => new LocalPush(modes, options),
-  reach: async () => new Float32Array(modes.V).fill(1),
+/** A source for page/hand.js of a Tree. */
+export const localSource = (tree) => ({
+  push: (options) => new LocalPush(tree, options),
+  reach: async () => new Float32Array(tree.modes.V).fill(1),
 });
 
 class LocalPush {
   constructor(
-    modes,
+    tree,
     { damping_ratio: damping = DAMPING, onFrame = () => {}, onRest = () => {} } = /** @type {any} */ ({}),
   ) {
-    this.modes = modes;
+    this.tree = tree;
     this.damping = damping;
     this.onFrame = onFrame;
     this.onRest = onRest;
@@ -26,9 +27,12 @@ class LocalPush {
   }
 
   drag({ voxel }, displacement_m) {
+    const { modes } = this.tree;
+    const rest = rowOf(modes.centres, voxel);
     this.began = null;
-    if (this.pin?.voxel !== voxel) this.pin = new Pin(this.modes, gripOfVoxel(this.modes, voxel));
-    const rest = Array.from(this.modes.centres.subarray(3 * voxel, 3 * voxel + 3));
+    if (this.pin?.voxel !== voxel) {
+      this.pin = new Pin(modes, { voxel, rest, bones: [modes.bone_of_voxel[voxel]], weights: [1] });
+    }
     this.pin.hold(
       [],
       rest,
@@ -41,7 +45,7 @@ class LocalPush {
     if (!this.pin) return;
     this.began = performance.now();
     const began = this.began;
-    const frequency = swayFrequency(this.modes, this.pin.voxel);
+    const frequency = swayFrequency(this.tree, this.pin.voxel);
     const step = (now) => {
       if (began !== this.began) return; // pulled again, or closed
       const seconds = Math.max(now - began, 0) / 1000;
@@ -79,14 +83,14 @@ export function ringing(seconds, frequency_hz, damping) {
   return Math.exp(-damping * omega * seconds) * (Math.cos(angle) + (damping / root) * Math.sin(angle));
 }
 
-/** The mean frequency at which a voxel sways in the wind, weighted by its velocity [Hz]. */
-export function swayFrequency({ K, shapes, scale_m: scale, frequencies_hz: hz }, voxel) {
+/** The mean frequency at which a voxel of a Tree sways in the wind, weighted by its velocity [Hz]. */
+export function swayFrequency({ surface, modes, vertexOf }, voxel) {
   let [sum, total] = [0, 0];
-  for (let k = 1; k < K; k++) {
-    let energy = 0;
-    for (let i = 6 * (voxel * K + k), end = i + 6; i < end; i++) energy += (shapes[i] * scale[k] * hz[k]) ** 2;
-    sum += hz[k] * energy;
-    total += energy;
+  for (let k = 1; k < modes.K; k++) {
+    const hz = modes.frequencies_hz[k];
+    const [size] = binSizes(surface, k, [vertexOf[voxel]]);
+    sum += hz * (size * hz) ** 2;
+    total += (size * hz) ** 2;
   }
-  return total > 0 ? sum / total : hz[1];
+  return total > 0 ? sum / total : modes.frequencies_hz[1];
 }

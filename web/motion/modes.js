@@ -1,7 +1,6 @@
 // A tree's motion as numbers: the file of /v1/spectra/{id}/modes, evaluated as docs/interaction.md says.
 
 import { readTensors } from "./tensors.js";
-import { plus, rowOf, turnedUpright } from "./vectors.js";
 
 /**
  * Coordinates of the wind's own loop: the lean, and q_k = e^{2πik·phase}. Real and imaginary part of K bins. `gains` are
@@ -17,21 +16,7 @@ export function windCoordinates(K, phase, gains = null, gust = 1) {
   return q;
 }
 
-/** Re Σ_k φ_k q_k of one row of `shapes` [rows, K, 3, 2], in steps of `scale` [K]; q is [2K]. */
-export function modeSum(shapes, scale, row, q) {
-  let [x, y, z] = [0, 0, 0];
-  const K = scale.length;
-  for (let k = 0; k < K; k++) {
-    const [re, im] = [scale[k] * q[2 * k], scale[k] * q[2 * k + 1]];
-    const at = 6 * (row * K + k);
-    x += shapes[at] * re - shapes[at + 1] * im;
-    y += shapes[at + 2] * re - shapes[at + 3] * im;
-    z += shapes[at + 4] * re - shapes[at + 5] * im;
-  }
-  return [x, y, z];
-}
-
-/** Voxels and bones. `lean` is put into bin 0 of `shapes`, whose place is empty in the file. */
+/** Voxels, and the bones of what is pushed. */
 export class Modes {
   constructor(buffer) {
     const { tensors, metadata } = readTensors(buffer);
@@ -40,27 +25,6 @@ export class Modes {
     this.voxelSize = JSON.parse(metadata.voxel_size_m);
     this.origin = JSON.parse(metadata.origin_m);
     this.centres = Float32Array.from(this.coords, (step, i) => this.origin[i % 3] + (step + 0.5) * this.voxelSize);
-    if (this.shapes) this._putLean();
-  }
-
-  _putLean() {
-    const steps = 32767;
-    const largest = this.lean_m.reduce((most, value) => Math.max(most, Math.abs(value)), 1e-9);
-    this.scale_m[0] = largest / steps;
-    for (let v = 0; v < this.V; v++)
-      for (let c = 0; c < 3; c++) {
-        this.shapes[2 * (v * this.K * 3 + c)] = Math.round((this.lean_m[3 * v + c] / largest) * steps);
-      }
-  }
-
-  /** Displacement of one voxel under the wind [m]. */
-  voxelAt(v, q) {
-    return modeSum(this.shapes, this.scale_m, v, q);
-  }
-
-  /** Where the wind alone has a voxel [m]. */
-  voxelInWind(v, q, turn) {
-    return plus(rowOf(this.centres, v), turnedUpright(this.voxelAt(v, q), turn));
   }
 
   /** Mean weight of each bone's voxels in a group, once a group. */
@@ -196,20 +160,4 @@ function turned(x, y, z) {
     z * y * (1 - c) + x * s,
     c + z * z * (1 - c),
   ];
-}
-
-/** The furthest that each bin moves any point [m]. */
-export function largestSwing({ shapes, scale_m: scale }) {
-  const K = scale.length;
-  const P = shapes.length / (6 * K);
-  const most = new Float64Array(K);
-  for (let p = 0; p < P; p++) {
-    for (let k = 0; k < K; k++) {
-      let sum = 0;
-      const start = 6 * (p * K + k);
-      for (let i = start; i < start + 6; i++) sum += shapes[i] * shapes[i];
-      if (sum > most[k]) most[k] = sum;
-    }
-  }
-  return most.map((sum, k) => Math.sqrt(sum) * scale[k]);
 }

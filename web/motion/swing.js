@@ -1,6 +1,5 @@
 // How the bones of a surface swing in the wind, as numbers. docs/engines.md has the equations.
 
-import { modeSum } from "./modes.js";
 import { cross, dot, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
 
 /**
@@ -19,58 +18,45 @@ export function swingBones(surface, q, turn, swings) {
   }
 }
 
-/**
- * Mode shapes of the vertices, `{ shapes, scale_m }` as …/surface has them, out of the bones' turns: for small motions they
- * are the same.
- */
-export function shapesOfBones(surface) {
-  const { turn_shapes, turn_scale_rad, turn_parent, turn_foot_m, turn_bone, turn_share, vertices } = surface;
-  const K = turn_scale_rad.length;
-  const [B, N] = [turn_parent.length, vertices.length / 3];
-  const feet = new Float32Array(6 * K * B);
-  const moved = new Float32Array(6 * K * N);
-  const turn = (out, row, bone, share, arm) => {
-    for (let k = 0; k < K; k++)
-      addTurned(out, 6 * (row * K + k), turn_shapes, 6 * (bone * K + k), share * turn_scale_rad[k], arm);
-  };
-  for (let b = 0; b < B; b++) {
-    const above = turn_parent[b]; // parents come before children
-    if (above < 0) continue;
-    feet.copyWithin(6 * K * b, 6 * K * above, 6 * K * (above + 1));
-    turn(feet, b, above, 1, minus(rowOf(turn_foot_m, b), rowOf(turn_foot_m, above)));
-  }
-  for (let v = 0; v < N; v++) {
-    const [b, share] = [turn_bone[v], turn_share[v]];
-    const arm = minus(rowOf(vertices, v), rowOf(turn_foot_m, b));
-    moved.set(feet.subarray(6 * K * b, 6 * K * (b + 1)), 6 * K * v);
-    turn(moved, v, b, 1 - share, arm);
-    if (share > 0) turn(moved, v, turn_parent[b], share, arm);
-  }
-  return inSteps(moved, K);
+/** Displacement of a vertex [m] where the bones swing as `swings` says. */
+export function displaced({ turn_parent, turn_foot_m, turn_bone, turn_share, vertices }, vertex, swings) {
+  const bone = turn_bone[vertex];
+  const share = turn_share[vertex];
+  const arm = minus(rowOf(vertices, vertex), rowOf(turn_foot_m, bone));
+  const halfTurn = (b) => [swings[8 * b], swings[8 * b + 1], swings[8 * b + 2]];
+  const foot = [swings[8 * bone + 4], swings[8 * bone + 5], swings[8 * bone + 6]];
+  const own = swung(halfTurn(bone), arm);
+  if (!share) return plus(foot, own);
+  return plus(foot, plus(scaled(own, 1 - share), scaled(swung(halfTurn(turn_parent[bone]), arm), share)));
 }
 
-/** θ × arm of real and imaginary part, θ in steps of `scale` [rad]. */
-function addTurned(out, at, turns, from, scale, [ax, ay, az]) {
-  for (let i = 0; i < 2; i++) {
-    const [x, y, z] = [scale * turns[from + i], scale * turns[from + 2 + i], scale * turns[from + 4 + i]];
-    out[at + i] += y * az - z * ay;
-    out[at + 2 + i] += z * ax - x * az;
-    out[at + 4 + i] += x * ay - y * ax;
+/** How far bin k alone moves each of these vertices where turns are small [m]: the root of the squares of both its parts. */
+export function binSizes(surface, k, vertices) {
+  const { turn_shapes, turn_scale_rad, turn_parent, turn_foot_m, turn_bone, turn_share } = surface;
+  const sizes = new Float32Array(vertices.length);
+  for (const part of [0, 1]) {
+    const turn = (bone) => {
+      const at = 6 * (bone * turn_scale_rad.length + k) + part;
+      return scaled([turn_shapes[at], turn_shapes[at + 2], turn_shapes[at + 4]], turn_scale_rad[k]);
+    };
+    const feet = [];
+    turn_parent.forEach((above, b) => {
+      const arm = () => minus(rowOf(turn_foot_m, b), rowOf(turn_foot_m, above));
+      feet.push(above < 0 ? [0, 0, 0] : plus(feet[above], cross(turn(above), arm())));
+    });
+    vertices.forEach((vertex, i) => {
+      const [bone, share] = [turn_bone[vertex], turn_share[vertex]];
+      const above = share ? scaled(turn(turn_parent[bone]), share) : [0, 0, 0];
+      const theta = plus(scaled(turn(bone), 1 - share), above);
+      const moved = plus(feet[bone], cross(theta, minus(rowOf(surface.vertices, vertex), rowOf(turn_foot_m, bone))));
+      sizes[i] += dot(moved, moved);
+    });
   }
-}
-
-/** Shapes [rows, K, 3, 2] as 16-bit steps of each bin's own size. */
-function inSteps(shapes, K) {
-  const scale_m = new Float32Array(K).fill(1e-12);
-  const binOf = (i) => Math.floor(i / 6) % K;
-  shapes.forEach((value, i) => {
-    scale_m[binOf(i)] = Math.max(scale_m[binOf(i)], Math.abs(value) / 32767);
-  });
-  return { shapes: Int16Array.from(shapes, (value, i) => Math.round(value / scale_m[binOf(i)])), scale_m };
+  return sizes.map(Math.sqrt);
 }
 
 /** A bone's turn: its axis times the sine of half the angle. */
-export function halfTurnOf({ turn_shapes, turn_scale_rad, turn_direction }, b, q, turn) {
+function halfTurnOf({ turn_shapes, turn_scale_rad, turn_direction }, b, q, turn) {
   const direction = rowOf(turn_direction, b);
   const own = modeSum(turn_shapes, turn_scale_rad, b, q);
   const across = cross(direction, turnedUpright(cross(own, direction), turn));
@@ -80,7 +66,21 @@ export function halfTurnOf({ turn_shapes, turn_scale_rad, turn_direction }, b, q
 }
 
 /** How far an arm's end moves. */
-export function swung(half, arm) {
+function swung(half, arm) {
   const real = Math.sqrt(1 - dot(half, half));
   return scaled(cross(half, plus(cross(half, arm), scaled(arm, real))), 2);
+}
+
+/** Re Σ_k φ_k q_k of one row of `shapes` [rows, K, 3, 2], in steps of `scale` [K]; q is [2K]. */
+function modeSum(shapes, scale, row, q) {
+  let [x, y, z] = [0, 0, 0];
+  const K = scale.length;
+  for (let k = 0; k < K; k++) {
+    const [re, im] = [scale[k] * q[2 * k], scale[k] * q[2 * k + 1]];
+    const at = 6 * (row * K + k);
+    x += shapes[at] * re - shapes[at + 1] * im;
+    y += shapes[at + 2] * re - shapes[at + 3] * im;
+    z += shapes[at + 4] * re - shapes[at + 5] * im;
+  }
+  return [x, y, z];
 }

@@ -80,10 +80,10 @@ export class Hand {
     this._show();
   }
 
-  /** The groups to draw under the wind's coordinates: those of the source, and the bends that pin what is pulled. */
-  groupsIn(q, turn, seconds) {
+  /** The groups to draw in the wind of now: those of the source, and the bends that pin what is pulled. */
+  groupsNow(seconds) {
     const beside = (pull) => this.pulls.filter((other) => other !== pull).flatMap(({ drawn }) => drawn);
-    return this.pulls.flatMap((pull) => pull.groupsIn(q, turn, seconds, beside(pull)));
+    return this.pulls.flatMap((pull) => pull.groupsNow(seconds, beside(pull)));
   }
 
   /** Once a frame, after what was drawn. */

@@ -5,7 +5,7 @@ import { localSource } from "../motion/local.js";
 import { Modes } from "../motion/modes.js";
 import { bytesOf } from "./example.js";
 
-const SMALL = "shapes=false"; // the bones of the surface say the same
+const SMALL = "shapes=false"; // the bones of the surface say how voxels move
 const NAMES = ["surface", "modes", "splat"];
 const READABLE = /^\/v1\/(spectra|artifacts)\/[0-9A-Z]{26}(\/surface|\/modes)?(\?[\w=&-]*)?$/;
 
@@ -14,7 +14,7 @@ export async function partsOf(client, job) {
   const spectrum = `/v1/spectra/${job.result.spectrum_id}`;
   const artifacts = await client.artifacts(job.id);
   const splat = artifacts.find(({ name }) => name === "tree.animated-splat.safetensors");
-  const motion = { surface: `${spectrum}/surface?${SMALL}`, modes: `${spectrum}/modes?${SMALL}` };
+  const motion = { surface: `${spectrum}/surface`, modes: `${spectrum}/modes?${SMALL}` };
   return { ...motion, ...(splat && { splat: splat.url }) };
 }
 
@@ -62,5 +62,5 @@ export async function standParts(scene, { surface, modes, splat }, isWanted = ()
     const gaussians = readSplat(splat);
     if (!isUncoloured(gaussians)) await tree.setSplat(gaussians);
   }
-  return { tree, source: localSource(motion), spectrum: { period_s: 1 / motion.frequencies_hz[1] } };
+  return { tree, source: localSource(tree), spectrum: { period_s: 1 / motion.frequencies_hz[1] } };
 }

@@ -118,11 +118,11 @@ export class Player {
     Object.assign(this, { company: kind, otherSpeed: speed_m_s, other });
   }
 
-  /** Show one mode by itself, enlarged; returns how many times. */
-  setAlone(k, height) {
-    if (k === null) this.alone = null;
-    else this.alone = { k, times: Math.max(1, (SHOWN_SHARE * height) / this.tree.largest[k]) };
-    return this.alone?.times ?? 1;
+  /** Show one mode by itself, enlarged so that its `largest` swing is seen beside the tree's height [m]; returns how many times. */
+  setAlone(k, largest, height) {
+    const times = Math.max(1, (SHOWN_SHARE * height) / largest);
+    this.alone = { k, times };
+    return times;
   }
 
   /** Once a frame. */
@@ -143,7 +143,8 @@ export class Player {
     const changed = now !== this.drawn || blown;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();
-      tree.move(q, turn, hand.groupsIn(q, turn, seconds));
+      tree.swing(q, turn);
+      tree.bend(hand.groupsNow(seconds));
     }
     if (changed && tree.copies) tree.copies.move(this._companyMotions(tree.copies.places));
     this.sinceShown += seconds;

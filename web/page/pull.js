@@ -52,13 +52,13 @@ export class Pull {
     return this.pin ? [...this.groups, this.pin.group] : this.groups;
   }
 
-  /** What is drawn of it under the wind's coordinates, among the groups of `others`. */
-  groupsIn(q, turn, seconds, others) {
+  /** What is drawn of it in the wind of now, among the groups of `others`. */
+  groupsNow(seconds, others) {
     const { grip, pin } = this;
     if (pin && !grip && !pin.fade(seconds)) this.pin = null;
     if (grip) {
       grip.beside.multiplyScalar(Math.exp(-seconds / EASE_S));
-      const inWind = gripInWind(this.hand.tree, grip.place, q, turn);
+      const inWind = gripInWind(this.hand.tree, grip.place);
       const target = grip.target.clone().add(grip.beside).toArray();
       grip.displacement = target.map((x, i) => x - inWind[i]);
       const missing = this.missing ?? [0, 0, 0]; // how far the source says that the tree does not go

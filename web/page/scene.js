@@ -1,7 +1,7 @@
 // What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
 
 import { hasStill } from "../client/states.js";
-import { fieldOf } from "../draw/bone_field.js";
+import { Field } from "../draw/field.js";
 import { Person } from "../draw/person.js";
 import { readSurface } from "../draw/surface.js";
 import { Tree } from "../draw/tree.js";
@@ -155,8 +155,8 @@ export class Scene {
     const id = job.result.spectrum_id;
     const [spectrum, modes, surface] = await Promise.all([
       this.client.spectrum(id),
-      this.client.modes(id, { signal, shapes: false }),
-      this.client.surface(id, { signal, shapes: false }),
+      this.client.modes(id, { signal }),
+      this.client.surface(id, { signal }),
     ]);
     const read = await readSurface(surface);
     if (signal.aborted) return;
@@ -169,15 +169,12 @@ export class Scene {
 
   /** Another motion of the tree on the stage, from its spectrum: `{ id, field, bands, wind }`; `wind()` asks for its endless wind. */
   async otherMotion(id, signal) {
-    const options = { signal, shapes: false };
-    const [spectrum, surface] = await Promise.all([this.client.spectrum(id), this.client.surface(id, options)]);
-    const { tensors } = readTensors(surface);
-    const modes = tensors.turn_parent ? null : new Modes(await this.client.modes(id, { signal }));
+    const [spectrum, surface] = await Promise.all([this.client.spectrum(id), this.client.surface(id, { signal })]);
     const wind = () => this.client.wind(id, { seed: OTHER_WIND });
-    return { id, field: fieldOf(tensors, modes), bands: spectrum.wind_bands, wind };
+    return { id, field: new Field(readTensors(surface).tensors), bands: spectrum.wind_bands, wind };
   }
 
-  /** What only the job's files contain: Gaussians of a cloud or of photos, else the own motion of a large mesh. */
+  /** What only the job's files contain: Gaussians of a cloud or of photos, else how a mesh shines. */
   async products(job, signal) {
     const { tree } = this;
     if (!tree?.moves || this.complete) return;
@@ -185,7 +182,7 @@ export class Scene {
     const artifacts = await this.client.artifacts(job.id);
     if (!tree.splat && !(await this._setGaussians(tree, artifacts, signal))) {
       if (tree.hidden) this.showMesh();
-      else await this._addLooks(tree, artifacts, signal);
+      else await this._looks(tree, artifacts, signal).catch(() => {}); // matt without them
     }
     if (signal.aborted) return;
     this._dropPhotos();
@@ -210,21 +207,10 @@ export class Scene {
     return true;
   }
 
-  async _addLooks(tree, artifacts, signal) {
-    const file = artifacts.find(({ name }) => name === "tree.glb");
-    if (file && tree.usesNearVoxels) await this._ownMotion(tree, file, signal);
-    if (file) await this._looks(tree, file, signal).catch(() => {}); // matt without them
-  }
-
-  async _ownMotion(tree, file, signal) {
-    const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
-    if (!isWorthLoading(file)) return;
-    const shapes = await readShapes(await this.client.bytes(file.url, { signal }), tree.modes.K);
-    if (shapes && !signal.aborted) tree.setShapes(shapes);
-  }
-
   /** Metal, roughness and maps of normals, which the surface does not have. */
-  async _looks(tree, file, signal) {
+  async _looks(tree, artifacts, signal) {
+    const file = artifacts.find(({ name }) => name === "tree.glb");
+    if (!file) return;
     const { readLooks } = await import("../draw/glb_looks.js");
     const read = (from, to) => this.client.bytes(file.url, { signal, headers: { Range: `bytes=${from}-${to - 1}` } });
     const looks = await readLooks(read);

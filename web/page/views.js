@@ -27,15 +27,16 @@ export class ViewPanel {
   }
 
   _showMode() {
-    const { tree } = this.player;
-    if (!tree?.moves) return;
+    const { player, stage } = this;
+    const { tree } = player;
+    player.alone = null;
+    if (!tree?.moves || this.view !== "modes") return;
     const k = Number($("mode").value);
-    const coloured = this.view === "modes";
     $("mode").max = tree.modes.K - 1;
-    tree.setShown(coloured ? k : null);
+    const largest = tree.showBin(k);
     describe($("mode"), $("mode-out"), `${k}: ${number(tree.modes.frequencies_hz[k], 2)} Hz`);
-    const times = this.player.setAlone(coloured && $("mode-alone").checked ? k : null, this.stage.height);
-    const words = [length(tree.largest[k])];
+    const times = $("mode-alone").checked ? player.setAlone(k, largest, stage.height) : 1;
+    const words = [length(largest)];
     if (times > 1.05) words.push(text("mode.times", { n: number(times, times < 10 ? 1 : 0) }));
     fill($("mode-most"), words.join(", "));
   }
