@@ -4,9 +4,8 @@ import { Client, Problem } from "./client.js";
 import { remoteSource } from "./motion/remote.js";
 import { bandsOf } from "./page/all_winds.js";
 import { isPhotos, relativePaths, treesAmong } from "./page/bundles.js";
-import { showCameras } from "./page/camera_circle.js";
-import { CompanyPanel, makeOther } from "./page/company.js";
-import { $, ask, fill, paintRanges } from "./page/dom.js";
+import { CompanyPanel } from "./page/company.js";
+import { $, ask, describe, fill, paintRanges } from "./page/dom.js";
 import { SizeDoubt } from "./page/doubt.js";
 import { watchDrops } from "./page/drop.js";
 import { linkedJob, setAddress } from "./page/example.js";
@@ -22,14 +21,13 @@ import { Machine } from "./page/machine.js";
 import { nameTag, stem } from "./page/names.js";
 import { hideProblem, showNotice, showProblem, wayOut } from "./page/problem.js";
 import { showDraftHeight, showProgress, tabTitle } from "./page/progress.js";
-import { buildPushPanel } from "./page/push_panel.js";
 import { Recorder } from "./page/record.js";
 import { watchRoom } from "./page/room.js";
 import { Session } from "./page/session.js";
 import { buildSettings } from "./page/settings.js";
 import { ShareDialog } from "./page/share.js";
 import { buildSound } from "./page/sound.js";
-import { length, number, text } from "./page/texts.js";
+import { length, number, percent, text } from "./page/texts.js";
 import { currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
 import { TreeForm } from "./page/tree_form.js";
 import { ViewPanel } from "./page/views.js";
@@ -57,19 +55,16 @@ export class App {
       onJob: (id) => setAddress(`#job=${id}`),
       onKey: (again) => this.askKey(again),
     });
-    this.files = new Files(this.client, { onProblem });
+    const products = () => this.limits.then((limits) => limits.products);
+    this.files = new Files(this.client, { products, onProblem });
     this.jobs = new JobList(this.client, {
       onOpen: (id) => this.open(id),
       onDeleted: (id) => id === this.session.jobId && this.session.deleted(),
       onProblem: (error) => this.onProblem(error, () => this.jobs.show()),
     });
-    this.company = new CompanyPanel(stage, player, {
-      otherMotion: (run) => makeOther(this.client, scene, this.machine.facts.job, run),
-      onProblem,
-    });
+    this.company = new CompanyPanel(stage, player);
     this.wind = new WindPanel(stage, player, {
       onMake: (wind) => this.session.animateIn(wind),
-      onEndless: () => this.company.takeWind(),
       onProblem,
     });
     this.views = new ViewPanel(stage, player);
@@ -87,7 +82,7 @@ export class App {
     new Immersion(this.client, { stage, player, kits, name, onProblem });
     new LightPanel(stage);
     new Recorder(stage, player, { name, onProblem });
-    buildPushPanel(parts.hand);
+    this._buildPushPanel(parts.hand);
     this._watch(parts);
     paintRanges();
     this.look();
@@ -125,13 +120,22 @@ export class App {
     this.limits.then(showFormats, () => {});
   }
 
+  /** How fast what is pushed comes to rest, and a push for those who use no pointer. */
+  _buildPushPanel(hand) {
+    const damping = $("damping");
+    describe(damping, $("damping-out"), text("push.natural"));
+    damping.oninput = () => describe(damping, $("damping-out"), percent(Number(damping.value) / 100));
+    damping.onchange = () => hand.setDamping(Number(damping.value) / 100);
+    $("knock").onclick = () => hand.knock();
+  }
+
   // ---- states
 
   onState(state, facts, before) {
     document.body.dataset.state = state;
     document.title = tabTitle(state, facts);
     showProgress(state, facts);
-    if (facts.job) this.files.follow(facts.job, facts.name);
+    if (facts.job) this.files.follow(facts.job, facts.name).catch(() => {}); // the next state asks again
     this.doubt.set(state === "failed" ? {} : facts);
     if (state !== "welcome") {
       this.form.set(facts);
@@ -150,19 +154,17 @@ export class App {
     return this.machine.facts.name || text("tree.one");
   }
 
-  onMotion(tree, spectrum, job) {
+  onMotion(tree, spectrum) {
     this.hand.take(tree, remoteSource(this.client, spectrum.id, tree.modes.V));
     this.player.start(tree, spectrum);
     this.wind.start(() => this.client.wind(spectrum.id)).catch((error) => this.onProblem(error));
     this.showViews();
     $("caption").replaceChildren(nameTag(this.treeName), ` · ${length(this.stage.height)}`);
-    this.files.follow(job, this.machine.facts.name);
   }
 
   /** All files are there: the service is free to compute what the slider of the wind says. */
   async onComplete(job, signal) {
     this.showViews();
-    if (this.machine.facts.asset?.kind === "photos") showCameras(this.client, job, signal).catch(() => {}); // a hint only
     if (this.player.hasBands) return;
     const bands = await bandsOf(this.client, job, signal).catch(() => null); // the power law serves as well
     if (bands && !signal.aborted) this.wind.takeBands(bands);
@@ -177,7 +179,7 @@ export class App {
     hideProblem();
     this.hand.leave();
     this.player.stop();
-    this.company.clear();
+    this.company.place();
     this.files.clear();
     this.form.clear();
     fill($("caption"), "");

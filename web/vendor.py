@@ -28,7 +28,6 @@ class Library:
     version: str
     sha512: str  # npm's `dist.integrity`, base64
     files: dict[str, str]  # path in the package to path in the library's folder
-    folder: str = ""  # in `vendor/`; name and version if unset
     apache: bool = False  # its licence is this project's, whose text the package lacks
 
     @property
@@ -38,8 +37,7 @@ class Library:
 
     def target(self, path: str) -> str:
         """Path in `vendor/` of a file. It holds the version, so that browsers may cache it for ever."""
-        own = f"{self.name.rpartition('/')[2]}-{self.version}"
-        return f"{self.folder or own}/{path}"
+        return f"{self.name.rpartition('/')[2]}-{self.version}/{path}"
 
 
 LIBRARIES = (
@@ -68,12 +66,11 @@ LIBRARIES = (
         sha512="wf5F2YAmPXnjm20/MgXYer9FQTXz2JOCo05HwxFkaD7Guk9rHVPIwdJ6fq0oF9ME0heMvYj+TxS6DTrucvy6KA==",
         files={"LICENSE": "LICENSE", "dist/spark.module.min.js": "spark.module.min.js"},
     ),
-    Library(  # inside of Spark's file
+    Library(  # zip archives; Spark's file contains it as well
         name="fflate",
         version="0.8.2",
         sha512="cPJU47OaAoCbg0pBvzsgpTPhmhqI5eJjh/JIu8tPj5q+T7iLvW/JAYUqmE7KOB4R1ZyEhzBaIQpQpardBF5z8A==",
-        folder="spark-2.2.0",
-        files={"LICENSE": "LICENSE.fflate"},
+        files={"LICENSE": "LICENSE", "esm/browser.js": "fflate.js"},
     ),
     Library(  # laser scans
         name="laz-perf",

@@ -15,7 +15,6 @@ import { Modes } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
 import { binSizes, displaced, swingBones } from "../../web/motion/swing.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
-import { widestGap } from "../../web/page/camera_circle.js";
 import { proposals } from "../../web/page/doubt.js";
 import { readDrop } from "../../web/page/drop.js";
 import { checkContent } from "../../web/page/first_bytes.js";
@@ -236,7 +235,7 @@ test("a refused upload is tried again with the same files", async () => {
 test("a job that made voxels only ends, and offers motion", async () => {
   const { session, machine } = begin({ jobs: [job("succeeded", { type: "voxelize", result: { voxels_id: "V" } })] });
   await session.open("J1");
-  assert.deepEqual([machine.state, machine.facts.problem.code], ["failed", "only-voxelize"]);
+  assert.deepEqual([machine.state, machine.facts.problem.code], ["failed", "no-motion"]);
   assert.ok(machine.facts.problem.offersMotion);
 });
 
@@ -471,14 +470,6 @@ test("what is let go leaves the hand slowly, and goes all the way", () => {
   const steps = places.slice(1).map((place, i) => distance(place, places[i]));
   assert.ok(steps[0] < 0.5 * Math.max(...steps));
   assert.ok(distance(places.at(-1), tip.rest) < 0.01 && places.length < 90);
-});
-
-test("the side that no photo shows is the widest gap of the circle, across its beginning too", () => {
-  assert.equal(widestGap([0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]), null);
-  assert.deepEqual(widestGap([20, 50, 140, 170, 200, 230, 260, 290, 320, 350]), { from: 50, to: 140 });
-  assert.deepEqual(widestGap([60, 100, 130]), { from: 130, to: 420 });
-  assert.deepEqual(widestGap([60]), { from: 60, to: 420 });
-  assert.equal(widestGap([]), null);
 });
 
 /** A stem of two bones, the upper one of a vertex that hangs half on its parent. */

@@ -112,7 +112,7 @@ def test_voxels_only_are_said_to_be_that(view: Open, url: str, tree: Path) -> No
     viewer = view(900, 620)
     viewer.open(f"{url}/#job={job['id']}")
     alert = viewer.page.get_by_role("alert")
-    expect(alert).to_contain_text("voxels only", timeout=JOB_MS)
+    expect(alert).to_contain_text("made no motion", timeout=JOB_MS)
     alert.get_by_role("button", name="Give it motion").click()
     state(viewer.page, "moving")
 
@@ -176,7 +176,7 @@ def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) 
     viewer = view(390, 760, touch=True)
     page = viewer.page
     viewer.open(f"{url}/#job={job['id']}")
-    expect(page.get_by_role("alert")).to_contain_text("voxels only", timeout=JOB_MS)
+    expect(page.get_by_role("alert")).to_contain_text("made no motion", timeout=JOB_MS)
     page.locator("#open-jobs").click()
     item = page.locator(f"#job-list [data-key='{job['id']}']")
     item.locator(".delete").click()

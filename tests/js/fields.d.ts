@@ -1,152 +1,162 @@
 // Fields that classes of web/ set all at once with Object.assign, which TypeScript does not follow. For `make web-check`.
 
+import type { Client } from "../../web/client.js";
+import type { Hand } from "../../web/page/hand.js";
+import type { KitDialog } from "../../web/page/kits.js";
+import type { LiveTree } from "../../web/page/live.js";
+import type { Modes } from "../../web/motion/modes.js";
+import type { Person } from "../../web/draw/person.js";
+import type { Player } from "../../web/page/player.js";
+import type { Scene } from "../../web/page/scene.js";
+import type { Stage } from "../../web/draw/stage.js";
+import type { Tree } from "../../web/draw/tree.js";
+
 declare module "../../web/app.js" {
   interface App {
-    hand: any; live: any; player: any; scene: any; stage: any;
+    hand: Hand; live: LiveTree; player: Player; scene: Scene; stage: Stage;
   }
 }
 
 declare module "../../web/client.js" {
   interface Client {
-    WebSocket: any; _fetch: any; base: any; key: any; storage: any;
+    WebSocket: any; _fetch: any; base: string; key: string | null; storage: Storage | null;
   }
 }
 
 declare module "../../web/client/problem.js" {
   interface Problem {
-    retryAfterS: any; status: any;
+    retryAfterS: number | null; status: number;
   }
 }
 
 declare module "../../web/client/push.js" {
   interface Push {
-    client: any; onFrame: any; onProblem: any; onRest: any; spectrumId: any;
+    client: Client; onFrame: Function; onProblem: Function; onRest: Function; spectrumId: string;
   }
 }
 
 declare module "../../web/draw/copies.js" {
   interface Copies {
-    one: any; other: any; places: any;
+    one: any; places: any;
   }
 }
 
 declare module "../../web/draw/splat.js" {
   interface SplatView {
-    box: any; field: any; harmonics: any; mesh: any; renderer: any; ride: any; stage: any; textures: any;
-    uniforms: any; values: any;
+    box: any; harmonics: any; mesh: any; renderer: any; stage: Stage; textures: any; uniforms: any; values: any;
   }
 }
 
 declare module "../../web/draw/tree.js" {
   interface Tree {
-    boneMotion: any; group: any; q: any; stage: any; surface: any; turn: any; voxelField: any;
+    boneMotion: Float32Array; group: any; q: Float32Array; stage: Stage; surface: any; turn: number;
   }
 }
 
 declare module "../../web/motion/local.js" {
   interface LocalPush {
-    damping: any; modes: any; onFrame: any; onRest: any;
+    damping: number; tree: Tree; onFrame: Function; onRest: Function;
   }
 }
 
 declare module "../../web/motion/modes.js" {
   interface Modes {
-    B: any; K: any; V: any; bone_joint_m: any; bone_lever_m2: any; bone_of_voxel: any; bone_parent: any;
-    bone_reach_m: any; bone_shapes: any; coords: any; frames: any; frequencies_hz: any; lean_m: any; scale_m: any;
-    shapes: any;
+    B: number; K: number; V: number; bone_joint_m: Float32Array; bone_lever_m2: Float32Array;
+    bone_of_voxel: Int32Array; bone_parent: Int32Array; bone_reach_m: Float32Array; bone_shapes: Int16Array;
+    coords: Int16Array; frames: Float64Array; frequencies_hz: Float32Array; scale_m: Float32Array;
   }
 }
 
 declare module "../../web/motion/pin.js" {
   interface Pin {
-    grip: any; modes: any; released: any; voxel: any;
+    grip: any; modes: Modes; released: any; voxel: number;
   }
 }
 
 declare module "../../web/page/company.js" {
   interface CompanyPanel {
-    onProblem: any; otherMotion: any; player: any; stage: any;
+    player: Player; stage: Stage;
   }
 }
 
 declare module "../../web/page/doubt.js" {
   interface SizeDoubt {
-    onChange: any; onHeight: any;
+    onChange: Function; onHeight: Function;
   }
 }
 
 declare module "../../web/page/files.js" {
   interface Files {
-    client: any; formats: any; onProblem: any;
+    client: Client; onProblem: Function; products: () => Promise<{ format: string, file_name: string }[]>;
   }
 }
 
 declare module "../../web/page/hand.js" {
   interface Hand {
-    onGrab: any; onProblem: any; source: any; stage: any;
+    onGrab: Function; onProblem: Function; source: any; stage: Stage;
   }
 }
 
 declare module "../../web/page/immersion.js" {
   interface Immersion {
-    client: any; kits: any; name: any;
+    client: Client; kits: KitDialog; name: () => string;
   }
 }
 
 declare module "../../web/page/jobs.js" {
   interface JobList {
-    client: any; onDeleted: any; onOpen: any; onProblem: any;
+    client: Client; onDeleted: Function; onOpen: Function; onProblem: Function;
   }
 }
 
 declare module "../../web/page/kits.js" {
   interface KitDialog {
-    client: any; onMade: any; onProblem: any; tree: any;
+    client: Client; onMade: Function; onProblem: Function; tree: any;
   }
 }
 
 declare module "../../web/page/live.js" {
   interface LiveTree {
-    files: any; onMotion: any; scene: any;
+    files: any; onMotion: Function; scene: Scene;
   }
 }
 
 declare module "../../web/page/player.js" {
   interface Player {
-    made: any; otherSpeed: any; period: any; sinceShown: any;
+    made: any; otherSpeed: number; period: number; sinceShown: number;
   }
 }
 
 declare module "../../web/page/pull.js" {
   interface Pull {
-    hand: any;
+    hand: Hand;
   }
 }
 
 declare module "../../web/page/record.js" {
   interface Encoder {
-    frames: any; height: any; width: any;
+    frames: any; height: number; width: number;
   }
   interface Recorder {
-    player: any; stage: any;
+    player: Player; stage: Stage;
   }
 }
 
 declare module "../../web/page/scene.js" {
   interface Scene {
-    client: any; onClear: any; onComplete: any; onDraft: any; onMotion: any; person: any;
+    client: Client; onClear: Function; onComplete: Function; onDraft: Function; onMotion: Function; person: Person;
   }
 }
 
 declare module "../../web/page/session.js" {
   interface Session {
-    client: any; machine: any; onJob: any; onKey: any; scene: any;
+    client: Client; machine: any; onJob: Function; onKey: Function; scene: Scene;
   }
 }
 
 declare module "../../web/page/share.js" {
   interface ShareDialog {
-    client: any; tree: any;
+    client: Client; tree: any;
   }
 }
 
@@ -158,19 +168,19 @@ declare module "../../web/page/strokes.js" {
 
 declare module "../../web/page/tree_form.js" {
   interface TreeForm {
-    onApply: any; person: any; stage: any; tree: any;
+    onApply: Function; person: Person; stage: Stage; tree: any;
   }
 }
 
 declare module "../../web/page/views.js" {
   interface ViewPanel {
-    player: any; stage: any;
+    player: Player; stage: Stage;
   }
 }
 
 declare module "../../web/page/wind.js" {
   interface WindPanel {
-    onEndless: any; player: any; stage: any;
+    onEndless: Function; player: Player; stage: Stage;
   }
 }
 

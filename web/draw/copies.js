@@ -4,13 +4,10 @@ import * as THREE from "three";
 import { surfaceMaterials } from "./follow.js";
 
 export class Copies {
-  /**
-   * `field` holds the tree's shapes; `places` are `{ x, y, yaw, size }` as of motion/company.js. `other` is the field of
-   * another motion, which the copies have in place of the tree's.
-   */
-  constructor({ surface, field, box, still }, places, other = null) {
-    Object.assign(this, { places, other, one: box });
-    this.field = (other ?? field).copied(places.length);
+  /** Of a Tree; `places` are `{ x, y, yaw, size }` as of motion/company.js. */
+  constructor({ surface, field, box, still }, places) {
+    Object.assign(this, { places, one: box });
+    this.field = field.copied(places.length);
     const uniforms = {
       moved: { value: this.field.texture },
       copyRows: { value: this.field.rows },

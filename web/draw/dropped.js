@@ -15,7 +15,7 @@ const HEAD_BYTES = 4096;
 const SPLAT_PROPERTY = /property \w+ (f_dc_0|scale_0|packed_scale)/;
 const UP_COMMENT = /^comment up_axis ([+-][XYZ]|[-+\d.e]+,[-+\d.e]+,[-+\d.e]+)\s*$/m;
 const SPLATS = new Set(["splat", "spz", "ksplat", "sog"]);
-const CLAY = { color: 0xb9b3a4, side: THREE.DoubleSide };
+const CLAY = 0xb9b3a4;
 const load = (name) => import(`three/addons/loaders/${name}Loader.js`);
 
 const READERS = { glb: readGltf, gltf: readGltf, obj: readObj, stl: readStl, ply: readPly, las: readLas, laz: readLas };
@@ -145,12 +145,11 @@ function partsByPlace(vertices, index, N) {
   return parts.map((_, v) => parts[same[v]]);
 }
 
+/** A mesh of a file without materials; of vertex colours, the light adds none. */
 function clay(geometry) {
-  if (!geometry.attributes.normal) geometry.computeVertexNormals();
-  const vertexColors = Boolean(geometry.attributes.color);
   return new THREE.Mesh(
     geometry,
-    new THREE.MeshLambertMaterial({ ...CLAY, ...(vertexColors && { vertexColors, color: 0xffffff }) }),
+    new THREE.MeshLambertMaterial({ color: geometry.attributes.color ? 0xffffff : CLAY }),
   );
 }
 

@@ -51,10 +51,7 @@ vec3 ramp(float s) {
 
 // normals of foliage look outward on both sides
 const OUTWARD = /* glsl */ `
-float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;
-#ifdef USE_NORMALMAP_TANGENTSPACE
-  mat3 tbn = getTangentFrame(-vViewPosition, normal, vNormalMapUv);
-#endif`;
+float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;`;
 
 /** What is added to the colour of a kind. */
 const COLOURS = {
@@ -67,7 +64,7 @@ const COLOURED = { surface: `uniform float coloured; varying float vShare, vStil
 
 /** Make a material's vertices follow; `uniforms` are the tree's. `kind` is a key of KINDS. */
 export function makeFollow(material, uniforms, kind) {
-  const lit = material.isMeshLambertMaterial || material.isMeshStandardMaterial;
+  const lit = material.isMeshLambertMaterial;
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, uniforms);
     shader.vertexShader = replaced(shader.vertexShader, {
@@ -92,12 +89,9 @@ const PLAIN = { base_color: [0.5, 0.5, 0.5, 1], alpha_cutoff: null };
 export function surfaceMaterials(surface, uniforms) {
   const all = surface.materials.length ? surface.materials : [PLAIN];
   const lit = all.map(({ base_color: [r, g, b], alpha_cutoff: cutoff }, index) => {
-    const shiny = surface.looks?.[index];
-    const Kind = shiny ? THREE.MeshStandardMaterial : THREE.MeshLambertMaterial;
-    const material = new Kind({
-      ...shiny,
+    const material = new THREE.MeshLambertMaterial({
       color: new THREE.Color(r, g, b),
-      map: (surface.materials.length && surface.textures[index]) || null, // other textures lie behind those of materials
+      map: surface.textures[index] ?? null,
       vertexColors: true,
       alphaTest: cutoff ?? 0,
       side: THREE.DoubleSide,

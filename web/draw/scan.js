@@ -45,11 +45,9 @@ export async function readLas([{ content }]) {
   const brightest = colors.flat().reduce((most, value) => Math.max(most, value), 0);
   if (brightest) {
     const unit = brightest > 255 ? 65535 : 255; // many programs write bytes
-    const color = new THREE.Color();
     const linear = colors.flatMap((rgb) =>
-      color
-        .fromArray(rgb)
-        .multiplyScalar(1 / unit)
+      new THREE.Color()
+        .fromArray(rgb.map((x) => x / unit))
         .convertSRGBToLinear()
         .toArray(),
     );

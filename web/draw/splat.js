@@ -46,24 +46,14 @@ export class SplatView {
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
     view.textures = texturesOf(splat, surface, view.harmonics);
     const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
-    const [at, scales, turn, grey] = [
-      new THREE.Vector3(),
-      new THREE.Vector3(),
-      new THREE.Quaternion(),
-      new THREE.Color(0.5, 0.5, 0.5),
-    ];
+    const [at, scales] = [new THREE.Vector3(), new THREE.Vector3()];
+    const turn = new THREE.Quaternion();
+    const grey = new THREE.Color(0.5, 0.5, 0.5);
     for (let g = 0; g < splat.G; g++) {
+      const [w, x, y, z] = splat.quaternions.subarray(4 * g, 4 * g + 4);
       at.fromArray(splat.means, 3 * g);
       scales.fromArray(splat.scales, 3 * g);
-      turn
-        .set(
-          splat.quaternions[4 * g + 1],
-          splat.quaternions[4 * g + 2],
-          splat.quaternions[4 * g + 3],
-          splat.quaternions[4 * g],
-        )
-        .normalize();
-      cloud.pushSplat(at, scales, turn, splat.opacity[g], grey);
+      cloud.pushSplat(at, scales, turn.set(x, y, z, w).normalize(), splat.opacity[g], grey);
     }
     cloud.updateTextures();
     view.renderer = sparkRenderer(spark, stage);

@@ -128,33 +128,6 @@ export class Stage {
     return Math.max(...needed);
   }
 
-  /** Turn by angles [rad]; zoom is a factor of the distance. */
-  orbit(around, up, zoom = 1) {
-    const { clamp } = THREE.MathUtils;
-    const offset = new THREE.Vector3().subVectors(this.camera.position, this.controls.target);
-    const angle = Math.atan2(offset.y, offset.x) + around;
-    const lift = clamp(Math.atan2(offset.z, Math.hypot(offset.x, offset.y)) + up, 0.02, 1.5);
-    const length = clamp(offset.length() * zoom, this.controls.minDistance, this.controls.maxDistance);
-    offset.set(Math.cos(angle) * Math.cos(lift), Math.sin(angle) * Math.cos(lift), Math.sin(lift));
-    this.camera.position.copy(this.controls.target).addScaledVector(offset, length);
-    this.controls.update();
-    this.stale = true;
-  }
-
-  /** Move the view by shares of what it sees. */
-  pan(right, up) {
-    const { camera, controls } = this;
-    const seen = 2 * camera.position.distanceTo(controls.target) * Math.tan((camera.fov * Math.PI) / 360);
-    const step = new THREE.Vector3()
-      .setFromMatrixColumn(camera.matrixWorld, 0)
-      .multiplyScalar(right * seen)
-      .addScaledVector(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), up * seen);
-    camera.position.add(step);
-    controls.target.add(step);
-    controls.update();
-    this.stale = true;
-  }
-
   /** Parts of the canvas that panels lie over [px]: the tree stands in the middle of the rest. */
   clear(margins) {
     if (JSON.stringify(margins) === JSON.stringify(this.margins)) return;

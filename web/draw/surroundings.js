@@ -1,12 +1,10 @@
 // What stands around a tree: light, ground with shadow, and the arrow that the wind blows along.
 
 import * as THREE from "three";
-import { environmentOf } from "./environment.js";
 import { Ground } from "./ground.js";
 import { SLACK } from "./shadow.js";
 
 const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
-const REFLECTED = 0.4; // of the environment: the sky lights all materials besides
 const LOOKS = {
   light: {
     sky: 0xf4f8ff,
@@ -39,23 +37,12 @@ export class Surroundings {
   /** Colours of the theme: "light" or "dark". */
   look(name) {
     const look = LOOKS[name];
-    this.colours = look;
-    if (this.scene.environment) this.reflect(this.renderer);
     this.sky.color.set(look.sky);
     this.sky.groundColor.set(look.earth);
     this.sky.intensity = look.ambient;
     this.sun.color.set(look.sun);
     this.sun.intensity = look.strength;
     this.ground.look(look);
-  }
-
-  /** Give shiny materials something to reflect. */
-  reflect(renderer) {
-    this.renderer = renderer;
-    this.scene.environment?.dispose();
-    this.scene.environment = environmentOf(renderer, this.colours);
-    this.scene.environmentRotation.set(Math.PI / 2, 0, 0); // its top is +Y, ours +Z
-    this.scene.environmentIntensity = REFLECTED;
   }
 
   /** Where the sun is seen from the tree: the direction over the ground, and the height above it [degrees both]. */

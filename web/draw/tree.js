@@ -72,7 +72,7 @@ export class Tree {
     const { lit, depth } = surfaceMaterials(this.surface, this.uniforms);
     this.mesh.material = lit;
     this.mesh.customDepthMaterial = depth;
-    if (this.copies) this.setCopies(this.copies.places, this.copies.other);
+    if (this.copies) this.setCopies(this.copies.places);
     this.setView(this.view);
   }
 
@@ -82,15 +82,6 @@ export class Tree {
     this.uniforms.poses.value = this.poses.texture;
     this.field = new Field(this.surface);
     this.uniforms.moved.value = this.field.texture;
-  }
-
-  /** Metal, roughness and maps of the materials, one a material or null, once a file says more than colours. */
-  setLooks(looks) {
-    this.surface.looks = looks;
-    const maps = looks.flatMap((look) => (look ? [look.normalMap, look.roughnessMap] : []));
-    this.surface.textures.push(...maps); // behind the colours, to be disposed of with them
-    this.stage.surroundings.reflect(this.stage.renderer);
-    this._setMaterials();
   }
 
   /** The points of a cloud at rest, until its Gaussians move. */
@@ -122,15 +113,14 @@ export class Tree {
   }
 
   /**
-   * The tree again at these places, each moved by `copies.move`; none for an empty list. `field` is that of another
-   * motion of the same tree, where the copies have one.
+   * The tree again at these places, each moved by `copies.move`; none for an empty list.
    */
-  setCopies(places, field = null) {
+  setCopies(places) {
     const moved = JSON.stringify(places) !== JSON.stringify(this.copies?.places ?? []);
     this.copies?.dispose();
     this.copies = null;
     if (places.length && this.field && !this.hidden) {
-      this.copies = new Copies(this, places, field);
+      this.copies = new Copies(this, places);
       this.group.add(this.copies.mesh);
     }
     if (moved) this.stage.frame(this.copies ? this.copies.box.union(this.box) : this.box);

@@ -3,7 +3,7 @@
 
 import { Pin } from "./pin.js";
 import { binSizes } from "./swing.js";
-import { rowOf } from "./vectors.js";
+import { plus, rowOf } from "./vectors.js";
 
 const DAMPING = 0.13; // share of critical damping of a tree in leaf: docs/laws.md
 const AT_REST = 0.01; // of the bend
@@ -33,11 +33,7 @@ class LocalPush {
     if (this.pin?.voxel !== voxel) {
       this.pin = new Pin(modes, { voxel, rest, bones: [modes.bone_of_voxel[voxel]], weights: [1] });
     }
-    this.pin.hold(
-      [],
-      rest,
-      rest.map((x, i) => x + displacement_m[i]),
-    );
+    this.pin.hold([], rest, plus(rest, displacement_m));
     this._give(1);
   }
 

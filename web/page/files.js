@@ -7,32 +7,13 @@ import { fileName, nameTag } from "./names.js";
 import { store, stored } from "./storage.js";
 import { bytes, percent, text, textOrNull } from "./texts.js";
 
-/** In the order in which they are listed. */
-const ORDER = [
-  "tree.glb",
-  "tree.animated-splat.safetensors",
-  "tree-8-targets.glb",
-  "tree-skinned.glb",
-  "tree.usdz",
-  "tree.abc",
-  "tree.lod.zip",
-  "tree.vat.zip",
-  "motion.ply.zip",
-  "splat.ply.zip",
-  "motion.safetensors",
-  "preview.mp4",
-  "preview.webp",
-  "preview.png",
-  "mesh.ply",
-  "tree.spectrum.safetensors",
-  "tree.voxels.safetensors",
-];
 const MOST_BESIDE = 24; // as many formats as there are
 const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors", "draft.splat"]); // for stages, strokes, a first look
 
 export class Files {
-  constructor(client, { onProblem }) {
-    Object.assign(this, { client, onProblem });
+  /** `products()` are those of /v1/limits, a promise. */
+  constructor(client, { products, onProblem }) {
+    Object.assign(this, { client, products, onProblem });
     this.clear();
     $("more").ontoggle = () => $("more").open && this._offer();
   }
@@ -57,7 +38,7 @@ export class Files {
     const lists = await Promise.all([...ids].map((id) => this.client.artifacts(id).catch(() => [])));
     if (owner !== this.job) return; // another tree is on the stage by now
     for (const artifact of lists.flat()) if (!INNER.has(artifact.name)) this.listed.set(artifact.name, artifact);
-    this._show();
+    this._show(await this.products());
   }
 
   /** A job has written other formats of the tree of job `id`. */
@@ -71,10 +52,14 @@ export class Files {
     return JSON.parse(stored(`formats ${id}`) ?? "[]");
   }
 
-  _show() {
-    const rank = (name) => ORDER.indexOf(name) + 1 || ORDER.length + 1;
+  /** Products first, in the service's order, then what else the job has written. */
+  _show(products) {
+    const formats = new Map(products.map(({ format, file_name }) => [file_name, format]));
+    const order = [...formats.keys()];
+    const rank = (name) => (formats.has(name) ? order.indexOf(name) : order.length);
     const names = [...this.listed.keys()].sort((a, b) => rank(a) - rank(b));
-    keyedChildren($("artifacts"), names, (name) => element("li", {}, this._link(this.listed.get(name))));
+    const title = (name) => textOrNull(`format.${formats.get(name)}`) ?? textOrNull(`file.${name}`) ?? name;
+    keyedChildren($("artifacts"), names, (name) => element("li", {}, this._link(this.listed.get(name), title(name))));
   }
 
   /** "oak.glb" for the tree.glb of oak.obj, "oak-preview.png" for its preview.png. */
@@ -82,12 +67,11 @@ export class Files {
     return fileName(this.treeName, name.startsWith("tree") ? name.slice(4) : `-${name}`);
   }
 
-  _link({ name, bytes: size, url }) {
+  _link({ name, bytes: size, url }, words) {
     const download = this._fileName(name);
     const href = `${url}?filename=${encodeURIComponent(download)}`;
-    const title = element("b", {}, textOrNull(`file.${name}`) ?? name);
-    const words = [title, element("small", {}, bytes(size)), element("small", {}, nameTag(download))];
-    const link = element("a", { href, download }, ...words);
+    const facts = [element("small", {}, bytes(size)), element("small", {}, nameTag(download))];
+    const link = element("a", { href, download }, element("b", {}, words), ...facts);
     link.onclick = (event) => {
       if (!this.client.key) return; // a link sends no key
       event.preventDefault();
@@ -106,12 +90,8 @@ export class Files {
 
   /** The service's products, with what each is for. */
   async _offer() {
-    try {
-      this.formats ??= (await this.client.json("GET", "/v1/limits")).products.map(({ format }) => format);
-    } catch (error) {
-      return this.onProblem(error);
-    }
-    keyedChildren($("more-formats"), this.formats, (format) => {
+    const formats = (await this.products()).map(({ format }) => format);
+    keyedChildren($("more-formats"), formats, (format) => {
       const chip = button(textOrNull(`format.${format}`) ?? format.toUpperCase(), () => this._make(format, chip));
       return element("li", {}, chip, element("small", {}, textOrNull(`format.${format}.for`) ?? ""));
     });

@@ -3,28 +3,30 @@
 import { hideProblem } from "./problem.js";
 
 const STEP_RAD = 0.12;
-const PAN = 0.06; // of what the view sees
+const PAN_PX = 40;
+const ZOOM = 0.9;
 
 export function watchKeys({ stage, hand, player }) {
+  const { controls } = stage;
   const playOrPause = () => player.tree && player.setPlaying(!player.playing);
   const actions = {
-    ArrowLeft: () => stage.orbit(-STEP_RAD, 0),
-    ArrowRight: () => stage.orbit(STEP_RAD, 0),
-    ArrowUp: () => stage.orbit(0, STEP_RAD),
-    ArrowDown: () => stage.orbit(0, -STEP_RAD),
-    "+": () => stage.orbit(0, 0, 0.9),
-    "=": () => stage.orbit(0, 0, 0.9),
-    "-": () => stage.orbit(0, 0, 1.1),
+    ArrowLeft: () => controls.rotateLeft(STEP_RAD),
+    ArrowRight: () => controls.rotateLeft(-STEP_RAD),
+    ArrowUp: () => controls.rotateUp(STEP_RAD),
+    ArrowDown: () => controls.rotateUp(-STEP_RAD),
+    "+": () => controls.dollyIn(ZOOM),
+    "=": () => controls.dollyIn(ZOOM),
+    "-": () => controls.dollyIn(1 / ZOOM),
     Home: () => stage.home(),
     " ": playOrPause,
     p: () => hand.knock(),
     P: () => hand.knock(),
   };
   const shifted = {
-    ArrowLeft: () => stage.pan(-PAN, 0),
-    ArrowRight: () => stage.pan(PAN, 0),
-    ArrowUp: () => stage.pan(0, PAN),
-    ArrowDown: () => stage.pan(0, -PAN),
+    ArrowLeft: () => controls.pan(PAN_PX, 0),
+    ArrowRight: () => controls.pan(-PAN_PX, 0),
+    ArrowUp: () => controls.pan(0, PAN_PX),
+    ArrowDown: () => controls.pan(0, -PAN_PX),
   };
   addEventListener("keydown", (event) => {
     if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;

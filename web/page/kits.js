@@ -6,7 +6,9 @@ import { fileName } from "./names.js";
 import { partsOf } from "./parts.js";
 import { percent, text } from "./texts.js";
 import { webFolder } from "./web_folder.js";
-import { zipped } from "./zip.js";
+
+/** What is in the files is packed already, or small; the same files make the same archive. */
+const AS_THEY_ARE = { level: 0, mtime: "1980-01-01" };
 
 export class KitDialog {
   /** `tree()` gives `{ job, name, kind }` of what is on the stage; `onMade(job)` is called with jobs that write formats. */
@@ -36,8 +38,11 @@ export class KitDialog {
       const onJob = ({ progress }) => fill(words, text("kit.making", { share: percent(progress) }));
       onJob({ progress: 0 });
       const files = program === "web" ? await this._page(job) : await this._files(formatsOf(program, kind), onJob);
-      const readme = { name: "README.txt", bytes: new TextEncoder().encode(KITS[program].readme(name)) };
-      saveBlob(fileName(name, `-${program}.zip`), zipped([readme, ...files]));
+      const readme = new TextEncoder().encode(KITS[program].readme(name));
+      const contents = Object.fromEntries(files.map((file) => [file.name, file.bytes]));
+      const { zipSync } = await import("fflate");
+      const archive = zipSync({ "README.txt": readme, ...contents }, AS_THEY_ARE);
+      saveBlob(fileName(name, `-${program}.zip`), new Blob([archive], { type: "application/zip" }));
     } catch (error) {
       $("kits").close();
       this.onProblem(error);

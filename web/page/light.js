@@ -1,7 +1,7 @@
 // The panel's light: where the sun stands, shadows, what lies under the tree and behind it.
 
 import { $, describe } from "./dom.js";
-import { degrees, text } from "./texts.js";
+import { bearing, degrees } from "./texts.js";
 
 export class LightPanel {
   constructor(stage) {
@@ -27,9 +27,7 @@ export class LightPanel {
   }
 
   _describe() {
-    const from = Number($("sun-from").value);
-    const points = text("wind.points").split(" ");
-    describe($("sun-from"), $("sun-from-out"), `${degrees(from)} ${points[Math.round(from / 45) % 8]}`);
+    describe($("sun-from"), $("sun-from-out"), bearing(Number($("sun-from").value)));
     describe($("sun-height"), $("sun-height-out"), degrees(Number($("sun-height").value)));
   }
 }

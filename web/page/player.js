@@ -45,7 +45,6 @@ export class Player {
     this.hasBands = Boolean(bands);
     this.drawn = this.shownTime = this.gust = null;
     this.company = "one";
-    this.other = null;
     this.setTurbulent(null);
     this._showTime();
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
@@ -105,17 +104,15 @@ export class Player {
   }
 
   /**
-   * What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s` (null for the same
-   * wind), or "forest". `other` is another motion for it: `{ id, field, bands, turbulent }`.
+   * What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s`, or "forest".
    */
-  setCompany(kind, speed_m_s = null, other = null) {
+  setCompany(kind, speed_m_s) {
     const { box } = this.tree;
     const width = Math.max(box.max.x - box.min.x, box.max.y - box.min.y);
-    if (kind !== this.company || other !== this.other) {
-      const places = kind === "forest" ? forestPlaces(width) : kind === "pair" ? pairPlaces(width) : [];
-      this.tree.setCopies(places, other?.field);
+    if (kind !== this.company) {
+      this.tree.setCopies(kind === "forest" ? forestPlaces(width) : kind === "pair" ? pairPlaces(width) : []);
     }
-    Object.assign(this, { company: kind, otherSpeed: speed_m_s, other });
+    Object.assign(this, { company: kind, otherSpeed: speed_m_s });
   }
 
   /** Show one mode by itself, enlarged so that its `largest` swing is seen beside the tree's height [m]; returns how many times. */
@@ -137,7 +134,7 @@ export class Player {
     this.gains = bandGains(this.bands, this.windSpeed);
     const time = this.turbulent ? this.seconds : this.phase;
     const windless = !this.windSpeed && !this.alone && !(this.company === "pair" && this.otherSpeed);
-    const beside = [this.company, this.otherSpeed, this.other?.id, Boolean(this.other?.turbulent)];
+    const beside = [this.company, this.otherSpeed];
     const now = JSON.stringify([windless || time, this.windSpeed, this.turn, this.alone, ...beside]);
     const blown = this._gustNow(seconds);
     const changed = now !== this.drawn || blown;
@@ -174,9 +171,9 @@ export class Player {
     const { phase, period, seconds, turbulent, gains, turn, direction_rad, speed: speed_m_s } = this;
     if (this.company === "forest")
       return forestMotions(places, { K, phase, period, seconds, turbulent, gains, turn, direction_rad, speed_m_s });
-    const others = bandGains(this.other?.bands ?? this.bands, this.otherSpeed ?? this.windSpeed);
+    const others = bandGains(this.bands, this.otherSpeed);
     if (!turbulent) return places.map(() => ({ q: windCoordinates(K, phase, others), turn }));
-    const now = turbulentCoordinates(this.other?.turbulent ?? turbulent, seconds, others);
+    const now = turbulentCoordinates(turbulent, seconds, others);
     return places.map(() => ({ q: now.q, turn: turn + now.turn }));
   }
 

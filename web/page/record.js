@@ -55,12 +55,12 @@ export class Recorder {
     const encoder = new Encoder(copy.canvas);
     const began = player.seconds;
     this.recording = true;
-    stage.controls.autoRotate = false;
+    Object.assign(stage.controls, { autoRotate: false, enableDamping: false });
     try {
       for (let n = 0; n < count && goesOn(); n++) {
         player.scripted = { phase: ((n * loops) / count) % 1, seconds: began + (n * seconds) / count };
         player.advance(0);
-        if (turning) stage.orbit((2 * Math.PI) / count, 0);
+        if (turning) stage.controls.rotateLeft((2 * Math.PI) / count);
         stage.drawNow();
         copy();
         await encoder.add(copy.canvas, (1e6 * n * seconds) / count, n % KEY_FRAMES === 0);
@@ -70,7 +70,7 @@ export class Recorder {
     } finally {
       this.recording = false;
       player.scripted = null;
-      stage.controls.autoRotate = turning;
+      Object.assign(stage.controls, { autoRotate: turning, enableDamping: true });
       fill($("save-video"), text("record.video"));
     }
   }

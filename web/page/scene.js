@@ -1,17 +1,14 @@
 // What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
 
 import { hasStill } from "../client/states.js";
-import { Field } from "../draw/field.js";
 import { Person } from "../draw/person.js";
 import { readSurface } from "../draw/surface.js";
 import { Tree } from "../draw/tree.js";
 import { Modes } from "../motion/modes.js";
-import { readTensors } from "../motion/tensors.js";
 import { $, element } from "./dom.js";
 
 const MOST_PHOTOS = 24;
 const TALLEST_M = 120; // of trees
-const OTHER_WIND = 1; // seed of the endless wind beside the tree
 const DRAFT = "draft.splat"; // of photos, while it is learned
 const LEARNED = "splat.ply"; // of photos, at rest and in metres
 const DRAFT_MS = 5000; // so often they are asked for
@@ -24,7 +21,7 @@ export class Scene {
   }
 
   /**
-   * Give it the service. `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete(job, signal)` with
+   * Give it the service. `onMotion(tree, spectrum)` is called once there is a tree that moves, `onComplete(job, signal)` with
    * all of its files, `onDraft(height_m)` once what was dropped is drawn, null when it goes.
    */
   connect(client, { onMotion, onComplete, onDraft, onClear }) {
@@ -164,26 +161,16 @@ export class Scene {
     if (hidden && hasEnded) await this._setGaussians(tree, await this.client.artifacts(job.id), signal);
     if (signal.aborted) return;
     if (!hidden || tree.points || tree.splat) this._dropPhotos();
-    this.onMotion(tree, spectrum, job);
+    this.onMotion(tree, spectrum);
   }
 
-  /** Another motion of the tree on the stage, from its spectrum: `{ id, field, bands, wind }`; `wind()` asks for its endless wind. */
-  async otherMotion(id, signal) {
-    const [spectrum, surface] = await Promise.all([this.client.spectrum(id), this.client.surface(id, { signal })]);
-    const wind = () => this.client.wind(id, { seed: OTHER_WIND });
-    return { id, field: new Field(readTensors(surface).tensors), bands: spectrum.wind_bands, wind };
-  }
-
-  /** What only the job's files contain: Gaussians of a cloud or of photos, else how a mesh shines. */
+  /** What only the job's files contain: Gaussians of a cloud or of photos. */
   async products(job, signal) {
     const { tree } = this;
     if (!tree?.moves || this.complete) return;
     this.complete = true;
     const artifacts = await this.client.artifacts(job.id);
-    if (!tree.splat && !(await this._setGaussians(tree, artifacts, signal))) {
-      if (tree.hidden) this.showMesh();
-      else await this._looks(tree, artifacts, signal).catch(() => {}); // matt without them
-    }
+    if (!tree.splat && !(await this._setGaussians(tree, artifacts, signal)) && tree.hidden) this.showMesh();
     if (signal.aborted) return;
     this._dropPhotos();
     this.onComplete(job, signal);
@@ -205,15 +192,5 @@ export class Scene {
     if (isUncoloured(splat)) tree.showMesh();
     else await tree.setSplat(splat);
     return true;
-  }
-
-  /** Metal, roughness and maps of normals, which the surface does not have. */
-  async _looks(tree, artifacts, signal) {
-    const file = artifacts.find(({ name }) => name === "tree.glb");
-    if (!file) return;
-    const { readLooks } = await import("../draw/glb_looks.js");
-    const read = (from, to) => this.client.bytes(file.url, { signal, headers: { Range: `bytes=${from}-${to - 1}` } });
-    const looks = await readLooks(read);
-    if (looks?.length === tree.surface.materials.length && !signal.aborted) tree.setLooks(looks);
   }
 }

@@ -44,35 +44,26 @@ export class Session {
   }
 
   open(jobId) {
-    return this._begin(
-      "open",
-      { name: "", job: null },
-      () => this.open(jobId),
-      async (run) => {
-        const job = await patiently(() => this.client.job(jobId), run);
-        const asset = await this.client.asset(job.asset_id).catch(() => null); // it may have expired
-        run.update({ job, asset, name: asset ? nameOf(asset) : "" });
-        this.scene.poster(job, run.signal).catch(() => {}); // only a preview
-        // a cloud's points also stand in for its Gaussians, which come last
-        if (asset && (asset.kind === "cloud" || !job.result?.spectrum_id)) this._showRest(asset, run);
-        await this._follow(jobId, run);
-      },
-    );
+    const again = () => this.open(jobId);
+    return this._begin("open", { name: "", job: null }, again, async (run) => {
+      const job = await patiently(() => this.client.job(jobId), run);
+      const asset = await this.client.asset(job.asset_id).catch(() => null); // it may have expired
+      run.update({ job, asset, name: asset ? nameOf(asset) : "" });
+      this.scene.poster(job, run.signal).catch(() => {}); // only a preview
+      // a cloud's points also stand in for its Gaussians, which come last
+      if (asset && (asset.kind === "cloud" || !job.result?.spectrum_id)) this._showRest(asset, run);
+      await this._follow(jobId, run);
+    });
   }
 
   /** Make the motion of the same asset with other fields: `seed`, `params`. */
   animate(request) {
     const { asset, name, files, reading } = this.machine.facts;
-    const begin = { name, asset, files, reading };
-    return this._begin(
-      "open",
-      begin,
-      () => this.animate(request),
-      (run) => {
-        if (files) this.scene.photos(files);
-        return this._animate(asset, request, run);
-      },
-    );
+    const again = () => this.animate(request);
+    return this._begin("open", { name, asset, files, reading }, again, (run) => {
+      if (files) this.scene.photos(files);
+      return this._animate(asset, request, run);
+    });
   }
 
   /** Make the motion of the same tree in another wind. */
@@ -184,7 +175,7 @@ export class Session {
     await motion;
     if (motion && job.state !== "succeeded") this.scene.showMesh();
     if (job.state !== "succeeded") throw jobProblem(job);
-    if (!motion) throw Object.assign(new Problem({ code: `only-${job.type}` }), { offersMotion: true });
+    if (!motion) throw Object.assign(new Problem({ code: "no-motion" }), { offersMotion: true });
     await this.scene.products(job, run.signal);
   }
 

@@ -1,6 +1,5 @@
 // The dialog that shows photos of a reconstruction, and takes strokes on them: "plant" and "not the plant".
 
-import { Problem } from "../client.js";
 import { readTensors } from "../motion/tensors.js";
 import { $, fill } from "./dom.js";
 import { StrokeList } from "./stroke_list.js";
@@ -38,7 +37,6 @@ async function askStrokes(client, job) {
 
 async function loadPhotos(client, job) {
   const file = (await client.artifacts(job.id)).find(({ name }) => name === FILE);
-  if (!file) throw new Problem({ code: "no-photos" });
   const { tensors, metadata } = readTensors(await client.bytes(file.url));
   return JSON.parse(metadata.photos).map((name, i) => ({ name, content: tensors[`photo_${i}`] }));
 }

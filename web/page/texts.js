@@ -43,6 +43,10 @@ export const number = (value, digits = 0) =>
 
 export const percent = (share) => `${number(100 * share)} %`;
 export const degrees = (value) => `${number(value)}°`;
+
+/** A direction in degrees, and the point of the compass next to it; +Y is north, as in maps. */
+export const bearing = (value) => `${degrees(value)} ${text("wind.points").split(" ")[Math.round(value / 45) % 8]}`;
+
 export const date = (iso) => new Date(iso).toLocaleString(locale, { dateStyle: "medium", timeStyle: "short" });
 
 /** A length in the chosen unit; small ones in centimetres or inches. */

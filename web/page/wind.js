@@ -1,7 +1,7 @@
 // The panel's wind: presets, speed and direction preview at once, a job makes the motion anew.
 
 import { $, button, describe, element, fill } from "./dom.js";
-import { degrees, number, speed as speedWords, text } from "./texts.js";
+import { bearing, degrees, number, speed as speedWords, text } from "./texts.js";
 import { accent } from "./theme.js";
 
 export const PRESETS = { calm: 1, breeze: 4, wind: 8, gale: 14, storm: 20 }; // m/s, those that the model is asked for
@@ -9,11 +9,10 @@ const FULL_M_S = 12; // from here on the arrow is at its darkest
 
 export class WindPanel {
   /**
-   * `onMake(wind)` is called with the wind that a motion is to be made for; `onEndless()` once endless wind is played; a
-   * problem of the service to `onProblem`.
+   * `onMake(wind)` is called with the wind that a motion is to be made for, `onProblem` with a problem of the service.
    */
-  constructor(stage, player, { onMake, onEndless, onProblem }) {
-    Object.assign(this, { stage, player, onEndless });
+  constructor(stage, player, { onMake, onProblem }) {
+    Object.assign(this, { stage, player });
     this.active = false;
     for (const choice of document.getElementsByName("wind-mode")) {
       choice.onchange = () => this._setMode().catch(onProblem);
@@ -48,7 +47,6 @@ export class WindPanel {
     const table = await turbulent();
     if (this.turbulent !== turbulent || !$("wind-endless").checked) return;
     player.setTurbulent(table);
-    await this.onEndless();
   }
 
   _presetItem(name, value) {
@@ -75,7 +73,7 @@ export class WindPanel {
     const { wind, player, stage } = this;
     const { speed_m_s: speed, direction_deg: direction } = wind;
     describe($("speed"), $("speed-out"), speedWords(speed));
-    describe($("direction"), $("direction-out"), `${degrees(direction)} ${compass(direction)}`);
+    describe($("direction"), $("direction-out"), bearing(direction));
     $("needle").setAttribute("transform", `rotate(${-direction})`);
     for (const chip of $("wind-presets").querySelectorAll("button")) {
       chip.setAttribute("aria-pressed", Math.abs(Number(chip.dataset.speed) - speed) < 0.05);
@@ -118,10 +116,4 @@ export class WindPanel {
       dial.onpointermove = null;
     };
   }
-}
-
-/** The compass point that the wind blows to; +Y is north, as in maps. */
-function compass(direction_deg) {
-  const points = text("wind.points").split(" ");
-  return points[Math.round(direction_deg / 45) % 8];
 }
