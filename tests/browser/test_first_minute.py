@@ -53,6 +53,7 @@ def test_what_is_no_tree_is_reported_before_it_is_sent(view: Open, url: str, tre
     contents = {
         "cut.glb": (tree.read_bytes()[:-500], "is cut off after"),
         "zeros.glb": (bytes(200_000), "nothing but zeros"),
+        "empty.glb": (b"", "“empty.glb” is empty"),
         "oak.docx": (document.getvalue(), "is a Word document"),
     }
     viewer = view(900, 620)

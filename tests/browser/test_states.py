@@ -55,24 +55,6 @@ def test_two_trees_dropped_both_begin(view: Open, url: str, tree: Path, tmp_path
     assert viewer.complaints == []
 
 
-def test_a_folder_keeps_its_paths(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
-    from pygltflib import GLTF2
-
-    folder = tmp_path / "oak"
-    (folder / "parts").mkdir(parents=True)
-    gltf = GLTF2().load(str(tree))
-    blob = gltf.binary_blob()
-    gltf.buffers[0].uri = "parts/scene.bin"
-    (folder / "parts" / "scene.bin").write_bytes(blob)
-    gltf.save_json(str(folder / "scene.gltf"))
-    viewer = view(900, 620)
-    viewer.open(url)
-    viewer.page.set_input_files("#folder", str(folder))
-    state(viewer.page, "moving")
-    expect(viewer.page.locator("#progress-title")).to_have_text("oak")
-    assert viewer.complaints == []
-
-
 def test_a_break_of_the_connection_keeps_the_card(view: Open, url: str, tree: Path) -> None:
     viewer = view(900, 620)
     page = viewer.page
@@ -138,16 +120,6 @@ def test_links_and_back_lead_where_they_say(view: Open, url: str, new_job: str) 
     state(page, "moving")
     link = page.locator("#artifacts a", has_text="Animated GLB")
     expect(link).to_have_attribute("download", "sapling.glb")
-    assert viewer.complaints == []
-
-
-def test_an_empty_file_is_called_empty(view: Open, url: str, tmp_path: Path) -> None:
-    empty = tmp_path / "oak.glb"
-    empty.touch()
-    viewer = view(700, 560)
-    viewer.open(url)
-    viewer.page.set_input_files("#files", str(empty))
-    expect(viewer.page.get_by_role("alert")).to_contain_text("“oak.glb” is empty")
     assert viewer.complaints == []
 
 
