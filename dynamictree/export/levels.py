@@ -176,7 +176,7 @@ def _reduced(
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
     """A share of the triangles: wood simplified by material, leaves thinned."""
     face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
-    stays = (leaves >= 0) & (np.floor((leaves + 1) * share) > np.floor(leaves * share))
+    stays = np.isin(leaves, _typical_leaves(mesh, coefficients, leaves, share))
     faces, materials = [mesh.faces[stays]], [face_material[stays]]
     for number in np.unique(face_material[leaves < 0]).tolist():
         faces.append(_simplified(mesh, mesh.faces[(leaves < 0) & (face_material == number)], share))
@@ -194,6 +194,22 @@ def _reduced(
         ),
     )
     return level, coefficients[used]
+
+
+def _typical_leaves(
+    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], leaves: Int64[np.ndarray, " F"], share: float
+) -> Int64[np.ndarray, " S"]:
+    """Of each group of neighbours on the curve the leaf that moves most as they do in the mean."""
+    face = np.flatnonzero(leaves >= 0)
+    if not len(face):
+        return face
+    _, first = np.unique(leaves[face], return_index=True)
+    motion = coefficients[mesh.faces[face[first]]].mean(axis=1).reshape(len(first), -1)  # [L, 3K]
+    group = np.floor(np.arange(len(first)) * share).astype(np.int64)
+    mean = np.stack([motion[group == number].mean(axis=0) for number in range(group[-1] + 1)])
+    apart = np.linalg.norm(motion - mean[group], axis=1)
+    order = np.lexsort((apart, group))
+    return np.asarray(order[np.unique(group[order], return_index=True)[1]])
 
 
 def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: float) -> Int32[np.ndarray, "S 3"]:
