@@ -17,12 +17,12 @@ from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
 
 
 def usd_splat_bytes(num_gaussians: int, num_frames: int) -> int:
-    """Least size of the file, known before it is written: what stays is small beside what moves.
+    """Least size of the file, known before it is written: what stays, as sizes may, is stored once.
 
     Raises:
         InputError: it would be too large.
     """
-    bytes = 12 + 8 + 6  # a Gaussian and frame: its place in floats, its rotation and scales in halves
+    bytes = 12 + 8  # a Gaussian and frame: its place in floats, its rotation in halves
     size = bytes * num_gaussians * num_frames
     if size > MAX_SEQUENCE_BYTES:
         raise InputError(
