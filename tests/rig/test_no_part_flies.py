@@ -67,13 +67,18 @@ def most_of_voxels_around(points: np.ndarray, grid: VoxelGrid, reached: np.ndarr
 def test_no_vertex_moves_far_from_the_voxels_around_it(
     seed: int, num_cards: int, size_m: float, spread_m: float, noise: float
 ) -> None:
-    """Rigid cards and rings of a trunk are where their voxels are in the mean. Not yet so in every crowd of cards."""
+    """Rigid cards and rings of a trunk are where their voxels are in the mean, and 1.2 times as far at most.
+
+    But for corners of cards as long as a tenth of the tree, 1 in 130 of these: no turn brings all to their voxels.
+    """
     mesh, _ = crowd(seed, num_cards, size_m, spread_m)
     grid = voxelize(mesh, 64).grid
     coefficients = sway(grid, seed, noise)
     moved = on_vertices(grid, mesh, coefficients, 100)
     reached, farthest = (np.linalg.norm(m, axis=2).max(axis=0) for m in (to_motion(coefficients, 100), moved))
-    assert (farthest <= 2 * most_of_voxels_around(mesh.vertices, grid, reached) + 0.001 * 10).all()
+    around = most_of_voxels_around(mesh.vertices, grid, reached)
+    assert (farthest <= 1.2 * around + 0.001 * 10).mean() > 0.99
+    assert (farthest <= 1.6 * around + 0.001 * 10).all()
 
 
 def test_a_loose_part_with_a_small_share_of_its_voxels_does_not_fly() -> None:
