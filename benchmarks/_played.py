@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pygltflib
+from scipy.spatial.transform import Rotation
 
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-COMPONENTS = {5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COMPONENTS = {5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
 def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
@@ -20,7 +21,8 @@ def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
     width = WIDTHS[entry.type]
     blob = document.binary_blob()
     count = entry.count * width
-    return np.frombuffer(blob, COMPONENTS[entry.componentType], count, view.byteOffset).reshape(-1, width)
+    start = (view.byteOffset or 0) + (entry.byteOffset or 0)
+    return np.frombuffer(blob, COMPONENTS[entry.componentType], count, start).reshape(-1, width)
 
 
 def z_up(vectors: np.ndarray) -> np.ndarray:
@@ -42,11 +44,11 @@ def played_morphs(content: bytes) -> np.ndarray:
 
 
 def played_skin(content: bytes) -> np.ndarray:
-    """A GLB's skin, posed as its animation has it: [T + 1, N, 3]. glTF 2.0, sections 3.7.3 and 3.11."""
+    """A GLB's skin, posed as its animation has it: [T + 1, N, 3]. glTF 2.0, sections 3.7.3, 3.11 and appendix C."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     attributes, skin = document.meshes[0].primitives[0].attributes, document.skins[0]
     rest = accessor(document, attributes.POSITION).astype(np.float64)
-    joints, weights = accessor(document, attributes.JOINTS_0), accessor(document, attributes.WEIGHTS_0)
+    joints, weights = accessor(document, attributes.JOINTS_0), accessor(document, attributes.WEIGHTS_0) / 255
     inverse = accessor(document, skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2).astype(np.float64)
     world = world_matrices(document)
     matrices = np.stack([world[node] for node in skin.joints], axis=1) @ inverse  # [T + 1, B, 4, 4]
@@ -60,19 +62,20 @@ def played_skin(content: bytes) -> np.ndarray:
 def world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
     """Matrix of every node at every key: [T + 1, 4, 4]."""
     animation = document.animations[0]
-    moving: dict[tuple[int, str], np.ndarray] = {}
+    moving: dict[int, np.ndarray] = {}
     for channel in animation.channels:
+        assert channel.target.path == "rotation"
         keys = accessor(document, animation.samplers[channel.sampler].output)
-        moving[channel.target.node, channel.target.path] = keys.astype(np.float64)
+        moving[channel.target.node] = Rotation.from_quat(keys).as_matrix()
     num_keys = len(next(iter(moving.values())))
     world: dict[int, np.ndarray] = {}
 
     def visit(node: int, above: np.ndarray) -> None:
         entry = document.nodes[node]
         local = np.broadcast_to(np.eye(4), (num_keys, 4, 4)).copy()
-        local[:, :3, 3] = moving.get((node, "translation"), entry.translation or (0, 0, 0))
-        if (node, "rotation") in moving:
-            local[:, :3, :3] = _rotations(moving[node, "rotation"])
+        local[:, :3, 3] = entry.translation or (0, 0, 0)
+        if node in moving:
+            local[:, :3, :3] = moving[node]
         world[node] = above @ local
         for child in entry.children or []:
             visit(child, world[node])
@@ -80,16 +83,6 @@ def world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
     for root in document.scenes[document.scene].nodes:
         visit(root, np.broadcast_to(np.eye(4), (num_keys, 4, 4)))
     return world
-
-
-def _rotations(xyzw: np.ndarray) -> np.ndarray:
-    x, y, z, w = xyzw.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def played_usdz(path: Path) -> np.ndarray:

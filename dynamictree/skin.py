@@ -1,4 +1,4 @@
-"""Linear blend skinning: a motion as rigid joints, four of which carry each vertex."""
+"""Linear blend skinning: a motion as joints that turn, four of which carry each vertex."""
 
 from dataclasses import dataclass
 
@@ -10,22 +10,13 @@ JOINTS_PER_VERTEX = 4  # glTF 2.0, section 3.7.3.3: the number that every engine
 
 @dataclass(frozen=True, kw_only=True)
 class Skin:
-    """Rigid motion of B joints over T frames: x' = Σ_j weights_j (rotation_j x + translation_j)."""
+    """B joints over T frames. A joint turns about its place at rest, which its parent carries."""
 
     parent: Int32[np.ndarray, " B"]  # -1 at the root; parents come before children
     joint_m: Float32[np.ndarray, "B 3"]  # where a joint is at rest
     rows: Int32[np.ndarray, "N 4"]
-    weights: Float32[np.ndarray, "N 4"]  # sum to 1
-    rotation: Float32[np.ndarray, "T B 3 3"]
-    translation_m: Float32[np.ndarray, "T B 3"]
-
-    def displacement(self, vertices: Float32[np.ndarray, "N 3"], frame: int) -> Float32[np.ndarray, "N 3"]:
-        """Where the joints carry the vertices of rest, less where they were [m]."""
-        moved = np.zeros_like(vertices)
-        for rows, weights in zip(self.rows.T, self.weights.T, strict=True):
-            turned = np.einsum("nij,nj->ni", self.rotation[frame, rows], vertices) + self.translation_m[frame, rows]
-            moved += weights[:, None] * turned
-        return np.asarray(moved - vertices)
+    weights: Float32[np.ndarray, "N 4"]  # in steps of 1/255; sum to 1
+    turns: Float32[np.ndarray, "T B 4"]  # quaternions wxyz in steps of 1/32767, as the parent sees it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,10 +64,8 @@ def _goes_on(parent: Int32[np.ndarray, " B"]) -> Bool[np.ndarray, " B"]:
 
 def bending_rad(skin: Skin) -> Float64[np.ndarray, " B"]:
     """Root mean square angle by which each joint turns against its parent over the loop."""
-    turned = skin.rotation.astype(np.float64)
-    above = np.where(skin.parent[:, None, None] >= 0, turned[:, np.maximum(skin.parent, 0)], np.eye(3))
-    cosine = (np.einsum("tbij,tbij->tb", above, turned) - 1) / 2  # of the trace of aboveᵀ turned
-    return np.asarray(np.sqrt((np.arccos(np.clip(cosine, -1, 1)) ** 2).mean(axis=0)))
+    angle = 2 * np.arctan2(np.linalg.norm(skin.turns[:, :, 1:], axis=2), np.abs(skin.turns[:, :, 0]))
+    return np.asarray(np.sqrt((angle**2).mean(axis=0)), np.float64)
 
 
 def capsules(rig: Rig, vertices: Float32[np.ndarray, "N 3"], wood: Bool[np.ndarray, " N"]) -> list[Capsule]:

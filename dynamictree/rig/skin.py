@@ -1,43 +1,44 @@
-"""A rig as joints with keys, for files and engines: all bones, or the few that lose least."""
+"""A rig as joints with keys in 16 bits, for files and engines: all bones, or the few that lose least."""
 
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
-from dynamictree.rig.pose import Skeleton, Weights, carried, poses
+from dynamictree.rig.pose import Poses, Skeleton, Weights, carried, poses
 from dynamictree.rig.rig import Rig
+from dynamictree.rotation import matrix_quaternions, quaternion_matrices
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import bin_weights
 
+STEPS = 32767  # of a normalised short
+
 
 def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> tuple[Skin, SkinSummary]:
-    """A skin of at most `num_joints` joints, T keys over the loop, and how far it is from the rig.
+    """A skin of at most `num_joints` joints over the loop, and how far it is from the rig.
 
-    With as many joints as the rig has bones it is the rig: joints turn as the bones do, and weights are the same.
+    With as many joints as the rig has bones it is the rig to the precision of the keys, and weights are the same.
     """
     few = reduced(rig, vertices, num_joints)
+    skeleton = few.skeleton
     phases = np.arange(rig.num_frames) / rig.num_frames
-    stance = poses(few.skeleton, np.stack(list(few.theta(phases))))
-    shift = stance.place_m - np.einsum("tbij,bj->tbi", stance.rotation, few.skeleton.foot_m)
+    rotation = poses(skeleton, np.stack(list(few.theta(phases)))).rotation
     width = few.vertices.rows.shape[1]
     padding = ((0, 0), (0, JOINTS_PER_VERTEX - width))
     skin = Skin(
-        parent=few.skeleton.parent,
-        joint_m=few.skeleton.foot_m,
+        parent=skeleton.parent,
+        joint_m=skeleton.foot_m,
         rows=np.pad(few.vertices.rows, padding),
         weights=np.pad(few.vertices.shares, padding),
-        rotation=stance.rotation.astype(np.float32),
-        translation_m=shift.astype(np.float32),
+        turns=_keys(skeleton, rotation),
     )
+    stance, whole = played(skin), poses(rig.skeleton, np.stack(list(rig.theta(phases))))
     total = missing = largest = 0.0
-    if few is not rig:
-        whole = poses(rig.skeleton, np.stack(list(rig.theta(phases))))
-        for frame in range(rig.num_frames):
-            moved = carried(rig.skeleton, whole, frame, vertices, rig.vertices)
-            gap = ((carried(few.skeleton, stance, frame, vertices, few.vertices) - moved) ** 2).sum(axis=1)
-            total, missing = total + float((moved**2).sum()), missing + float(gap.sum())
-            largest = max(largest, float(gap.max()))
+    for frame in range(rig.num_frames):
+        moved = carried(rig.skeleton, whole, frame, vertices, rig.vertices)
+        gap = ((carried(skeleton, stance, frame, vertices, few.vertices) - moved) ** 2).sum(axis=1)
+        total, missing = total + float((moved**2).sum()), missing + float(gap.sum())
+        largest = max(largest, float(gap.max()))
     summary = SkinSummary(
         num_joints=len(skin.parent),
         num_keys=rig.num_frames + 1,
@@ -46,6 +47,41 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
         max_error_m=float(np.sqrt(largest)),
     )
     return skin, summary
+
+
+def played(skin: Skin) -> Poses:
+    """Poses of the joints at every frame, as a player has them."""
+    foot, rotation = skin.joint_m.astype(np.float64), _matrices(skin.turns.astype(np.float64))
+    place = np.tile(foot, (len(rotation), 1, 1))
+    for joint, above in enumerate(skin.parent.tolist()):
+        if above >= 0:
+            place[:, joint] = place[:, above] + rotation[:, above] @ (foot[joint] - foot[above])
+            rotation[:, joint] = rotation[:, above] @ rotation[:, joint]
+    return Poses(rotation=rotation, place_m=place)
+
+
+def _keys(skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"]) -> Float32[np.ndarray, "T B 4"]:
+    """Turns against the parents in 16 bits. What a parent is off by, its children make up for."""
+    turns = np.tile(np.array([1.0, 0, 0, 0]), (*rotation.shape[:2], 1))
+    stored = np.tile(np.eye(3), (*rotation.shape[:2], 1, 1))
+    for level in skeleton.levels:
+        above = stored[:, skeleton.above[level]]
+        wanted = matrix_quaternions((above.swapaxes(-1, -2) @ rotation[:, level]).reshape(-1, 3, 3))
+        turns[:, level] = np.rint(STEPS * _steady(wanted.reshape(len(turns), -1, 4))) / STEPS
+        stored[:, level] = above @ _matrices(turns[:, level])
+    return turns.astype(np.float32)
+
+
+def _matrices(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 3 3"]:
+    unit = turns / np.linalg.norm(turns, axis=2, keepdims=True)
+    return quaternion_matrices(unit.reshape(-1, 4)).reshape(*turns.shape[:2], 3, 3)
+
+
+def _steady(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 4"]:
+    """The same turns with the sign that is nearer to the frame before."""
+    flips = np.cumsum((turns[1:] * turns[:-1]).sum(axis=2) < 0, axis=0)
+    turns[1:] *= np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None]
+    return turns
 
 
 def reduced(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> Rig:

@@ -181,17 +181,18 @@ def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(
     all_joints = len(rig.skeleton)
     errors = [skin_of(rig, mesh.vertices, count)[1].relative_error for count in (8, 32, 128, all_joints)]
     assert errors[0] > errors[1] > 1.3 * errors[2] > 0
-    assert errors[3] == 0
+    assert errors[3] < 0.1 * errors[2]  # of keys in 16 bits
     assert products[1]["glb-skinned"]["num_joints"] <= 64
 
 
-def test_a_skin_of_all_bones_is_exact_and_small(
+def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray, tmp_path: Path
 ) -> None:
+    """Keys in 16 bits are off by 0.03 mrad, which no child adds to: 2e-5 of the height, with floats 4e-6."""
     path = write_products(*tree, ExportParams(formats=("glb-skinned",), flutter=0.0), tmp_path)["glb-skinned"]
-    assert errors_m(played_skin(path.read_bytes()), truth)[1] < 1e-5
+    assert errors_m(played_skin(path.read_bytes()), truth)[1] < 2e-5 * tree[0].height_m
     rest = len(trimesh.Trimesh(tree[0].vertices, tree[0].faces, process=False).export(file_type="glb"))
-    assert path.stat().st_size < 1.3 * rest + 3e6
+    assert path.stat().st_size < 1.3 * rest + 1e6
 
 
 def test_a_rig_has_wind_groups_for_its_joints(products: Products, truth: np.ndarray) -> None:

@@ -1,6 +1,6 @@
-"""A motion as a GLB with a skeleton: joints that turn and slide, four of them a vertex, keys of one period.
+"""A motion as a GLB with a skeleton: joints that turn, four of them a vertex, keys of one period in 16 bits.
 
-What engines play most cheaply, at the price of an error, which the file tells in its `asset.extras`.
+What engines play most cheaply. The file tells in its `asset.extras` how far it is from the motion.
 """
 
 from collections.abc import Mapping
@@ -13,26 +13,29 @@ from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
-from dynamictree.rotation import matrix_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from dynamictree.up_axis import up_rotation
 
-_STILL_M = 1e-6
 _FIRST = 2  # node of joint 0: after the mesh and the skeleton
 
 
 def write_skinned_glb(
     mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float, as_webp: bool = False
 ) -> None:
-    """Write one period with T + 1 linear keys, the last equal to the first; exact at the keys, as the skin has them.
+    """Write one period with linear keys, the last equal to the first.
 
     `as_webp` writes textures as WebP where that is smaller.
     """
     writer = GlbWriter(extras=asdict(summary))
     used = skin.weights > 0
     attributes = {
-        "JOINTS_0": writer.add_accessor(np.where(used, skin.rows, 0).astype(np.uint16), target=VERTEX_BUFFER),
-        "WEIGHTS_0": writer.add_accessor(np.where(used, skin.weights, 0).astype(np.float32), target=VERTEX_BUFFER),
+        "JOINTS_0": writer.add_accessor(
+            np.where(used, skin.rows, 0).astype(np.uint8 if len(skin.parent) <= 256 else np.uint16),
+            target=VERTEX_BUFFER,
+        ),
+        "WEIGHTS_0": writer.add_accessor(
+            np.rint(255 * skin.weights).astype(np.uint8), target=VERTEX_BUFFER, normalized=True
+        ),
     }
     add_mesh(writer, mesh, more_attributes=attributes)
     writer.append("nodes", {"mesh": 0, "skin": 0, "name": "tree"})
@@ -74,21 +77,18 @@ def _rest(skin: Skin) -> np.ndarray:
 
 
 def _add_sway(writer: GlbWriter, skin: Skin, fps: float) -> None:
-    rest, turn = _rest(skin), up_rotation("+Y")  # file to +Z up
-    turned = turn.T @ skin.rotation.astype(np.float64) @ turn  # [T, B, 3, 3]
-    place = np.einsum("tbij,bj->tbi", turned, rest) + skin.translation_m.astype(np.float64) @ turn
-    rotation, translation = relative_to_parents(skin.parent, turned, place)
-    times = (np.arange(len(place) + 1) / fps).astype(np.float32)
-    clock = writer.add_accessor(times[:, None], bounds=True)
+    w, x, y, z = np.moveaxis(skin.turns, 2, 0)
+    turns = np.rint(32767 * np.stack([x, z, -y, w], axis=2)).astype(np.int16)  # of the file's axes, in its order
+    looped = np.concatenate([turns, turns[:1]])
+    clock = writer.add_accessor((np.arange(len(looped)) / fps).astype(np.float32)[:, None], bounds=True)
+    moving = np.flatnonzero(turns[:, :, :3].any(axis=(0, 2))).tolist()  # parents carry the others as at rest
+    view = writer.add_view(np.ascontiguousarray(looped[:, moving].swapaxes(0, 1)).tobytes())
+    keys = {"bufferView": view, "componentType": 5122, "normalized": True, "count": len(looped), "type": "VEC4"}
     samplers, channels = list[object](), list[object]()
-    for joint in range(len(skin.parent)):
-        keys = {"rotation": steady(matrix_quaternions(rotation[:, joint])), "translation": translation[:, joint]}
-        for path, values in keys.items():
-            if path == "translation" and np.ptp(values, axis=0).max() < _STILL_M:
-                continue  # its parent carries it, as at rest
-            looped = np.concatenate([values, values[:1]]).astype(np.float32)
-            channels.append({"sampler": len(samplers), "target": {"node": _FIRST + joint, "path": path}})
-            samplers.append({"input": clock, "output": writer.add_accessor(looped), "interpolation": "LINEAR"})
+    for number, joint in enumerate(moving):
+        output = writer.append("accessors", keys | {"byteOffset": 8 * len(looped) * number})
+        samplers.append({"input": clock, "output": output})
+        channels.append({"sampler": number, "target": {"node": _FIRST + joint, "path": "rotation"}})
     writer.append("animations", {"name": "sway", "samplers": samplers, "channels": channels})
 
 
@@ -102,7 +102,7 @@ def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.nda
     writer.append("nodes", {"name": "skeleton", "children": roots})
     offset = rest - np.where(parent[:, None] >= 0, rest[parent], 0)
     for joint, below in enumerate(children):
-        node: dict[str, object] = {"name": joint_name(joint), "translation": offset[joint].tolist()}
+        node: dict[str, object] = {"name": joint_name(joint), "translation": offset[joint].round(7).tolist()}
         writer.append("nodes", node | ({"children": below} if below else {}))
 
 
@@ -112,22 +112,3 @@ def _add_skin(writer: GlbWriter, rest: np.ndarray) -> None:
     matrices = writer.add_accessor(inverse.reshape(-1, 16))
     joints = list(range(_FIRST, _FIRST + len(rest)))
     writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": 1})
-
-
-def relative_to_parents(
-    parent: Int32[np.ndarray, " B"], rotation: np.ndarray, place: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Each joint's rotation [T, B, 3, 3] and place [T, B, 3] as its parent sees it."""
-    has, above = parent >= 0, np.maximum(parent, 0)
-    outer = np.where(has[:, None, None], rotation[:, above], np.eye(3)).swapaxes(-1, -2)
-    origin = np.where(has[:, None], place[:, above], 0)
-    return outer @ rotation, np.einsum("tbij,tbj->tbi", outer, place - origin)
-
-
-def steady(wxyz: np.ndarray) -> np.ndarray:
-    """Quaternions x, y, z, w with the sign that is nearer to the previous frame."""
-    xyzw = wxyz[:, [1, 2, 3, 0]]
-    turns = (xyzw[1:] * xyzw[:-1]).sum(axis=1) < 0
-    sign = np.where(np.cumsum(turns) % 2 == 1, -1.0, 1.0)
-    xyzw[1:] *= sign[:, None]
-    return np.asarray(xyzw / np.linalg.norm(xyzw, axis=1, keepdims=True))

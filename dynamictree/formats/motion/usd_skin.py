@@ -6,11 +6,11 @@
 from typing import Any, BinaryIO
 
 import numpy as np
+from jaxtyping import Float32
 
-from dynamictree.formats.gltf.skin import joint_name, relative_to_parents, steady
+from dynamictree.formats.gltf.skin import joint_name
 from dynamictree.formats.motion.usd import ROOT, define_surface, packed_stage, set_root
 from dynamictree.mesh import TriangleMesh
-from dynamictree.rotation import matrix_quaternions
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin
 
 _SKELETON, _SWAY = f"{ROOT}/Skeleton", f"{ROOT}/Skeleton/Sway"
@@ -27,7 +27,7 @@ def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps:
         _define_skeleton(stage, skin, joints)
         _define_sway(stage, skin, joints)
         _bind(stage, skin)
-        stage.SetEndTimeCode(len(skin.rotation))
+        stage.SetEndTimeCode(len(skin.turns))
 
 
 def _joint_paths(skin: Skin) -> list[str]:
@@ -43,8 +43,7 @@ def _define_skeleton(stage: Any, skin: Skin, joints: list[str]) -> None:
 
     skeleton = UsdSkel.Skeleton.Define(stage, _SKELETON)
     skeleton.CreateJointsAttr(joints)
-    offset = skin.joint_m - np.where(skin.parent[:, None] >= 0, skin.joint_m[skin.parent], 0)
-    places = {"bind": skin.joint_m, "rest": offset}
+    places = {"bind": skin.joint_m, "rest": _offsets(skin)}
     bind, rest = ([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in places[name].tolist()] for name in places)
     skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(bind))
     skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
@@ -57,15 +56,17 @@ def _define_sway(stage: Any, skin: Skin, joints: list[str]) -> None:
     sway = UsdSkel.Animation.Define(stage, _SWAY)
     sway.CreateJointsAttr(joints)
     sway.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(np.ones((len(joints), 3), np.float16)))
-    turned = skin.rotation.astype(np.float64)
-    place = np.einsum("tbij,bj->tbi", turned, skin.joint_m) + skin.translation_m
-    rotation, translation = relative_to_parents(skin.parent, turned, place)
-    xyzw = np.stack([steady(matrix_quaternions(rotation[:, joint])) for joint in range(len(joints))], axis=1)
-    rotations, translations = sway.CreateRotationsAttr(), sway.CreateTranslationsAttr()
-    for code in range(len(turned) + 1):
-        frame = code % len(turned)
-        rotations.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(xyzw[frame], np.float32)), code)
-        translations.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(translation[frame], np.float32)), code)
+    wxyz = skin.turns / np.linalg.norm(skin.turns, axis=2, keepdims=True)
+    xyzw = np.ascontiguousarray(wxyz[:, :, [1, 2, 3, 0]])
+    sway.CreateTranslationsAttr(Vt.Vec3fArray.FromNumpy(_offsets(skin)))
+    rotations = sway.CreateRotationsAttr()
+    for code in range(len(xyzw) + 1):
+        rotations.Set(Vt.QuatfArray.FromNumpy(xyzw[code % len(xyzw)]), code)
+
+
+def _offsets(skin: Skin) -> Float32[np.ndarray, "B 3"]:
+    """Where the joints are at rest, as their parents see it [m]."""
+    return np.asarray(skin.joint_m - np.where(skin.parent[:, None] >= 0, skin.joint_m[skin.parent], 0))
 
 
 def _bind(stage: Any, skin: Skin) -> None:
