@@ -1,18 +1,23 @@
 // Shadows: how old one may be before it darkens what throws it, and soft edges that cost less than three.js' own.
 
 import * as THREE from "three";
+import { displaced } from "../motion/swing.js";
+import { length, minus } from "../motion/vectors.js";
 
 export const SLACK = 0.012; // of the stage's radius: so far a shadow stays off its surface
 
+const SOME = 256; // vertices that stand for all
+
+/** How far the wind moves some vertices of a Tree [m]. */
+export function sampleMotion({ surface, swings }) {
+  const step = Math.ceil(surface.N / SOME);
+  return Array.from({ length: Math.ceil(surface.N / step) }, (_, i) => displaced(surface, step * i, swings));
+}
+
 /** Whether the wind has moved a Tree further than that since its shadow was drawn. */
-export function leavesItsShadow({ swings, shadowed, stage }) {
-  if (!shadowed) return true;
-  let most = 0; // squared, of the feet of the bones
-  for (let i = 4; i < swings.length; i += 8) {
-    const [x, y, z] = [swings[i] - shadowed[i], swings[i + 1] - shadowed[i + 1], swings[i + 2] - shadowed[i + 2]];
-    most = Math.max(most, x * x + y * y + z * z);
-  }
-  return Math.sqrt(most) > SLACK * stage.radius;
+export function leavesItsShadow({ surface, swings, shadowed, stage }) {
+  const moved = shadowed && sampleMotion({ surface, swings }).map((now, i) => length(minus(now, shadowed[i])));
+  return !moved || Math.max(...moved) > SLACK * stage.radius;
 }
 
 const SAMPLES = 5;

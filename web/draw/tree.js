@@ -10,7 +10,7 @@ import { buildCubes, disposeCubes } from "./cubes.js";
 import { Field, PoseTexture, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { LEAST } from "./resolution.js";
-import { leavesItsShadow } from "./shadow.js";
+import { leavesItsShadow, sampleMotion } from "./shadow.js";
 import { nearBox } from "./surface.js";
 
 export class Tree {
@@ -112,9 +112,7 @@ export class Tree {
     this.setView(this.view);
   }
 
-  /**
-   * The tree again at these places, each moved by `copies.move`; none for an empty list.
-   */
+  /** The tree again at these places, each moved by `copies.move`; none for an empty list. */
   setCopies(places) {
     const moved = JSON.stringify(places) !== JSON.stringify(this.copies?.places ?? []);
     this.copies?.dispose();
@@ -204,7 +202,7 @@ export class Tree {
   prepare(renderer) {
     if (this.splat) this._showOne();
     if (!this.q) return;
-    if (renderer.shadowMap.needsUpdate) this.shadowed = this.swings.slice();
+    if (renderer.shadowMap.needsUpdate) this.shadowed = sampleMotion(this);
     this.field.render(renderer);
     this.copies?.prepare(renderer);
     if (this.splat?.visible) this.splat.evaluate(this.q, this.turn);

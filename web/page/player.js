@@ -103,9 +103,7 @@ export class Player {
     return bandGains(this.bands, speed)[1];
   }
 
-  /**
-   * What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s`, or "forest".
-   */
+  /** What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s`, or "forest". */
   setCompany(kind, speed_m_s) {
     const { box } = this.tree;
     const width = Math.max(box.max.x - box.min.x, box.max.y - box.min.y);

@@ -8,9 +8,7 @@ export const PRESETS = { calm: 1, breeze: 4, wind: 8, gale: 14, storm: 20 }; // 
 const FULL_M_S = 12; // from here on the arrow is at its darkest
 
 export class WindPanel {
-  /**
-   * `onMake(wind)` is called with the wind that a motion is to be made for, `onProblem` with a problem of the service.
-   */
+  /** `onMake(wind)` is called with the wind that a motion is to be made for, `onProblem` with a problem of the service. */
   constructor(stage, player, { onMake, onProblem }) {
     Object.assign(this, { stage, player });
     this.active = false;
