@@ -9,13 +9,12 @@ blends its list front to back.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Float32, Int32, Int64, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cuda import gsplat_is_there, render_with_gsplat
 from dynamictree.gaussian.deform import Pose, posed
-from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.rasterize_kernel import (
     MIN_ALPHA,
     TILE,
@@ -148,15 +147,6 @@ def tile_lists(
     order = np.empty(int(starts[-1]), np.int32)
     list_tiles(nearest_first, bounds, columns, starts[:-1].copy(), order, True)
     return order, starts
-
-
-def colors_seen(cloud: GaussianCloud, camera: Camera) -> Float64[np.ndarray, "G 3"]:
-    """Colour of each Gaussian from where the camera stands; not below black."""
-    directions = cloud.means - camera.position_m
-    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-    colors: Float64[np.ndarray, "G 3"] = np.einsum("gh,ghc->gc", harmonics(directions, cloud.sh_degree), cloud.sh) + 0.5
-    result: Float64[np.ndarray, "G 3"] = np.maximum(colors, 0)
-    return result
 
 
 def check_size(width: int, height: int) -> None:

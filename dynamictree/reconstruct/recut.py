@@ -22,7 +22,7 @@ from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct.cut import of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
-from dynamictree.reconstruct.floaters import background_floaters, faint_floaters
+from dynamictree.reconstruct.floaters import faint_floaters
 from dynamictree.reconstruct.photo_cameras import PhotoCamera, read_cameras, write_cameras
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
@@ -139,7 +139,6 @@ def _cut_out(
         own &= plant_of(scene, views, choice.scribbles or (), on_progress=lambda share: on_progress(0.6 * share))
         _require_plant(own)
         on_progress(0.6)
-        own &= ~background_floaters(scene, own, views)
         if not finished.report.get("held_out_masked_psnr_db"):  # masks leave no fog, but twigs that look like it
             own &= ~faint_floaters(scene, own)
         on_progress(0.8)
