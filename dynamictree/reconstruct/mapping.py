@@ -12,7 +12,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +21,13 @@ from PIL import Image
 
 from dynamictree.reconstruct.cameras import pairs_to_match
 from dynamictree.reconstruct.input_cameras import InputCamera
-from dynamictree.reconstruct.marker_detection import MarkerFinder
+from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, placed_markers
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.refine_poses import refined
 from dynamictree.reconstruct.unregistered import reasons
 
 DATABASES = ("features.db", "features-whole.db")
 """Of features within masks (everywhere without masks), and everywhere in spite of masks."""
-USE_GPU = bool(pycolmap.has_cuda)
-DEVICE = pycolmap.Device.auto
-"""A pycolmap that was built with CUDA uses the GPU."""
 MAX_MEMORY_BYTES = 12 * 2**30
 _MAX_FEATURES = 6000
 _PAIRS_AT_ONCE = 12
@@ -93,14 +90,14 @@ def _match(search: _Search) -> None:
     photos = search.photos
     pairs = pairs_to_match(len(photos))
     matching = pycolmap.FeatureMatchingOptions()
-    matching.num_threads, matching.use_gpu = search.threads, USE_GPU
+    matching.num_threads = search.threads
     for first in range(0, len(pairs), _PAIRS_AT_ONCE):
         _tell("matches", first, len(pairs))
         chunk = pairs[first : first + _PAIRS_AT_ONCE]
         listing = search.folder / "pairs.txt"
         listing.write_text("".join(f"{photos[i].name} {photos[j].name}\n" for i, j in chunk))
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
-        pycolmap.match_image_pairs(search.database, matching, pairing, device=DEVICE)
+        pycolmap.match_image_pairs(search.database, matching, pairing)
     _tell("matches", len(pairs), len(pairs))
 
 
@@ -112,7 +109,7 @@ def _tell(step: str, done: int, total: int) -> None:
 def _extract(search: _Search) -> None:
     """SIFT by groups of photos of one size and focal length, or of one known lens, which share a camera."""
     extraction = pycolmap.FeatureExtractionOptions()
-    extraction.num_threads, extraction.use_gpu = search.threads, USE_GPU
+    extraction.num_threads = search.threads
     extraction.sift.max_num_features = _MAX_FEATURES
     cameras_by_name = {camera.photo: camera for camera in search.given or ()}
     done = _camera_ids(search.database)  # those of an interrupted search
@@ -125,15 +122,8 @@ def _extract(search: _Search) -> None:
             if shared is not None:
                 reader.existing_camera_id = shared
             chunk = missing[: 1 if shared is None else search.threads]
-            pycolmap.extract_features(
-                search.database,
-                search.images,
-                chunk,
-                pycolmap.CameraMode.SINGLE,
-                reader,
-                extraction,
-                device=DEVICE,
-            )
+            single = pycolmap.CameraMode.SINGLE
+            pycolmap.extract_features(search.database, search.images, chunk, single, reader, extraction)
             missing = missing[len(chunk) :]
             done = _camera_ids(search.database)
     _tell("features", len(search.photos), len(search.photos))
@@ -275,7 +265,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     point_row = {point_id: row for row, point_id in enumerate(pinholes.points3D)}
     views: list[dict[str, object]] = []
     seen: list[tuple[int, int]] = []
-    finder = MarkerFinder()
+    finder, sightings = MarkerFinder(), []
     for image in sorted(pinholes.images.values(), key=lambda image: place[image.name]):
         if not image.has_pose:
             continue
@@ -283,7 +273,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
         pose = image.cam_from_world()
         seen += [(len(views), point_row[point.point3D_id]) for point in image.get_observation_points2D()]
         with Image.open(undistorted / "images" / image.name) as picture:
-            markers = finder.find(np.array(picture.convert("L")))
+            sightings.append(Sighting(camera, pose, finder.find(np.array(picture.convert("L")))))
         views.append(
             {
                 "name": image.name,
@@ -293,7 +283,6 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
                 "height": camera.height,
                 "focal_px": [camera.focal_length_x, camera.focal_length_y],
                 "principal_px": [camera.principal_point_x, camera.principal_point_y],
-                "markers": markers,
             }
         )
     points = list(pinholes.points3D.values())
@@ -307,7 +296,8 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     being_written = folder / "views.part"
     with pycolmap.Database.open(search.database) as database:
         left_out = reasons(database, {str(view["name"]) for view in views})
-    document = {"reprojection_error_px": error_px, "views": views, "left_out": left_out}
+    markers = [asdict(marker) for marker in placed_markers(sightings)]
+    document = {"reprojection_error_px": error_px, "views": views, "left_out": left_out, "markers": markers}
     being_written.write_text(json.dumps(document))
     being_written.replace(folder / "views.json")
     _tell("undistort", 1, 1)
@@ -321,7 +311,9 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     _end_with_parent()
-    if not USE_GPU:  # CUDA reserves more addresses than any limit of memory
+    if (
+        not pycolmap.has_cuda
+    ):  # it uses the GPU by itself then, and CUDA reserves more addresses than any limit of memory
         resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     job = json.load(sys.stdin)
     cameras = None if job["given"] is None else [InputCamera.from_json(fields) for fields in job["given"]]

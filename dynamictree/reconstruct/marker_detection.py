@@ -1,23 +1,31 @@
-"""Corners of printed AprilTags (family 36h11) in a picture, by the AprilTag library (BSD).
+"""Printed AprilTags (family 36h11) in photos whose cameras are known, by the AprilTag library (BSD) and COLMAP.
 
 Only the process of `mapping` imports this: it is native code.
 """
 
-from typing import TypedDict
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+import pycolmap
+from jaxtyping import Float64, UInt8
 from pyapriltags import Detector
+
+from dynamictree.reconstruct.markers import Marker
 
 FAMILY = "tag36h11"
 _LEAST_MARGIN = 30.0  # of the library's scale: markers in photos have 50 and more, leaves that look like one 10
+_LEAST_VIEWS = 3
+_FITS_PX = 2.0  # between a corner and where a photo has it
+_LARGEST_SPREAD = 0.1  # between the longest and the shortest edge: more is no square, or cameras are wrong
 
 
-class MarkerCorners(TypedDict):
-    """A marker in a picture, as JSON carries it."""
+class Sighting(NamedTuple):
+    """The markers in an undistorted photo: corners [px] by number."""
 
-    number: int
-    corners_px: list[list[float]]  # [4, 2]: x and y; always the same corner first, then round the square
+    camera: pycolmap.Camera
+    cam_from_world: pycolmap.Rigid3d
+    corners: dict[int, Float64[np.ndarray, "4 2"]]
 
 
 class MarkerFinder:
@@ -26,12 +34,40 @@ class MarkerFinder:
     def __init__(self) -> None:
         self._detector = Detector(families=FAMILY, quad_decimate=1.0)  # in half the pixels, corners are half as exact
 
-    def find(self, grey: UInt8[np.ndarray, "H W"]) -> list[MarkerCorners]:
-        """Markers that are read without a wrong bit; none whose number is there twice, since both may be meant."""
-        markers = [
-            MarkerCorners(number=int(seen.tag_id), corners_px=seen.corners.tolist())
-            for seen in self._detector.detect(np.ascontiguousarray(grey))
-            if seen.hamming == 0 and seen.decision_margin >= _LEAST_MARGIN
+    def find(self, grey: UInt8[np.ndarray, "H W"]) -> dict[int, Float64[np.ndarray, "4 2"]]:
+        """Corners [px] of markers by number, always the same corner first, then round the square.
+
+        Only markers count that are read without a wrong bit, and none whose number is there twice: both may be meant.
+        """
+        seen = [
+            (int(tag.tag_id), np.array(tag.corners, np.float64))
+            for tag in self._detector.detect(np.ascontiguousarray(grey))
+            if tag.hamming == 0 and tag.decision_margin >= _LEAST_MARGIN
         ]
-        numbers = [marker["number"] for marker in markers]
-        return [marker for marker in markers if numbers.count(marker["number"]) == 1]
+        numbers = [number for number, _ in seen]
+        return {number: corners for number, corners in seen if numbers.count(number) == 1}
+
+
+def placed_markers(sightings: Sequence[Sighting]) -> list[Marker]:
+    """Markers that three photos, and half of those that show them, agree on; those in most photos first."""
+    numbers = sorted({number for sighting in sightings for number in sighting.corners})
+    markers = [_placed(number, [one for one in sightings if number in one.corners]) for number in numbers]
+    return sorted((marker for marker in markers if marker is not None), key=lambda marker: -marker.num_photos)
+
+
+def _placed(number: int, sightings: Sequence[Sighting]) -> Marker | None:
+    options = pycolmap.EstimateTriangulationOptions()
+    options.residual_type = pycolmap.TriangulationResidualType.REPROJECTION_ERROR
+    options.ransac.max_error, options.ransac.random_seed = _FITS_PX, 0
+    cameras, poses = [one.camera for one in sightings], [one.cam_from_world for one in sightings]
+    seen = np.array([one.corners[number] for one in sightings])  # [V, 4, 2]
+    found = [pycolmap.estimate_triangulation(seen[:, corner], poses, cameras, options) for corner in range(4)]
+    corners = [one for one in found if one is not None]
+    fits = np.all([one["inliers"] for one in corners], axis=0)
+    if len(corners) < 4 or fits.sum() < max(_LEAST_VIEWS, len(sightings) / 2):
+        return None
+    places = np.array([one["xyz"] for one in corners])
+    edges = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
+    if np.ptp(edges) > _LARGEST_SPREAD * edges.mean():
+        return None
+    return Marker(number=number, edge=float(edges.mean()), num_photos=int(fits.sum()))

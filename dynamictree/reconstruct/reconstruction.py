@@ -19,7 +19,7 @@ from dynamictree.reconstruct.draft import Draft, OnFile, ignore_file
 from dynamictree.reconstruct.exposure import evenly_exposed
 from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames
 from dynamictree.reconstruct.input_cameras import files_with_cameras
-from dynamictree.reconstruct.markers import find_markers, metres_per_unit
+from dynamictree.reconstruct.markers import metres_per_unit
 from dynamictree.reconstruct.options import ReconstructOptions
 from dynamictree.reconstruct.photo_cameras import write_cameras
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
@@ -123,13 +123,12 @@ def reconstruct(
             )
         with clock.stage("mesh"):
             mesh, mesh_by = best_mesh_of(fit.table, scene, (*fit.figures["held_out"], *fit.figures["chosen_by"]))
-            markers = find_markers(scene.model.views)
-            unit_m = metres_per_unit(markers)
+            unit_m = metres_per_unit(scene.model.markers)
             shape = finished_shape(mesh, scene, height_m=UNKNOWN_HEIGHT_M, unit_m=unit_m)
     result = _result(fit, shape, mesh_by, [photo.name for photo in listed])
     result.report["markers"] = [
         MarkerReport(number=marker.number, edge_m=shape.scale * marker.edge, num_photos=marker.num_photos)
-        for marker in markers
+        for marker in scene.model.markers
     ]
     if unit_m:
         result.report["scale"] = "marker"

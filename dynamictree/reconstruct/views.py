@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from PIL import Image
 
+from dynamictree.reconstruct.markers import Marker
 from dynamictree.reconstruct.photo_cameras import PhotoCamera
 from dynamictree.render.camera import Camera
 
@@ -21,7 +22,6 @@ class View:
     image: UInt8[np.ndarray, "H W 3"]  # undistorted
     camera: Camera
     alpha: UInt8[np.ndarray, "H W"] | None = None  # of what is wanted, 255 where it is; None where nothing is cut out
-    markers: Mapping[int, Float64[np.ndarray, "4 2"]] = field(default_factory=dict)  # corners [px], by number
 
     @property
     def photo_camera(self) -> PhotoCamera:
@@ -40,6 +40,7 @@ class SparseModel:
     seen: Int64[np.ndarray, "M 2"]  # pairs of a view's and a point's row
     reprojection_error_px: float
     left_out: Mapping[str, str] = field(default_factory=dict)  # why a photo has no camera, by its name as given
+    markers: tuple[Marker, ...] = ()  # those in most photos first
 
     def transformed(
         self, scale: float, rotation: Float64[np.ndarray, "3 3"], origin: Float64[np.ndarray, "3"]
@@ -56,7 +57,8 @@ class SparseModel:
             )
             for view in self.views
         )
-        return replace(self, views=views, points=scale * (self.points - origin) @ rotation.T)
+        markers = tuple(replace(marker, edge=scale * marker.edge) for marker in self.markers)
+        return replace(self, views=views, points=scale * (self.points - origin) @ rotation.T, markers=markers)
 
 
 def _pixels(path: Path, mode: str, size: tuple[int, int]) -> UInt8[np.ndarray, "..."] | None:
@@ -91,16 +93,13 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
         image = _pixels(folder / "undistorted" / "images" / view["name"], "RGB", (width, height))
         assert image is not None
         alpha = _pixels(folder / "undistorted-masks" / "images" / view["name"], "L", (width, height))
-        markers = {
-            marker["number"]: np.array(marker["corners_px"]) * [1, height / view["height"]]
-            for marker in view.get("markers", ())
-        }
-        views.append(View(source=sources[view["name"]], image=image, camera=camera, alpha=alpha, markers=markers))
+        views.append(View(source=sources[view["name"]], image=image, camera=camera, alpha=alpha))
     return SparseModel(
         views=tuple(views),
         points=positions,
         colors=colors,
         seen=seen,
         reprojection_error_px=float(document["reprojection_error_px"]),
-        left_out={sources[name]: reason for name, reason in document.get("left_out", {}).items()},
+        left_out={sources[name]: reason for name, reason in document["left_out"].items()},
+        markers=tuple(Marker(**marker) for marker in document["markers"]),
     )

@@ -17,7 +17,7 @@ from dynamictree.errors import InputError
 from dynamictree.files import replacing
 from dynamictree.reconstruct.options import ReconstructOptions
 
-_VERSION = 3  # of the files in the folder
+_VERSION = 4  # of the files in the folder
 _SPLAT_VERSION = 3  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),

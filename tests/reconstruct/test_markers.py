@@ -6,6 +6,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
@@ -13,11 +14,11 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.photo_requests import CutParams, PhotoParams
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
-from dynamictree.reconstruct.marker_detection import MarkerFinder
-from dynamictree.reconstruct.markers import SHEET_EDGES_M, Marker, find_markers, metres_per_unit
+from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, placed_markers
+from dynamictree.reconstruct.markers import SHEET_EDGES_M, Marker, metres_per_unit
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.recut import recut
-from dynamictree.reconstruct.views import View
+from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Camera, Look, Renderer
 from recipes.marker_sheet import SHEET, marker_cells, sheet
 from tests.reconstruct.conftest import stump_and_ground
@@ -70,44 +71,53 @@ def photographed(scene: TriangleMesh, number: int, arc_deg: float) -> list[View]
 
 
 @pytest.fixture(scope="module")
-def views() -> list[View]:
+def sightings() -> list[Sighting]:
     """Photos of a marker 31 to 45 pixels wide, with what is found in them."""
     _, scene = stump_and_ground(np.random.default_rng(5))
     finder, result = MarkerFinder(), []
     for view in photographed(with_marker(scene, 1.5), 7, 90.0):
-        grey = np.array(Image.fromarray(view.image).convert("L"))
-        markers = {marker["number"]: np.array(marker["corners_px"]) for marker in finder.find(grey)}
-        result.append(replace(view, markers=markers))
+        matrix, turn = view.camera.intrinsics_px(WIDTH, HEIGHT), view.camera.world_to_camera
+        params = [matrix[0, 0], matrix[1, 1], *matrix[:2, 2]]
+        camera = pycolmap.Camera(model="PINHOLE", width=WIDTH, height=HEIGHT, params=params)
+        pose = pycolmap.Rigid3d(np.concatenate([turn, -(turn @ view.camera.position_m)[:, None]], axis=1))
+        result.append(Sighting(camera, pose, finder.find(np.array(Image.fromarray(view.image).convert("L")))))
     return result
 
 
-def test_a_marker_in_photos_has_its_size(views: list[View]) -> None:
-    assert sum(NUMBER in view.markers for view in views) >= 5
-    [marker] = find_markers(views)
+def test_a_marker_in_photos_has_its_size(sightings: list[Sighting]) -> None:
+    assert sum(NUMBER in sighting.corners for sighting in sightings) >= 5
+    [marker] = placed_markers(sightings)
     assert (marker.number, marker.num_photos >= 5) == (NUMBER, True)
     assert marker.edge == pytest.approx(1.5 * EDGE_M, rel=0.02)
     assert metres_per_unit([marker]) == pytest.approx(1 / 1.5, rel=0.02)
 
 
-def test_the_scale_is_that_of_the_cameras(views: list[View]) -> None:
-    larger = [replace(v, camera=replace(v.camera, position_m=7 * v.camera.position_m)) for v in views]
-    assert find_markers(larger)[0].edge == pytest.approx(7 * find_markers(views)[0].edge, rel=1e-9)
+def test_the_scale_is_that_of_the_cameras() -> None:
+    marker = Marker(number=3, edge=0.2, num_photos=9)
+    model = SparseModel(
+        views=(),
+        points=np.zeros((0, 3)),
+        colors=np.zeros((0, 3), np.uint8),
+        seen=np.zeros((0, 2), np.int64),
+        reprojection_error_px=0.1,
+        markers=(marker,),
+    )
+    assert model.transformed(7.0, np.eye(3), np.zeros(3)).markers == (replace(marker, edge=7 * 0.2),)
 
 
-def test_a_photo_that_shows_it_elsewhere_is_left_out(views: list[View]) -> None:
-    bad = next(count for count, view in enumerate(views) if view.markers)
-    moved = {number: corners + np.array([60, 0]) for number, corners in views[bad].markers.items()}
-    changed = [replace(view, markers=moved) if count == bad else view for count, view in enumerate(views)]
-    [whole], [marker] = find_markers(views), find_markers(changed)
+def test_a_photo_that_shows_it_elsewhere_is_left_out(sightings: list[Sighting]) -> None:
+    bad = next(count for count, sighting in enumerate(sightings) if sighting.corners)
+    changed = list(sightings)
+    changed[bad] = changed[bad]._replace(corners={NUMBER: sightings[bad].corners[NUMBER] + [60, 0]})
+    [whole], [marker] = placed_markers(sightings), placed_markers(changed)
     assert marker.num_photos == whole.num_photos - 1
     assert marker.edge == pytest.approx(whole.edge, rel=0.01)
 
 
-def test_two_photos_and_what_is_no_square_are_no_marker(views: list[View]) -> None:
-    seen = [view for view in views if view.markers]
-    assert find_markers(seen[:2]) == ()
-    narrow = [replace(v, markers={k: c * [1, 0.5] for k, c in v.markers.items()}) for v in seen]
-    assert find_markers(narrow) == ()
+def test_two_photos_and_what_is_no_square_are_no_marker(sightings: list[Sighting]) -> None:
+    seen = [sighting for sighting in sightings if sighting.corners]
+    assert placed_markers(seen[:2]) == []
+    assert placed_markers([one._replace(corners={NUMBER: one.corners[NUMBER] * [1, 0.5]}) for one in seen]) == []
 
 
 def test_only_markers_of_the_sheet_tell_a_scale_by_themselves() -> None:
@@ -122,11 +132,11 @@ def test_the_sheet_in_the_documentation_is_the_one_that_is_read() -> None:
         assert f'width="{1000 * edge_m:g}" height="{1000 * edge_m:g}"' in sheet()
         picture = 255 * np.kron(marker_cells(number), np.ones((8, 8))).astype(np.uint8)
         padded = np.pad(picture, 40, constant_values=255)
-        [marker] = MarkerFinder().find(padded)
-        assert marker["number"] == number
-        sides = np.linalg.norm(np.diff(marker["corners_px"], axis=0, append=marker["corners_px"][:1]), axis=1)
+        [(seen, corners)] = MarkerFinder().find(padded).items()
+        assert seen == number
+        sides = np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1)
         np.testing.assert_allclose(sides, 64, atol=1)
-        assert MarkerFinder().find(np.concatenate([padded, padded])) == []
+        assert MarkerFinder().find(np.concatenate([padded, padded])) == {}
 
 
 def test_a_recut_takes_the_scale_from_a_marker_of_another_size(tmp_path: Path) -> None:

@@ -29,9 +29,10 @@ def test_a_point_is_where_the_photo_shows_it(tmp_path: Path, focal_px: tuple[flo
         "height": HEIGHT,
         "focal_px": focal_px,
         "principal_px": [140.0, 110.0],
-        "markers": [{"number": 7, "corners_px": [[x, y]] * 4}],
     }
-    (tmp_path / "views.json").write_text(json.dumps({"reprojection_error_px": 0.1, "views": [view]}))
+    (tmp_path / "views.json").write_text(
+        json.dumps({"reprojection_error_px": 0.1, "views": [view], "left_out": {}, "markers": []})
+    )
     np.savez(
         tmp_path / "points.npz",
         positions=PLACE[None],
@@ -47,4 +48,3 @@ def test_a_point_is_where_the_photo_shows_it(tmp_path: Path, focal_px: tuple[flo
     for drawn in (read.image[..., 0], read.alpha):
         rows, columns = np.nonzero(drawn > 128)
         np.testing.assert_allclose([columns.mean() + 0.5, rows.mean() + 0.5], [column, row], atol=1.0)
-    np.testing.assert_allclose(read.markers[7], [[column, row]] * 4, atol=0.7)
