@@ -5,7 +5,6 @@ nerfstudio docs/quickstart/data_conventions.md; COLMAP doc/format.rst; LLFF (Mil
 
 import json
 import math
-import re
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -33,8 +32,6 @@ _MODELS = {  # COLMAP's number, name, number of parameters
 }
 _LENGTHS = dict(_MODELS.values())
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-
-_NUMBERED = re.compile("image_?([0-9]{1,6})")  # the names of LLFF's reduced photos
 
 Size = tuple[int, int]
 Sizes = dict[str, tuple[Size, Size]]
@@ -200,9 +197,12 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[InputCamera, ...]:
         raise FormatError(f"{LLFF} cannot be read: {error}; write it with numpy.save") from error
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
         raise FormatError(f"{LLFF} has the shape {rows.shape}; ({len(sizes)}, 17) is needed: a row a photo")
+    if len(rows) != len(sizes):
+        raise FormatError(
+            f"{LLFF} has {len(rows)} rows and there are {len(sizes)} photos; give a photo per row, in order"
+        )
     cameras = []
-    chosen = rows[_rows_of_photos(list(sizes), len(rows))]
-    for row, (name, either) in zip(chosen.astype(np.float64), sizes.items(), strict=True):
+    for row, (name, either) in zip(rows.astype(np.float64), sizes.items(), strict=True):
         pose = row[:15].reshape(3, 5)
         height, width, focal = pose[:, 4]
         down, right, back, position = pose[:, :4].T
@@ -219,23 +219,6 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[InputCamera, ...]:
         _check(camera, either, LLFF)
         cameras.append(camera)
     return tuple(cameras)
-
-
-def _rows_of_photos(names: list[str], number: int) -> list[int]:
-    """LLFF's rows are in the order of the photos; of some of them, named as `image007.png`, by their numbers from 0.
-
-    Raises:
-        FormatError: it is unclear which photos are missing.
-    """
-    if len(names) == number:
-        return list(range(number))
-    numbers = [int(match[1]) for name in names if (match := _NUMBERED.fullmatch(PurePosixPath(name).stem))]
-    if len(names) < number and len(numbers) == len(set(numbers)) == len(names) and max(numbers) < number:
-        return numbers
-    raise FormatError(
-        f"{LLFF} has {number} rows and there are {len(names)} photos; give all, or some named image000, image001, … "
-        "by their rows"
-    )
 
 
 def _inverted(rotation: Float64[np.ndarray, "3 3"], position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 4"]:

@@ -125,18 +125,6 @@ def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp
     assert {camera.model for camera in find_input_cameras(tmp_path, sizes_of(orbit)) or ()} == {"PINHOLE"}  # names lead
 
 
-def test_some_of_llffs_reduced_photos_take_their_own_rows(tmp_path, orbit):
-    write_llff(tmp_path / "llff", orbit)
-    either = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
-    given = find_input_cameras(tmp_path, {f"images_8/image{number:03}.png": either for number in (1, 5, 13)})
-    assert given is not None
-    for camera, number in zip(given, (1, 5, 13), strict=True):
-        assert np.allclose(camera.world_to_camera[:, :3], orbit.cameras[number].world_to_camera, atol=1e-6)
-    for names in (("IMG_1.jpg", "IMG_7.jpg"), ("image001.png", "image014.png"), ("a/image001.png", "b/image001.png")):
-        with pytest.raises(FormatError, match=f"14 rows and there are {len(names)} photos; give all, or some named"):
-            find_input_cameras(tmp_path, dict.fromkeys(names, either))
-
-
 def test_frames_without_photos_are_left_out_and_each_camera_keeps_its_lens(tmp_path, orbit):
     path = write_transforms(tmp_path, orbit)
     document = json.loads(path.read_text())
