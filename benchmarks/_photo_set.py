@@ -1,40 +1,26 @@
 """Photos of a tree that is known: RGBA pictures by the project's own renderer, with the cameras that took them."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.spatial import cKDTree
 
-from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 from lab.dataset.sample import make_sample
-from lab.dataset.stem_skeleton import Skeleton
 
 SAMPLES = 3
 """Along a pixel's side, colour and cover alike, so that edges keep no sky."""
 GRAIN_M, GRAIN = 0.01, 0.4
 """Size of the grain of bark and leaves, and how strong it is."""
-_SURFACE_POINTS = 150_000
-_FARTHEST = 0.1  # of the height, that a surface is looked for around a stem's axis
 
 
-@dataclass(frozen=True, kw_only=True)
-class PhotoSet:
-    tree: TriangleMesh
-    skeleton: Skeleton
-    photos: tuple[Path, ...]
-    cameras: tuple[Camera, ...]
-
-
-def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> PhotoSet:
+def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> list[Path]:
     """An orbit around a tree with speckled bark and leaves; photos and `transforms.json` go into the folder."""
-    sample = make_sample(seed, species)
-    tree = speckled(sample.mesh)
+    tree = speckled(make_sample(seed, species).mesh)
     renderer = fine_renderer(tree, side)
     photos, frames = [], []
     cameras = orbit(tree, number)
@@ -48,7 +34,7 @@ def photograph(folder: Path, *, number: int, side: int, species: str = "round-br
     focal = cameras[0].focal * side
     lens = {"fl_x": focal, "fl_y": focal, "cx": side / 2, "cy": side / 2, "w": side, "h": side}
     (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    return PhotoSet(tree=tree, skeleton=sample.skeleton, photos=tuple(photos), cameras=cameras)
+    return photos
 
 
 def speckled(tree: TriangleMesh) -> TriangleMesh:
@@ -80,42 +66,6 @@ def fine_renderer(mesh: TriangleMesh, side: int) -> Renderer:
     return Renderer(mesh, Look(width=fine, height=fine, ground=False, supersampling=1))
 
 
-def surface_score(
-    result: TriangleMesh, true: TriangleMesh, result_cameras: np.ndarray, true_cameras: np.ndarray, share: float
-) -> dict[str, float]:
-    """Precision, recall and F of points on both surfaces, within a share of the height, after the cameras meet."""
-    scale, rotation, shift = _aligned(result_cameras, true_cameras)
-    rng = np.random.default_rng(0)
-    ours = scale * _on_surface(result, rng) @ rotation.T + shift
-    theirs = _on_surface(true, rng)
-    near = share * true.height_m
-    precision = float((cKDTree(theirs).query(ours)[0] < near).mean())
-    recall = float((cKDTree(ours).query(theirs)[0] < near).mean())
-    both = max(precision + recall, 1e-9)
-    return {"precision": round(precision, 3), "recall": round(recall, 3), "f": round(2 * precision * recall / both, 3)}
-
-
-def stem_widths(
-    result: TriangleMesh, taken: PhotoSet, result_cameras: np.ndarray, true_cameras: np.ndarray
-) -> dict[str, float]:
-    """Distance of the surface from the middles of stem segments against their radius, where it encloses them."""
-    scale, rotation, shift = _aligned(result_cameras, true_cameras)
-    vertices = (scale * result.vertices @ rotation.T + shift).astype(np.float32)
-    stems = taken.skeleton
-    upper = np.flatnonzero(stems.parent >= 0)
-    lower = stems.parent[upper]
-    middle = (0.5 * (stems.position[upper] + stems.position[lower])).astype(np.float32)
-    radius = 0.5 * (stems.radius[upper] + stems.radius[lower])
-    near = nearest_faces(middle, vertices, result.faces, _FARTHEST * taken.tree.height_m)
-    rows = np.flatnonzero(near.faces >= 0)
-    a, b, c = vertices[result.faces[near.faces[rows]]].astype(np.float64).transpose(1, 0, 2)
-    foot = np.einsum("gk,kgd->gd", near.weights[rows], np.stack([a, b, c]))
-    within = ((middle[rows] - foot) * np.cross(b - a, c - a)).sum(axis=1) < 0
-    ratio = (np.linalg.norm(middle[rows] - foot, axis=1) / radius[rows])[within]
-    low, median, high = (round(float(np.quantile(ratio, q)), 2) for q in (0.1, 0.5, 0.9))
-    return {"p10": low, "median": median, "p90": high, "enclosed": round(float(within.sum() / len(upper)), 3)}
-
-
 def solid_noise(rng: np.random.Generator) -> np.ndarray:
     """A block of noise without seams, of standard deviation 1; a cell is GRAIN_M wide."""
     block = gaussian_filter(rng.normal(size=(96, 96, 96)), 0.7, mode="wrap")
@@ -139,22 +89,3 @@ def cut_out(renderer: Renderer, camera: Camera, side: int, solid: np.ndarray | N
     alpha = cover.reshape(cells).mean(axis=(1, 3))
     seen = (color * cover).reshape(cells).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)
     return np.concatenate([seen, 255 * alpha], axis=2).round().astype(np.uint8)
-
-
-def _aligned(result: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Umeyama 1991."""
-    middle_result, middle_true = result.mean(axis=0), true.mean(axis=0)
-    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (result - middle_result))
-    flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ flip @ vt
-    scale = float((sizes * np.diag(flip)).sum() / ((result - middle_result) ** 2).sum())
-    return scale, rotation, middle_true - scale * rotation @ middle_result
-
-
-def _on_surface(mesh: TriangleMesh, rng: np.random.Generator) -> np.ndarray:
-    a, b, c = mesh.vertices[mesh.faces].astype(np.float64).transpose(1, 0, 2)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chosen = rng.choice(len(area), _SURFACE_POINTS, p=area / area.sum())
-    u, v = rng.random((2, _SURFACE_POINTS, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]

@@ -64,8 +64,8 @@ def _thin(folder: Path) -> Masks:
 
 
 def _rgba(folder: Path) -> Masks:
-    taken = photograph(folder, number=PHOTOS, side=SIDE_PX)
-    return {path.name: np.asarray(Image.open(path))[..., 3] for path in taken.photos}
+    photos = photograph(folder, number=PHOTOS, side=SIDE_PX)
+    return {path.name: np.asarray(Image.open(path))[..., 3] for path in photos}
 
 
 def _banana(folder: Path) -> Masks:
@@ -106,7 +106,7 @@ def _through_http(service: WholeService, name: str, folder: Path, masks: Masks) 
 
 def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> float:
     """Of all photos held out together."""
-    plant = read_gaussian_ply(BytesIO(got["splat.ply"]), up_axis="+Z")
+    plant = read_gaussian_ply(BytesIO(got["splat.ply"]))
     both = either = 0
     for view in read_cameras(json.loads(got["cameras.json"])):
         if view.photo not in held_out:
