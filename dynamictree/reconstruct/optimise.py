@@ -82,14 +82,14 @@ def optimise(
         shrink = _shrink(schedule, state.step)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
         _one_step(state, levels.target(state.step, shrink), task, schedule, degree, rng)
+        if task.choosing and state.step % schedule.check_every == 0:
+            _check(state, levels, schedule, degree)
         share = state.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and state.step % schedule.densify_every == 0:
             rules = _rules(schedule, shrink, cut_out=task.cut_out)
             if task.cameras is not None:
                 state.table[before_cameras(state.table, task.cameras, rules), LOGIT] = _DISCARDED_LOGIT
             densify(state, rules, extent=task.extent, rng=rng)
-        if task.choosing and state.step % schedule.check_every == 0:
-            _check(state, levels, schedule, degree)
 
 
 def _one_step(
