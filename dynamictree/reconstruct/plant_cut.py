@@ -56,15 +56,10 @@ def plant_of(
     proposal = propose(cloud, views)
     strokes = marked(cloud, views, scribbles, on_stroke=lambda done: on_progress(0.2 + 0.2 * done / len(scribbles)))
     rows = np.flatnonzero(proposal.near | (strokes != 0))
+    some = Proposal(near=proposal.near[rows], background=proposal.background[rows], central=proposal.central[rows])
     own = np.zeros(cloud.num_gaussians, np.bool_)
-    own[rows] = _cut(
-        cloud.subset(rows), _rows_of(proposal, rows), strokes[rows], lambda share: on_progress(0.4 + 0.6 * share)
-    )
+    own[rows] = _cut(cloud.subset(rows), some, strokes[rows], lambda share: on_progress(0.4 + 0.6 * share))
     return own
-
-
-def _rows_of(proposal: Proposal, rows: Int64[np.ndarray, " M"]) -> Proposal:
-    return Proposal(near=proposal.near[rows], background=proposal.background[rows], central=proposal.central[rows])
 
 
 def _cut(
@@ -138,8 +133,7 @@ def _color_odds(
     cell = tuple((share * _BINS).astype(np.int64).T)
     densities = []
     for rows in (own, ~own):
-        histogram = np.zeros(_BINS)
-        np.add.at(histogram, tuple(axis[rows] for axis in cell), weight[rows])
+        histogram = np.histogramdd(share[rows], _BINS, [(0, 1)] * 3, weights=weight[rows])[0]
         smooth = gaussian_filter(histogram, 0.7)
         densities.append(smooth / max(smooth.sum(), 1e-12) + 1e-5)
     odds: Float64[np.ndarray, " G"] = np.clip(np.log(densities[0] / densities[1]), -_MOST_COLOR, _MOST_COLOR)[cell]

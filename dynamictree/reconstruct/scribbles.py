@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Int8, Int64
+from skimage.draw import line
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -55,13 +56,8 @@ def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P
         (row, column), reach = at[0], np.arange(-_CLICK_PX, _CLICK_PX + 1)
         rows, columns = (one.ravel() for one in np.meshgrid(row + reach, column + reach))
     else:
-        rows, columns = (np.concatenate(one) for one in zip(*(_segment(*ends) for ends in pairwise(at)), strict=True))
+        rows, columns = (
+            np.concatenate(one) for one in zip(*(line(*first, *last) for first, last in pairwise(at)), strict=True)
+        )
     pixels: Int64[np.ndarray, "P 2"] = np.unique(np.stack([columns, rows], axis=1), axis=0).astype(np.int64)
     return pixels[:: -(-len(pixels) // _MOST_PIXELS)]
-
-
-def _segment(first: tuple[int, int], last: tuple[int, int]) -> tuple[Int64[np.ndarray, " P"], Int64[np.ndarray, " P"]]:
-    """Rows and columns of the pixels from one to another."""
-    number = max(abs(last[0] - first[0]), abs(last[1] - first[1])) + 1
-    rows, columns = (np.rint(np.linspace(a, b, number)).astype(np.int64) for a, b in zip(first, last, strict=True))
-    return rows, columns

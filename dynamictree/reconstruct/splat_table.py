@@ -1,13 +1,10 @@
 """Gaussians as a table of parameters, one row each, and back to a cloud."""
 
-from typing import no_type_check
-
 import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.parallel import compiled
 
 MEAN, QUATERNION, LOG_SCALE, LOGIT = slice(0, 3), slice(3, 7), slice(7, 10), 10
 COLOR, REST = slice(11, 14), 14
@@ -47,14 +44,4 @@ def cloud_of(table: Float32[np.ndarray, "G P"], sh_degree: int | None = None) ->
 
 def unit_quaternions(table: Float32[np.ndarray, "G P"]) -> None:
     """Make the quaternions of a table unit ones, in place."""
-    _make_unit(0, len(table), table)
-
-
-@compiled
-@no_type_check
-def _make_unit(first, end, table):
-    for g in range(first, end):
-        q = table[g, 3:7]
-        length = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-        for c in range(4):
-            q[c] /= length
+    table[:, QUATERNION] /= np.linalg.norm(table[:, QUATERNION], axis=1, keepdims=True)
