@@ -1,3 +1,4 @@
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -85,13 +86,6 @@ def test_heic_is_read_upright_with_its_focal_length(tmp_path, eight):
         assert not image.getexif()
 
 
-def test_heic_without_its_reader_says_what_to_install(tmp_path, eight, monkeypatch):
-    save_photo(tmp_path / "a.heic", format="HEIF")
-    monkeypatch.delitem(Image.OPEN, "HEIF")
-    with pytest.raises(FormatError, match=r"a\.heic is HEIC.*dynamictree\[photos\]"):
-        prepare_photos([*eight, tmp_path / "a.heic"], tmp_path / "out")
-
-
 def test_refuses_copies_of_one_photo(tmp_path, eight):
     copies = [tmp_path / f"copy{number}.jpg" for number in range(40)]
     for copy in copies:
@@ -100,14 +94,11 @@ def test_refuses_copies_of_one_photo(tmp_path, eight):
         prepare_photos([*eight[:6], *copies[:39], eight[6]], tmp_path / "out")
 
 
-def test_a_photo_without_exif_has_no_focal_length(tmp_path, eight):
-    assert prepare_photos(eight, tmp_path / "out")[0].focal_px is None
-
-
-@pytest.mark.parametrize("focal", [0, 60000, "fifty"])
+@pytest.mark.parametrize("focal", [None, 0, 60000, "fifty"])
 def test_a_focal_length_that_no_lens_has_is_not_believed(tmp_path, eight, focal):
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = focal
+    if focal is not None:
+        exif.get_ifd(0x8769)[0xA405] = focal
     eight[0] = save_photo(tmp_path / "odd.jpg", exif=exif)
     assert prepare_photos(eight, tmp_path / "out")[0].focal_px is None
 
@@ -118,36 +109,38 @@ def test_refuses_too_few_and_too_many(tmp_path, eight, number):
         prepare_photos((eight * 50)[:number], tmp_path / "out")
 
 
-def test_refuses_what_is_no_photo(tmp_path, eight):
-    eight[2].write_text("solid tree")
-    with pytest.raises(FormatError, match=r"2\.jpg is none of JPEG, PNG, WEBP, TIFF, HEIF"):
-        prepare_photos(eight, tmp_path / "out")
+def masks_of_another_shape(folder: Path, photos: list[Path]) -> None:
+    (folder / "masks").mkdir()
+    for path in photos:
+        save_photo(folder / "masks" / f"{path.stem}.png", (300, 300))
 
 
-def test_refuses_another_format_of_picture(tmp_path, eight):
-    eight[2] = save_photo(tmp_path / "tree.bmp")
-    with pytest.raises(FormatError, match="is none of JPEG, PNG, WEBP, TIFF, HEIF"):
-        prepare_photos(eight, tmp_path / "out")
+UNUSABLE = {
+    "no photo": (lambda folder, photos: photos[2].write_text("solid tree"), r"2\.jpg is none of JPEG, PNG, WEBP, TIFF"),
+    "bmp": (lambda folder, photos: save_photo(photos[2], format="BMP"), "is none of JPEG, PNG, WEBP, TIFF, HEIF"),
+    "truncated": (lambda folder, photos: os.truncate(photos[5], 9000), r"5\.jpg cannot be decoded"),
+    "large": (lambda folder, photos: declared_png(photos[1], 9000, 9000), r"1\.jpg.*allowed"),
+    "warned of by Pillow": (lambda folder, photos: declared_png(photos[1], 10_100, 10_100), r"1\.jpg.*allowed"),
+    "refused by Pillow": (lambda folder, photos: declared_png(photos[1], 100_000, 100_000), r"1\.jpg.*allowed"),
+    "narrow": (lambda folder, photos: declared_png(photos[1], 8000, 100), r"1\.jpg.*allowed"),
+    "bytes": (lambda folder, photos: os.truncate(photos[6], MAX_PHOTO_BYTES + 1), r"6\.jpg has 67,108,865 bytes"),
+    "mask": (masks_of_another_shape, r"the mask of 0\.jpg has 300 x 300 pixels"),
+}
 
 
-def test_refuses_a_truncated_jpeg(tmp_path, eight):
-    eight[5].write_bytes(eight[5].read_bytes()[:9000])
-    with pytest.raises(FormatError, match=r"5\.jpg cannot be decoded"):
-        prepare_photos(eight, tmp_path / "out")
+@pytest.mark.parametrize("name", UNUSABLE)
+def test_refuses_what_is_no_usable_photo(tmp_path, eight, name):
+    change, message = UNUSABLE[name]
+    change(tmp_path, eight)
+    with pytest.raises(FormatError, match=message):
+        prepare_listed(list_photos(eight, tmp_path), tmp_path / "out")
 
 
-@pytest.mark.parametrize("size", [(9000, 9000), (10100, 10100), (100_000, 100_000), (8000, 100)])
-def test_refuses_a_declared_size_before_decoding(tmp_path, eight, size):
-    eight[1] = declared_png(tmp_path / "bomb.png", *size)
-    with pytest.raises(FormatError, match=r"bomb\.png.*allowed"):
-        prepare_photos(eight, tmp_path / "out")
-
-
-def test_refuses_a_file_of_too_many_bytes(tmp_path, eight):
-    with eight[6].open("r+b") as stream:
-        stream.truncate(MAX_PHOTO_BYTES + 1)
-    with pytest.raises(FormatError, match=r"6\.jpg has 67,108,865 bytes"):
-        prepare_photos(eight, tmp_path / "out")
+def test_heic_without_its_reader_says_what_to_install(tmp_path, eight, monkeypatch):
+    save_photo(tmp_path / "a.heic", format="HEIF")
+    monkeypatch.delitem(Image.OPEN, "HEIF")
+    with pytest.raises(FormatError, match=r"a\.heic is HEIC.*dynamictree\[photos\]"):
+        prepare_photos([*eight, tmp_path / "a.heic"], tmp_path / "out")
 
 
 def test_what_the_callback_raises_passes_through(tmp_path, eight):
@@ -223,14 +216,6 @@ def test_an_opaque_alpha_channel_is_no_mask(tmp_path):
     pixels[:, :100, 3] = 254
     Image.fromarray(pixels).save(paths[5])
     assert all(photo.masked for photo in prepare_photos(paths, tmp_path / "again"))
-
-
-def test_refuses_a_mask_of_another_shape(tmp_path, eight):
-    (tmp_path / "masks").mkdir()
-    for path in eight:
-        save_photo(tmp_path / "masks" / f"{path.stem}.png", (300, 300))
-    with pytest.raises(FormatError, match=r"the mask of 0\.jpg has 300 x 300 pixels"):
-        prepare_listed(list_photos(eight, tmp_path), tmp_path / "out")
 
 
 def test_sizes_are_reported_as_stored_and_as_turned(tmp_path):
