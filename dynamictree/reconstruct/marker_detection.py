@@ -61,8 +61,8 @@ def _placed(number: int, sightings: Sequence[Sighting]) -> Marker | None:
     options.ransac.max_error, options.ransac.random_seed = _FITS_PX, 0
     cameras, poses = [one.camera for one in sightings], [one.cam_from_world for one in sightings]
     seen = np.array([one.corners[number] for one in sightings])  # [V, 4, 2]
-    found = [pycolmap.estimate_triangulation(seen[:, corner], poses, cameras, options) for corner in range(4)]
-    corners = [one for one in found if one is not None]
+    estimates = [pycolmap.estimate_triangulation(seen[:, corner], poses, cameras, options) for corner in range(4)]
+    corners = [one for one in estimates if one is not None]
     fits = np.all([one["inliers"] for one in corners], axis=0)
     if len(corners) < 4 or fits.sum() < max(_LEAST_VIEWS, len(sightings) / 2):
         return None
