@@ -839,19 +839,17 @@ class UploadParts(Model):
 
 
 class Upload(Model):
-    """A file that comes in pieces, or from an address."""
+    """A file that comes in pieces."""
 
     id: str
-    # receiving or fetching; received; ready with an asset; failed
-    state: Literal["receiving", "fetching", "received", "ready", "failed"]
+    # receiving; received; ready with an asset
+    state: Literal["receiving", "received", "ready"]
     filename: str
     bytes_received: int
-    # null while an address does not tell
-    length: int | None
+    length: int
     # as promised
     sha256: str | None
     asset_id: str | None
-    error: "Problem | None"
     # RFC 3339, UTC
     created_at: datetime
     # RFC 3339, UTC

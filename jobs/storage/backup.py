@@ -108,7 +108,7 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
 
 
 def _is_restored(table: str, row: Mapping[str, Any]) -> bool:
-    return table != "uploads" or row["state"] in {"ready", "failed"}
+    return table != "uploads" or row["state"] == "ready"
 
 
 def _write_rows(connection: sa.Connection, path: Path) -> int:
