@@ -75,7 +75,6 @@ class JobRecord:
     version: int = 1
     error_code: str | None = None
     error_message: str | None = None
-    start_deadline: float | None = None
     retry_of: str | None = None
     external_id: str | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)

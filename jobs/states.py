@@ -7,7 +7,7 @@ from jobs.errors import ConflictError
 
 
 class JobState(StrEnum):
-    """States of a job. The last four are final."""
+    """States of a job. The last three are final."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -15,17 +15,15 @@ class JobState(StrEnum):
     SUCCEEDED = "succeeded"
     FAILED = "failed"
     CANCELED = "canceled"
-    ABORTED = "aborted"  # not started before its deadline
 
 
 TRANSITIONS: dict[JobState, frozenset[JobState]] = {
-    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.ABORTED}),
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING}),
     JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING}),
     JobState.CANCELING: frozenset({JobState.CANCELED}),
     JobState.SUCCEEDED: frozenset(),
     JobState.FAILED: frozenset(),
     JobState.CANCELED: frozenset(),
-    JobState.ABORTED: frozenset(),
 }
 TERMINAL = frozenset(state for state, following in TRANSITIONS.items() if not following)
 ACTIVE = frozenset(JobState) - TERMINAL

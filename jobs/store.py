@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import sqlalchemy as sa
 from ulid import ULID
@@ -19,7 +18,6 @@ from jobs.database.retry import patient
 from jobs.database.schema import make_tables
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
 from jobs.lifecycle import rows
-from jobs.lifecycle.job_log import lines, note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import ACTIVE, JobState, JobType
 
@@ -113,7 +111,6 @@ class Store:
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
                     return rows.read_job(connection, rows.same_job(connection, client_key)), False
                 self._require_quota(connection, max_active, counted=1)
-            note(connection, job.id, "accepted", at=job.created_at, request_id=job.request_id)
             rows.add_stages(connection, job.id, stages)
             connection.execute(t.outbox.insert().values(job_id=job.id, attempt=job.attempt, created_at=job.created_at))
             return rows.read_job(connection, job.id), True
@@ -173,16 +170,6 @@ class Store:
             raise NotFoundError(f"there is no job {job_id}")
         return job
 
-    def job_log(self, job_id: str, *, after: int = 0, limit: int = 100) -> Sequence[sa.Row[Any]]:
-        """What happened to a job, oldest first.
-
-        Raises:
-            NotFoundError, GoneError: there is none, or its record has expired.
-        """
-        with self.reading() as connection:
-            self._read_job(connection, job_id)
-            return lines(connection, job_id, after=after, limit=limit)
-
     def job_versions(self, job_ids: list[str]) -> dict[str, tuple[int, bool]]:
         """Version of each job, and whether it has ended; none of those that are gone."""
         columns = (t.jobs.c.id, t.jobs.c.version, t.jobs.c.state)
@@ -219,23 +206,8 @@ class Store:
                 stages.setdefault(row.job_id, []).append(rows.stage_of(row))
         return [rows.job_of(row, tuple(stages.get(row.id, ()))) for row in matches]
 
-    def look(self, job_id: str) -> tuple[JobRecord, int | None, list[ArtifactRecord]]:
-        """A job, its place in the queue and what it offers so far, all of one moment: what a poll asks.
-
-        Raises:
-            NotFoundError, GoneError: there is none, or its record has expired.
-        """
-        with self.reading() as connection:
-            job = self._read_job(connection, job_id)
-            return job, *rows.standing(connection, job)
-
-    def standing(self, job: JobRecord) -> tuple[int | None, list[ArtifactRecord]]:
-        """How many jobs of its queue were there before a job, None once it has begun; and what it offers so far."""
-        with self.reading() as connection:
-            return rows.standing(connection, job)
-
     def standing_of(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
-        """`standing` of several jobs by id, in two queries."""
+        """Place in the queue and products of jobs by id, in two queries."""
         with self.reading() as connection:
             return rows.standing_of(connection, page)
 
@@ -251,14 +223,13 @@ class Store:
                 return job
             if not rows.move(connection, job_id, JobState.CANCELING):
                 raise ConflictError(f"job {job_id} has {job.state}; only a queued or running job can be canceled")
-            note(connection, job_id, "asked to stop", at=self.clock())
             holder = connection.execute(sa.select(t.jobs.c.lease_owner).where(t.jobs.c.id == job_id)).scalar_one()
             if holder is None:
                 rows.end(connection, job_id, JobState.CANCELED, now=self.clock())
             return rows.read_job(connection, job_id)
 
     def delete_job(self, job_id: str) -> None:
-        """Delete a job that has ended, with its log and the records of its files; retention deletes their bytes.
+        """Delete a job that has ended, with the records of its files; retention deletes their bytes.
 
         Raises:
             ConflictError: it has not ended.

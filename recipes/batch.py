@@ -21,7 +21,7 @@ async def sway(client: AsyncClient, path: Path, folder: Path, params: AnimatePar
     request = AnimateRequest(type="animate", asset_id=asset.id, params=params)
     digest = hashlib.sha256(request.model_dump_json().encode()).hexdigest()
     job = await client.create_job(request, key=f"batch-{digest}")
-    if job.state in ("failed", "aborted"):
+    if job.state == "failed":
         job = await client.send(operations.retry_job(job.id))
     await client.download_all(await client.wait(job), folder)
 

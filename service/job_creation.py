@@ -65,7 +65,6 @@ def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: 
         version=1,
         error_code=None,
         error_message=None,
-        start_deadline=None,
         cancel_at=None,
         processor_s=0.0,
         gpu_s=0.0,
@@ -173,7 +172,6 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         external_id=body.external_id,
         metadata=body.metadata,
         cancel_at=None if body.cancel_after_s is None else now + body.cancel_after_s,
-        start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
         created_at=now,
     )
 

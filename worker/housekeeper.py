@@ -29,7 +29,6 @@ from jobs.lifecycle.maintenance import (
     RUN_JOB,
     WORKER_LEASES,
     RunJob,
-    abort_overdue,
     forget_deliveries,
     forget_expired,
     hold_lease,
@@ -110,10 +109,9 @@ class Housekeeper:
                 self._send(message)
 
     def reap(self) -> None:
-        """Take jobs from dead workers, and end jobs past their start deadline."""
+        """Take jobs from dead workers, and cancel jobs past their time."""
         for job_id, state in reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
-        abort_overdue(self.store)
         for job_id in overdue(self.store):
             with suppress(ConflictError):  # it has ended meanwhile
                 self.store.cancel(job_id)

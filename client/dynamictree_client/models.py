@@ -12,8 +12,8 @@ class Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", defer_build=True)
 
 
-JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled", "aborted"]
-"""States of a job. The last four are final."""
+JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
+"""States of a job. The last three are final."""
 
 
 class AnimateRequest(Model):
@@ -28,9 +28,7 @@ class AnimateRequest(Model):
     # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
     # which of them; those of its end if unset
-    webhook_events: (
-        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
-    ) = None
+    webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -39,8 +37,6 @@ class AnimateRequest(Model):
     metadata: dict[str, str] | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
-    # aborted if no worker has begun by then [s]
-    start_deadline_s: float | None = None
     type: Literal["animate"]
     params: "AnimateParams | None" = None
 
@@ -108,7 +104,7 @@ class Delivery(Model):
     id: str
     # the header webhook-id; a replay has the same
     message_id: str
-    event: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+    event: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
     job_id: str
     state: Literal["pending", "delivered", "failed"]
     tries: "list[Try]"
@@ -130,9 +126,7 @@ class DiffuseRequest(Model):
     # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
     # which of them; those of its end if unset
-    webhook_events: (
-        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
-    ) = None
+    webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -141,8 +135,6 @@ class DiffuseRequest(Model):
     metadata: dict[str, str] | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
-    # aborted if no worker has begun by then [s]
-    start_deadline_s: float | None = None
     type: Literal["diffuse"]
     params: "DiffuseParams | None" = None
 
@@ -158,7 +150,7 @@ class Endpoint(Model):
 
     id: str
     url: str
-    events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
+    events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]]
     disabled_reason: str | None
     # RFC 3339, UTC
     created_at: datetime
@@ -170,11 +162,10 @@ class EndpointRequest(Model):
     # https
     url: str
     # of every job; none: only of jobs that name the endpoint
-    events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] = [
+    events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] = [
         "job.succeeded",
         "job.failed",
         "job.canceled",
-        "job.aborted",
     ]
 
 
@@ -318,7 +309,7 @@ class JobEventData(Model):
 class JobEvent(Model):
     """What an endpoint receives, signed."""
 
-    type: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+    type: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
     # RFC 3339, UTC
     timestamp: datetime
     data: "JobEventData"
@@ -357,7 +348,6 @@ class Job(Model):
     retry_of: str | None
     external_id: str | None
     metadata: dict[str, str]
-    start_deadline_at: datetime | None
     cancel_at: datetime | None
     # processor time of all attempts that have ended [s]
     processor_s: float
@@ -447,26 +437,6 @@ class Locality(Model):
 
     seed_voxel: int
     falloff_m: float
-
-
-class LogLine(Model):
-    """One line of a job's log."""
-
-    # for `after`
-    id: int
-    # RFC 3339, UTC
-    at: datetime
-    level: Literal["info", "warning", "error"]
-    message: str
-    fields: dict[str, Any]
-
-
-class Log(Model):
-    """What happened to a job, oldest first."""
-
-    data: "list[LogLine]"
-    # send as `after` to go on
-    next_after: int
 
 
 class Manifest(Model):
@@ -666,9 +636,7 @@ class ReconstructRequest(Model):
     # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
     # which of them; those of its end if unset
-    webhook_events: (
-        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
-    ) = None
+    webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -677,8 +645,6 @@ class ReconstructRequest(Model):
     metadata: dict[str, str] | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
-    # aborted if no worker has begun by then [s]
-    start_deadline_s: float | None = None
     type: Literal["reconstruct"]
     params: "ReconstructParams | None" = None
 
@@ -879,9 +845,7 @@ class VoxelizeRequest(Model):
     # id of a webhook endpoint that gets events of this job
     webhook: str | None = None
     # which of them; those of its end if unset
-    webhook_events: (
-        list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]] | None
-    ) = None
+    webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
     # what POST /v1/assets gave
     asset_id: str
     # your name for the job, by which lists can be filtered
@@ -890,8 +854,6 @@ class VoxelizeRequest(Model):
     metadata: dict[str, str] | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
-    # aborted if no worker has begun by then [s]
-    start_deadline_s: float | None = None
     type: Literal["voxelize"]
     params: "VoxelizeParams | None" = None
 

@@ -24,7 +24,6 @@ from dynamictree_client.models import (
     Link,
     LinkRequest,
     Live,
-    Log,
     Manifest,
     Ops,
     PresetList,
@@ -196,7 +195,7 @@ def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = N
 
 
 def delete_job(id: str) -> Call[None]:
-    """Forget a job that has ended, its log and its files. Other jobs keep what they share with it."""
+    """Forget a job that has ended, and its files. Other jobs keep what they share with it."""
     return Call(method="DELETE", path=path_of("/v1/jobs/{id}", {"id": id}), answer=None)
 
 
@@ -208,13 +207,6 @@ def cancel_job(id: str) -> Call[Job]:
 def list_artifacts(id: str) -> Call[Manifest]:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
     return Call(method="GET", path=path_of("/v1/jobs/{id}/artifacts", {"id": id}), answer=Manifest)
-
-
-def get_job_log(id: str, *, after: int | None = None, limit: int | None = None) -> Call[Log]:
-    """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
-    return Call(
-        method="GET", path=path_of("/v1/jobs/{id}/logs", {"id": id}), answer=Log, query={"after": after, "limit": limit}
-    )
 
 
 def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:

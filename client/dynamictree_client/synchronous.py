@@ -41,7 +41,7 @@ T = TypeVar("T")
 RESUMABLE_ABOVE = 32 * 1024 * 1024  # bytes
 _ASSET: Call[Asset] = Call(method="POST", path="/v1/assets", answer=Asset)
 POLL_S = 1.0  # where the service does not say when to ask again
-ENDED = ("succeeded", "failed", "canceled", "aborted")
+ENDED = ("succeeded", "failed", "canceled")
 
 
 class Client:

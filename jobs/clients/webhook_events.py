@@ -9,7 +9,7 @@ from ulid import ULID
 
 from jobs.database import tables as t
 
-Event = Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+Event = Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
 EVENTS: tuple[Event, ...] = get_args(Event)
 FIRST_ARTIFACT: Event = "job.first-artifact"
 ENDS: tuple[Event, ...] = EVENTS[1:]

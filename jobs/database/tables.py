@@ -71,7 +71,6 @@ jobs = sa.Table(
     sa.Column("error_message", sa.Text),
     sa.Column("client_key", sa.String(160), unique=True),  # what the client named this request
     sa.Column("body_sha256", _hash),
-    sa.Column("start_deadline", sa.Double),
     sa.Column("retry_of", _id),
     sa.Column("external_id", sa.String(128)),  # the client's own name for it
     sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
@@ -197,18 +196,6 @@ deliveries = sa.Table(
     sa.Column("traceparent", sa.String(64)),
     sa.Column("created_at", sa.Double, nullable=False, index=True),
     sa.Index("ix_deliveries_endpoint_id_id", "endpoint_id", "id"),
-)
-
-job_logs = sa.Table(
-    "job_logs",
-    metadata,
-    sa.Column("id", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True),
-    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
-    sa.Column("at", sa.Double, nullable=False),
-    sa.Column("level", sa.String(16), nullable=False),
-    sa.Column("message", sa.Text, nullable=False),
-    sa.Column("fields", sa.JSON, nullable=False),
-    sa.Index("ix_job_logs_job_id_id", "job_id", "id"),
 )
 
 tombstones = sa.Table(

@@ -12,7 +12,6 @@ from jobs.database.counters import count, count_seconds
 from jobs.database.engine import add_up, upsert
 from jobs.database.retry import patient
 from jobs.errors import FencedError
-from jobs.lifecycle.job_log import note
 from jobs.lifecycle.rows import end, read_job
 from jobs.records import Claim, OutputFile
 from jobs.states import JobState, JobType
@@ -42,7 +41,6 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
             return None
         connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
         count(connection, "attempts", "started")
-        note(connection, job_id, "begun by a worker", at=now, attempt=attempt)
         return Claim(job=read_job(connection, job_id), owner=owner)
 
 
@@ -83,7 +81,6 @@ def start_stage(store: Store, claimed: Claim, stage: JobType) -> None:
         row = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage)
         values = {"state": "running", "progress": 0.0, "started_at": now}
         connection.execute(t.stages.update().where(row).values(**values))
-        note(connection, claimed.job.id, "stage begun", at=now, stage=stage)
 
 
 @patient
@@ -127,23 +124,15 @@ def publish_stage(
         current = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
         if current.state == "succeeded":
             return  # asked again, because the answer to the first commit was lost
-        offered = (t.artifacts.c.job_id == claimed.job.id) & (t.artifacts.c.stage == stage)
-        columns = (t.artifacts.c.name, t.artifacts.c.sha256)
-        there = {(row.name, row.sha256) for row in connection.execute(sa.select(*columns).where(offered))}
-        there &= {(file.name, file.sha256) for file in files}  # their ids are known to clients, and stay
-        connection.execute(t.artifacts.delete().where(offered & t.artifacts.c.name.not_in([name for name, _ in there])))
-        new = tuple(file for file in files if (file.name, file.sha256) not in there)
-        _add_artifacts(connection, claimed, stage, new, now=now, retention_s=retention_s)
+        _replace_artifacts(connection, claimed, stage, files, whole_stage=True, now=now, retention_s=retention_s)
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
         connection.execute(t.stages.update().where(row_of).values(**done))
-        size = sum(file.bytes for file in files)
         count(connection, "stages", f"{stage}:{'cached' if cached else 'run'}")
-        count(connection, "stage_bytes", stage, size)
+        count(connection, "stage_bytes", stage, sum(file.bytes for file in files))
         if not cached and current.started_at is not None:
             count_seconds(connection, "stage_seconds", stage, now - current.started_at)
-        note(connection, claimed.job.id, "stage done", at=now, stage=stage, cached=cached, bytes=size)
 
 
 @patient
@@ -157,13 +146,8 @@ def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile,
     """
     with store.writing() as connection:
         _touch(connection, claimed)
-        of_job = t.artifacts.c.job_id == claimed.job.id
-        columns = (t.artifacts.c.name, t.artifacts.c.sha256)
-        there = {(row.name, row.sha256) for row in connection.execute(sa.select(*columns).where(of_job))}
-        new = tuple(file for file in files if (file.name, file.sha256) not in there)
-        names = [file.name for file in new]
-        connection.execute(t.artifacts.delete().where(of_job & t.artifacts.c.name.in_(names)))
-        _add_artifacts(connection, claimed, stage, new, now=store.clock(), retention_s=retention_s)
+        now = store.clock()
+        _replace_artifacts(connection, claimed, stage, files, whole_stage=False, now=now, retention_s=retention_s)
 
 
 @patient
@@ -233,7 +217,6 @@ def report_alive(store: Store, job_id: str) -> None:
         row = connection.execute(sa.select(t.jobs.c.lost_stages).where(this).with_for_update()).one_or_none()
         if row is not None and row.lost_stages:
             connection.execute(t.jobs.update().where(this).values(lost_stages=row.lost_stages[:-1]))
-            note(connection, job_id, "its earlier worker was paused, not lost", at=store.clock())
 
 
 def begin_next_attempt(
@@ -255,28 +238,39 @@ def begin_next_attempt(
     running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
     connection.execute(t.stages.update().where(running).values(state="queued", progress=0.0))
     connection.execute(t.outbox.insert().values(job_id=job_id, attempt=attempt + 1, created_at=now))
-    if lost_stages is None:
-        note(connection, job_id, "handed back by its worker", at=now, attempt=attempt)
-    else:
-        note(connection, job_id, "lost by its worker", at=now, level="warning", attempt=attempt)
 
 
-def _add_artifacts(
+def _replace_artifacts(
     connection: sa.Connection,
     claimed: Claim,
     stage: JobType,
     files: tuple[OutputFile, ...],
     *,
+    whole_stage: bool,
     now: float,
     retention_s: float,
 ) -> None:
+    """Offer files in place of those of the same names, of a `whole_stage` in place of all that it offered.
+
+    A file that is there already stays: clients know its id.
+    """
     of_job = t.artifacts.c.job_id == claimed.job.id
-    if files and connection.execute(sa.select(t.artifacts.c.id).where(of_job).limit(1)).one_or_none() is None:
+    there = connection.execute(sa.select(t.artifacts).where(of_job)).all()
+    if files and not there:
         announce(connection, claimed.job.id, FIRST_ARTIFACT, now=now)
+    wanted, names = {(file.name, file.sha256) for file in files}, {file.name for file in files}
+    stale = [
+        row.id
+        for row in there
+        if (row.name, row.sha256) not in wanted and (row.name in names or (whole_stage and row.stage == stage))
+    ]
+    connection.execute(t.artifacts.delete().where(t.artifacts.c.id.in_(stale)))
+    known = {(row.name, row.sha256) for row in there}
     for file in files:
-        row = {"id": new_id(), "job_id": claimed.job.id, "stage": stage}
-        times = {"created_at": now, "expires_at": now + retention_s}
-        connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))
+        if (file.name, file.sha256) not in known:
+            row = {"id": new_id(), "job_id": claimed.job.id, "stage": stage}
+            times = {"created_at": now, "expires_at": now + retention_s}
+            connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))
 
 
 def _end(store: Store, claimed: Claim, target: JobState, **error: str) -> JobState:

@@ -191,22 +191,6 @@ def _loss(lost: list[str | None]) -> tuple[str, str]:
     return "worker-lost", f"{len(lost)} workers were lost while they ran this job; try again"
 
 
-def abort_overdue(store: Store) -> int:
-    """End queued jobs whose start deadline has passed."""
-    now = store.clock()
-    overdue = (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.start_deadline < now)
-    with store.reading() as connection:
-        ids = list(connection.execute(sa.select(t.jobs.c.id).where(overdue)).scalars())
-    ended = 0
-    for job_id in ids:
-        with store.writing() as connection:
-            message = "no worker was free before the start deadline; ask again later or with a later deadline"
-            ended += end(
-                connection, job_id, JobState.ABORTED, now=now, error_code="start-deadline", error_message=message
-            )
-    return ended
-
-
 def overdue(store: Store) -> list[str]:
     """Jobs that have not ended and were to be canceled by now."""
     late = t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING]) & (t.jobs.c.cancel_at < store.clock())

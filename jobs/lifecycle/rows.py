@@ -8,7 +8,6 @@ from jobs.clients.webhook_events import announce
 from jobs.database import tables as t
 from jobs.database.counters import count
 from jobs.errors import NotFoundError, ReusedKeyError
-from jobs.lifecycle.job_log import note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import JobState, JobType, states_before
 
@@ -20,17 +19,6 @@ _ID: sa.BindParameter[str] = sa.bindparam("id")
 _JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
 _STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.c.position)
 _ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
-_PLACE = sa.func.row_number().over(partition_by=t.jobs.c.owner, order_by=t.jobs.c.id)
-_WAITING = (
-    sa.select(t.jobs.c.id, _PLACE.label("place"))
-    .where((t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == sa.bindparam("queue")))
-    .cte()
-)
-_OWN_PLACE = sa.select(_WAITING.c.place).where(_WAITING.c.id == _ID).scalar_subquery()
-_NUM_AHEAD = sa.select(sa.func.count()).where(  # owners take turns, see maintenance.unsent
-    (_WAITING.c.place < _OWN_PLACE) | ((_WAITING.c.place == _OWN_PLACE) & (_WAITING.c.id < _ID))
-)
-"""What every poll asks, put together once: that takes as long as to ask it."""
 
 
 def move(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
@@ -61,14 +49,11 @@ def end(
     values |= {"finished_at": now, "lease_owner": None, "lease_until": None}
     if not move(connection, job_id, target, error_code=error_code, error_message=error_message, **values):
         return False
-    failed = target == JobState.FAILED
     of_job = t.stages.c.job_id == job_id
-    left = {"state": "failed" if failed else "canceled", "finished_at": now}
+    left = {"state": "failed" if target == JobState.FAILED else "canceled", "finished_at": now}
     connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "running")).values(**left))
     connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "queued")).values(state="canceled"))
     connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
-    detail = {} if error_code is None else {"code": error_code, "detail": error_message}
-    note(connection, job_id, str(target), at=now, level="error" if failed else "info", **detail)
     announce(connection, job_id, f"job.{target}", now=now)
     count(connection, "jobs", str(target))
     return True
@@ -83,16 +68,13 @@ def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...
     connection.execute(t.stages.insert(), rows)
 
 
-def standing(connection: sa.Connection, job: JobRecord) -> tuple[int | None, list[ArtifactRecord]]:
-    """How many jobs of its queue were there before a job, None once it has begun; and what it offers so far."""
-    begun = any(stage.state != "queued" for stage in job.stages)  # the usual poll of a waiting job asks once less
-    return _position(connection, job), artifacts_of(connection, job.id) if begun else []
-
-
 def standing_of(
     connection: sa.Connection, page: Sequence[JobRecord]
 ) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
-    """`standing` of several jobs by id."""
+    """How many jobs of its queue are there before each job, None once it has begun; and what it offers so far.
+
+    Owners take turns, as in `maintenance.unsent`.
+    """
     waiting = {job.id: job.queue for job in page if job.state == JobState.QUEUED}
     positions: dict[str, int] = {}
     if waiting:
@@ -110,12 +92,6 @@ def standing_of(
         for row in connection.execute(artifacts):
             offered.setdefault(row.job_id, []).append(ArtifactRecord(**row._mapping))
     return {job.id: (positions.get(job.id), offered.get(job.id, [])) for job in page}
-
-
-def _position(connection: sa.Connection, job: JobRecord) -> int | None:
-    if job.state != JobState.QUEUED:
-        return None
-    return connection.execute(_NUM_AHEAD, {"queue": job.queue, "id": job.id}).scalar_one()
 
 
 def artifacts_of(connection: sa.Connection, job_id: str) -> list[ArtifactRecord]:

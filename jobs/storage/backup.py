@@ -100,10 +100,6 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
             if rows:
                 connection.execute(table.insert(), rows)
         connection.execute(t.outbox.update().values(sent_at=None))  # the queue of that day is gone
-        if connection.dialect.name == "postgresql":
-            newest = sa.select(sa.func.max(t.job_logs.c.id)).scalar_subquery()
-            sequence = sa.func.pg_get_serial_sequence("job_logs", "id")
-            connection.execute(sa.select(sa.func.setval(sequence, sa.func.coalesce(newest, 1))))
     return BackupReport(rows=len(saved), blobs=len(blobs), bytes=size, copied=len(blobs))
 
 

@@ -75,7 +75,6 @@ KINDS: dict[str, Kind] = {
     "camera-search-failed": Kind(
         500, "The search for cameras failed", "Try again; report the job's id if it stays.", retryable=True
     ),
-    "start-deadline": Kind(503, "Not started in time", "Ask later, or with a later deadline.", retryable=True),
 }
 
 

@@ -12,15 +12,13 @@ from jobs.states import JobState, JobType
 from service.http.request_headers import Origin, WaitS, matches
 from service.http.routing import Cursor, Id, headers, refusals
 from service.job_creation import accept, accept_again, format_bytes, require_possible
-from service.job_responses import listed, look, tell
+from service.job_responses import look, payloads, tell
 from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import (
     EstimatePayload,
     JobListPayload,
     JobPayload,
-    LogPayload,
     ManifestPayload,
-    log_payload,
     manifest_payload,
 )
 from service.services import OwnedDep
@@ -115,7 +113,7 @@ def list_jobs(
     if next_cursor is not None:
         query = request.url.include_query_params(cursor=next_cursor).query
         response.headers["Link"] = f'<{request.url.path}?{query}>; rel="next"'
-    return JobListPayload(data=listed(owned, page), next_cursor=next_cursor)
+    return JobListPayload(data=payloads(owned, page), next_cursor=next_cursor)
 
 
 @router.get(
@@ -175,7 +173,7 @@ def cancel_job(id: Id, response: Response, owned: OwnedDep) -> JobPayload:
     responses=refusals("not-found", "conflict", "expired"),
 )
 def delete_job(id: Id, owned: OwnedDep) -> None:
-    """Forget a job that has ended, its log and its files. Other jobs keep what they share with it."""
+    """Forget a job that has ended, and its files. Other jobs keep what they share with it."""
     owned.store.delete_job(id)
 
 
@@ -183,15 +181,3 @@ def delete_job(id: Id, owned: OwnedDep) -> None:
 def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
     return manifest_payload(owned.store.job(id), owned.store.artifacts_of(id))
-
-
-@router.get("/{id}/logs", operation_id="getJobLog", responses=refusals("not-found", "expired"))
-def get_log(
-    id: Id,
-    owned: OwnedDep,
-    after: Annotated[int, Query(ge=0, le=2**62, description="next_after of the page before")] = 0,
-    limit: Annotated[int, Query(ge=1, le=1000, description="lines a page")] = 100,
-) -> LogPayload:
-    """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
-    records = owned.store.job_log(id, after=after, limit=limit)
-    return log_payload(records, after)

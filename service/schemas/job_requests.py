@@ -31,9 +31,6 @@ class _JobRequest(ModelParams):
     cancel_after_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
         default=None, description="canceled if it has not ended by then, running or not [s]"
     )
-    start_deadline_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
-        default=None, description="aborted if no worker has begun by then [s]"
-    )
 
 
 class ReconstructRequest(_JobRequest):

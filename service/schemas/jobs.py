@@ -1,11 +1,9 @@
-"""Response bodies of jobs, logs and manifests."""
+"""Response bodies of jobs and manifests."""
 
-from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
 
-from jobs.lifecycle.job_log import Level
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.states import JobState, JobType, Priority, StageState
 from jobs.storage.stage_files import MESH, SPECTRUM, VOXELS
@@ -62,7 +60,6 @@ class JobPayload(Payload):
     retry_of: str | None
     external_id: str | None
     metadata: dict[str, str]
-    start_deadline_at: Time | None
     cancel_at: Time | None
     processor_s: float = Field(description="processor time of all attempts that have ended [s]")
     gpu_s: float = Field(description="time of theirs on a worker with a GPU [s]")
@@ -86,23 +83,6 @@ class EstimatePayload(Payload):
     est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
     est_bytes: int | None = Field(description="of all products, likewise")
     format_bytes: dict[str, int] = Field(description="of the products whose size is known before they are made")
-
-
-class LogLinePayload(Payload):
-    """One line of a job's log."""
-
-    id: int = Field(description="for `after`")
-    at: Time
-    level: Level
-    message: str
-    fields: dict[str, object]
-
-
-class LogPayload(Payload):
-    """What happened to a job, oldest first."""
-
-    data: list[LogLinePayload]
-    next_after: int = Field(description="send as `after` to go on")
 
 
 class ArtifactPayload(Payload):
@@ -147,7 +127,6 @@ def job_payload(
         result=_result(job, artifacts, source),
         error=problem_of(job.error_code, job.error_message),
         webhook=job.webhook_id,
-        start_deadline_at=job.start_deadline,
         expires_at=None if job.finished_at is None else job.finished_at + retention_s,
     )
 
@@ -163,12 +142,6 @@ def _result(job: JobRecord, artifacts: list[ArtifactRecord], source: AssetSummar
         source=source,
         artifacts_url=f"/v1/jobs/{job.id}/artifacts",
     )
-
-
-def log_payload(lines: Sequence[object], after: int) -> LogPayload:
-    """A page of a job's log as a response body; `after` is where it began."""
-    data = [LogLinePayload.of(line) for line in lines]
-    return LogPayload(data=data, next_after=data[-1].id if data else after)
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:

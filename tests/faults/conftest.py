@@ -68,7 +68,7 @@ class Service:
 
         def ended() -> dict[str, object] | None:
             job: dict[str, object] = self.client.get(url).json()
-            return job if job["state"] in {"succeeded", "failed", "canceled", "aborted"} else None
+            return job if job["state"] in {"succeeded", "failed", "canceled"} else None
 
         return wait_for(ended, f"the end of {url}", timeout_s)
 

@@ -34,7 +34,7 @@ from tests.faults.conftest import SHORT
 from tests.faults.drill import parse, tell
 from tests.faults.shapes import bumpy_sphere
 
-ENDED = {"succeeded", "failed", "canceled", "aborted"}
+ENDED = {"succeeded", "failed", "canceled"}
 STAGES = ("voxelize", "diffuse", "animate")
 VICTIMS = {"worker": 6, "pool": 5, "heartbeat": 1, "api": 5, "redis": 4, "housekeeper": 2, "redis+worker": 2}
 """Who is killed, and how often in comparison."""

@@ -44,7 +44,7 @@ SETTINGS = {
     "DYNAMICTREE_RETENTION_INTERVAL_S": "20",
     "DYNAMICTREE_WORKER_TASKS_PER_CHILD": "1000",  # no fresh process hides a leak
 }
-ENDED = {"succeeded", "failed", "canceled", "aborted"}
+ENDED = {"succeeded", "failed", "canceled"}
 PARAMS = {"num_steps": 3, "formats": ["motion", "ply"]}
 
 

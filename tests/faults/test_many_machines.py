@@ -17,7 +17,7 @@ from tests.faults.shapes import bumpy_sphere
 
 pytestmark = pytest.mark.slow  # `make scale-out`
 
-ENDED = {"succeeded", "failed", "canceled", "aborted"}
+ENDED = {"succeeded", "failed", "canceled"}
 MULTIPART_BYTES = 5 * 1024**2
 """obstore sends what is larger in parts."""
 

@@ -125,7 +125,6 @@ def test_what_others_own_is_not_there(app_services: tuple[TestClient, Services])
         ("DELETE", f"/v1/assets/{asset['id']}"),
         ("GET", f"/v1/jobs/{job['id']}"),
         ("GET", f"/v1/jobs/{job['id']}/events"),
-        ("GET", f"/v1/jobs/{job['id']}/logs"),
         ("GET", f"/v1/jobs/{job['id']}/artifacts"),
         ("POST", f"/v1/jobs/{job['id']}/cancel"),
         ("POST", f"/v1/jobs/{job['id']}/retry"),

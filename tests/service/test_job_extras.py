@@ -1,4 +1,4 @@
-"""Waiting for a job, logs, priorities, time left, webhook endpoints, addresses: what goes round a job."""
+"""Waiting for a job, priorities, time left, webhook endpoints: what goes round a job."""
 
 import threading
 import time
@@ -65,24 +65,6 @@ def test_a_poll_with_an_etag_may_wait_for_the_next_change(
     assert same.status_code == 304
 
 
-def test_a_job_has_a_log_that_goes_on(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    sent = {"type": "voxelize", "asset_id": asset.id}
-    job = client.post("/v1/jobs", json=sent, headers={"X-Request-Id": "mine"}).json()
-    url = f"/v1/jobs/{job['id']}/logs"
-    first = client.get(url).json()
-    assert [line["message"] for line in first["data"]] == ["accepted"]
-    assert first["data"][0]["fields"] == {"request_id": "mine"}
-    lease = hold(services, job["id"])
-    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
-    succeed(services.store, lease)
-    rest = client.get(url, params={"after": first["next_after"]}).json()
-    assert [line["message"] for line in rest["data"]] == ["begun by a worker", "stage begun", "stage done", "succeeded"]
-    assert client.get(url, params={"after": rest["next_after"]}).json() == {
-        "data": [],
-        "next_after": rest["next_after"],
-    }
-
-
 def test_a_priority_is_a_queue(client: TestClient, asset: AssetRecord, services: Services) -> None:
     queues = {
         priority: services.store.job(str(create(client, asset, priority=priority)["id"])).queue
@@ -146,7 +128,7 @@ def test_a_job_that_was_forgotten_is_gone(client: TestClient, asset: AssetRecord
     now = services.store.clock()
     services.store.clock = lambda: now + 100
     forget_expired(services.store, job_retention_s=50, cache_retention_s=50)
-    for path in (f"/v1/jobs/{id}", f"/v1/jobs/{id}/logs", f"/v1/jobs/{id}/artifacts"):
+    for path in (f"/v1/jobs/{id}", f"/v1/jobs/{id}/artifacts"):
         assert client.get(path).status_code == 410
 
 

@@ -7,7 +7,6 @@ from fastapi.testclient import TestClient
 from pydantic import create_model
 
 from jobs.lifecycle.attempts import fail, report_progress, start_stage, succeed
-from jobs.lifecycle.maintenance import abort_overdue
 from jobs.records import AssetRecord, Claim
 from jobs.store import new_id
 from service.job_creation import KEY_EXPIRES_S, _fingerprint
@@ -87,7 +86,7 @@ def test_a_page_of_jobs_takes_as_many_queries_as_one(
     [
         {"seed": True},
         {"seed": "1"},
-        {"start_deadline_s": "60"},
+        {"cancel_after_s": "60"},
         {"params": {"resolution": "64"}},
         {"type": "animate", "params": {"wind": {"speed_m_s": "5"}}},
         {"type": "animate", "params": {"wind": {"gust": True}}},
@@ -258,7 +257,7 @@ def test_an_ended_job_can_be_deleted_with_its_files(client: TestClient, asset: A
     assert client.delete(url).json()["code"] == "conflict"
     succeed(services.store, lease)
     assert client.delete(url).status_code == 204
-    gone = [client.get(path).status_code for path in (url, url + "/logs", url + "/artifacts", artifact["url"])]
+    gone = [client.get(path).status_code for path in (url, url + "/artifacts", artifact["url"])]
     assert gone == [410, 410, 410, 404]
     assert client.delete(url).status_code == 410
     assert client.get("/v1/jobs").json()["data"] == []
@@ -301,16 +300,6 @@ def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, se
     payload = client.post("/v1/jobs?validate_only=true", json=body).json()
     assert payload["est_bytes"] == 20  # of 20.5
     assert 0 < payload["est_seconds"] < 10
-
-
-def test_a_start_deadline_is_enforced(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    job = create(client, asset, start_deadline_s=60)
-    assert job["start_deadline_at"] > job["created_at"]  # type: ignore[operator]
-    now = services.store.clock()
-    services.store.clock = lambda: now + 61
-    assert abort_overdue(services.store) == 1
-    ended = client.get(f"/v1/jobs/{job['id']}").json()
-    assert (ended["state"], ended["error"]["code"]) == ("aborted", "start-deadline")
 
 
 def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord, services: Services) -> None:

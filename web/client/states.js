@@ -1,6 +1,6 @@
 // States of a job.
 
-const ENDED = new Set(["succeeded", "failed", "canceled", "aborted"]);
+const ENDED = new Set(["succeeded", "failed", "canceled"]);
 
 /** Whether there is a small picture of its tree. */
 export const hasStill = ({ type, state }) => type === "animate" && state === "succeeded";

@@ -260,7 +260,6 @@ export default {
   "state.succeeded": "fertig",
   "state.failed": "fehlgeschlagen",
   "state.canceled": "abgebrochen",
-  "state.aborted": "gestoppt",
 
   "settings.title": "Einstellungen",
   "settings.language": "Sprache",
@@ -325,8 +324,6 @@ export default {
   "problem.too-many-active-jobs": "Mehr Aufträge zugleich sind nicht erlaubt",
   "problem.job-canceled": "Dieser Auftrag wurde abgebrochen",
   "problem.job-canceled.do": "Er kann noch einmal laufen.",
-  "problem.job-aborted": "Dieser Auftrag wurde gestoppt",
-  "problem.job-aborted.do": "Er kann noch einmal laufen.",
   "problem.no-motion": "Dieser Auftrag hat keine Bewegung gemacht",
   "problem.no-motion.do": "Ein weiterer Auftrag gibt dem Baum seine Bewegung.",
 };

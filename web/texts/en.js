@@ -258,7 +258,6 @@ export default {
   "state.succeeded": "done",
   "state.failed": "failed",
   "state.canceled": "canceled",
-  "state.aborted": "stopped",
 
   "settings.title": "Settings",
   "settings.language": "Language",
@@ -321,8 +320,6 @@ export default {
   "problem.too-many-active-jobs": "You have as many jobs as you may have at a time",
   "problem.job-canceled": "This job was canceled",
   "problem.job-canceled.do": "It can be run again.",
-  "problem.job-aborted": "This job was stopped",
-  "problem.job-aborted.do": "It can be run again.",
   "problem.no-motion": "This job made no motion",
   "problem.no-motion.do": "Another job gives the tree its motion.",
 };
