@@ -6,7 +6,7 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from annotated_types import MaxLen
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
-from pydantic_core import CoreSchema
+from pydantic_core import CoreSchema, core_schema
 
 from dynamictree.errors import InputError
 
@@ -24,10 +24,20 @@ def _make_strict(schema: Any) -> None:
         for each in schema:
             _make_strict(each)
     elif isinstance(schema, dict):
-        if schema.get("type") in ("int", "float", "bool"):
+        kind = schema.get("type")
+        if kind in ("int", "float", "bool"):
             schema["strict"] = True
         for each in schema.values():
             _make_strict(each)
+        if kind == "int":
+            strict = dict(schema)
+            schema.clear()
+            schema |= core_schema.no_info_before_validator_function(_whole, strict)  # type: ignore[arg-type]
+
+
+def _whole(value: Any) -> Any:
+    """JSON has one kind of number: 3.0 is the integer 3, as JSON Schema says."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 MAX_UNKNOWN = 20

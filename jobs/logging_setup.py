@@ -60,8 +60,10 @@ def set_up_logging(settings: Settings) -> None:
     stream.setFormatter(JsonLines() if settings.log_format == "json" else logging.Formatter(TEXT))
     logging.basicConfig(level=settings.log_level, handlers=[stream], force=True)
     logging.captureWarnings(True)
-    for name in ("uvicorn", "uvicorn.error", "uvicorn.access"):  # uvicorn gives its own handlers before the application
-        logging.getLogger(name).handlers.clear()
-        logging.getLogger(name).propagate = True
+    for name in ("uvicorn", "uvicorn.access"):
+        own = logging.getLogger(name)
+        if own.handlers:  # uvicorn's own; with --no-access-log the second has none, and stays silent
+            own.handlers.clear()
+            own.propagate = True
     logging.getLogger("uvicorn.access").addFilter(_without_signature)
     logging.getLogger("httpx").setLevel("WARNING")  # it tells whole URLs, with secrets of webhooks and storages

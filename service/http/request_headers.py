@@ -59,6 +59,9 @@ def parse_range(header: str | None, size: int) -> ByteRange | None:
     return ByteRange(start=start, stop=stop)
 
 
+_RANGES = re.compile(r"([^\s,;]+)([^,]*)")
+_QUALITY = re.compile(r";\s*q\s*=([^;]*)")
+
 JSON = "application/json"
 SAFETENSORS = "application/vnd.safetensors"
 
@@ -69,43 +72,26 @@ def chosen(accept: str | None, offered: Sequence[str]) -> str:
     Raises:
         ProblemError: none is acceptable.
     """
-    ranges = [_range(part) for part in (accept or "*/*").split(",") if part.strip()]
+    qualities: dict[str, float] = {}
+    for media_range, parameters in _RANGES.findall((accept or "*/*").lower()):
+        quality = _QUALITY.search(parameters)
+        try:
+            qualities[media_range] = float(quality[1]) if quality else 1.0
+        except ValueError as error:
+            raise ProblemError("bad-request", f"Accept is {accept!r}; a quality is a number from 0 to 1") from error
 
-    def quality(media_type: str) -> float:
-        matching = [(rank, q) for pattern, q in ranges if (rank := _rank(pattern, media_type)) >= 0]
-        return max(matching)[1] if matching else 0.0
+    def quality_of(media_type: str) -> float:
+        """By the range that names the type most closely."""
+        closest_first = (media_type, media_type.partition("/")[0] + "/*", "*/*")
+        return next((qualities[each] for each in closest_first if each in qualities), 0.0)
 
-    best = max(offered, key=quality)
-    if quality(best) <= 0:
+    best = max(offered, key=quality_of)
+    if quality_of(best) <= 0:
         raise ProblemError("not-acceptable", f"Accept is {accept!r}; this is offered as {', '.join(offered)}")
     return best
 
 
-def _range(part: str) -> tuple[str, float]:
-    media_range, *parameters = (piece.strip().lower() for piece in part.split(";"))
-    for parameter in parameters:
-        name, _, value = parameter.partition("=")
-        if name == "q":
-            try:
-                return media_range, min(max(float(value), 0.0), 1.0)
-            except ValueError as error:
-                raise ProblemError(
-                    "bad-request", f"Accept has the quality {value!r}; it is a number from 0 to 1"
-                ) from error
-    return media_range, 1.0
-
-
-def _rank(pattern: str, media_type: str) -> int:
-    """How closely a range names a type: 2 exactly, 1 by its first half, 0 as anything, -1 not."""
-    if pattern == media_type:
-        return 2
-    if pattern == media_type.partition("/")[0] + "/*":
-        return 1
-    return 0 if pattern == "*/*" else -1
-
-
 MAX_WAIT_S = 30.0
-LOOK_S = 0.25
 _WAIT = re.compile(r"\bwait\s*=\s*\"?(\d{1,6})")
 
 

@@ -6,11 +6,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import redis
 import sqlalchemy as sa
@@ -30,11 +28,9 @@ Verdict = Literal["ok", "warning", "error"]
 MIN_MEMORY_BYTES = 4 * GIB
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
+class Finding(NamedTuple):
     """Result of one check."""
 
-    name: str
     verdict: Verdict
     detail: str
 
@@ -48,63 +44,47 @@ def doctor(
         settings = settings_of(state_dir=state_dir)
     findings = examine(settings)
     if as_json:
-        typer.echo(json.dumps([asdict(finding) for finding in findings]))
+        typer.echo(json.dumps([{"name": name, **finding._asdict()} for name, finding in findings.items()]))
     else:
-        for finding in findings:
-            typer.echo(f"{finding.verdict:8}{finding.name:14}{finding.detail}")
-    if any(finding.verdict == "error" for finding in findings):
+        for name, finding in findings.items():
+            typer.echo(f"{finding.verdict:8}{name:14}{finding.detail}")
+    if any(finding.verdict == "error" for finding in findings.values()):
         raise typer.Exit(1)
 
 
-def examine(settings: Settings) -> list[Finding]:
+def examine(settings: Settings) -> dict[str, Finding]:
     """Run all checks."""
-    checks: list[Callable[[Settings], Finding]] = [
-        _python,
-        _memory,
-        _environment,
-        _state,
-        _database,
-        _redis,
-        _storage,
-        _presets,
-        _photos,
-        _isolation,
-    ]
-    return [check(settings) for check in checks]
+    checks = (_python, _memory, _environment, _state, _database, _redis, _storage, _presets, _photos, _isolation)
+    return {check.__name__.removeprefix("_"): check(settings) for check in checks}
 
 
 def _python(_: Settings) -> Finding:
     summary = f"{sys.version.split()[0]} at {sys.executable}, {os.cpu_count()} cores"
-    return Finding(name="python", verdict="ok" if sys.version_info >= (3, 11) else "error", detail=summary)
+    return Finding("ok" if sys.version_info >= (3, 11) else "error", summary)
 
 
 def _memory(_: Settings) -> Finding:
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    enough = total >= MIN_MEMORY_BYTES
     detail = f"{total / GIB:.1f} GiB; large meshes need {MIN_MEMORY_BYTES / GIB:.0f} GiB"
-    return Finding(name="memory", verdict="ok" if enough else "warning", detail=detail)
+    return Finding("ok" if total >= MIN_MEMORY_BYTES else "warning", detail)
 
 
 def _environment(_: Settings) -> Finding:
-    unknown = unknown_variables()
-    if unknown:
-        detail = f"{', '.join(unknown)} are no settings; see docs/settings.md"
-        return Finding(name="environment", verdict="warning", detail=detail)
-    return Finding(name="environment", verdict="ok", detail="every DYNAMICTREE_ variable is a setting")
+    if unknown := unknown_variables():
+        return Finding("warning", f"{', '.join(unknown)} are no settings; see docs/settings.md")
+    return Finding("ok", "every DYNAMICTREE_ variable is a setting")
 
 
 def _state(settings: Settings) -> Finding:
     folder = settings.state_dir.resolve()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        probe = folder / f".doctor-{os.getpid()}"
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=folder):
+            free = shutil.disk_usage(folder).free
     except OSError as error:
-        return Finding(name="state", verdict="error", detail=f"cannot write {folder}: {error.strerror}")
-    free = shutil.disk_usage(folder).free
+        return Finding("error", f"cannot write {folder}: {error.strerror}")
     detail = f"{folder}, {free / GIB:.1f} GiB free, {settings.min_free_bytes / GIB:g} GiB are reserved"
-    return Finding(name="state", verdict="ok" if free >= settings.min_free_bytes else "error", detail=detail)
+    return Finding("ok" if free >= settings.min_free_bytes else "error", detail)
 
 
 def _database(settings: Settings) -> Finding:
@@ -112,26 +92,23 @@ def _database(settings: Settings) -> Finding:
     try:
         Store.open(settings.resolved_database_url).close()
     except (sa.exc.SQLAlchemyError, OSError, ImportError, SchemaError) as error:
-        return Finding(name="database", verdict="error", detail=f"{safe_url}: {error}")
-    return Finding(name="database", verdict="ok", detail=f"{safe_url}, tables up to date")
+        return Finding("error", f"{safe_url}: {error}")
+    return Finding("ok", f"{safe_url}, tables up to date")
 
 
 def _redis(settings: Settings) -> Finding:
     if settings.redis_url is None:
         try:
-            detail = f"embedded, {get_binary_path()}"
+            return Finding("ok", f"embedded, {get_binary_path()}")
         except ValkeyBinaryNotFoundError as error:
-            return Finding(name="redis", verdict="error", detail=f"{error}; set DYNAMICTREE_REDIS_URL")
-        return Finding(name="redis", verdict="ok", detail=detail)
-    client = redis.Redis.from_url(settings.redis_url, socket_timeout=3, socket_connect_timeout=3)
+            return Finding("error", f"{error}; set DYNAMICTREE_REDIS_URL")
     try:
-        policy = client.config_get("maxmemory-policy")["maxmemory-policy"]
+        with redis.Redis.from_url(settings.redis_url, socket_timeout=3, socket_connect_timeout=3) as client:
+            policy = client.config_get("maxmemory-policy")["maxmemory-policy"]
     except redis.RedisError as error:
-        return Finding(name="redis", verdict="error", detail=f"does not answer: {error}")
-    finally:
-        client.close()
-    verdict: Verdict = "ok" if policy == "noeviction" else "warning"
-    return Finding(name="redis", verdict=verdict, detail=f"answers; maxmemory-policy is {policy}, noeviction is needed")
+        return Finding("error", f"does not answer: {error}")
+    detail = f"answers; maxmemory-policy is {policy}, noeviction is needed"
+    return Finding("ok" if policy == "noeviction" else "warning", detail)
 
 
 def _storage(settings: Settings) -> Finding:
@@ -139,14 +116,14 @@ def _storage(settings: Settings) -> Finding:
     try:
         open_artifacts(url, credentials=settings.s3_credentials).free_bytes()
     except Exception as error:  # noqa: BLE001 (every object storage has exceptions of its own; the report is the answer)
-        return Finding(name="storage", verdict="error", detail=f"{url}: {error}")
-    return Finding(name="storage", verdict="ok", detail=url)
+        return Finding("error", f"{url}: {error}")
+    return Finding("ok", url)
 
 
 def _presets(_: Settings) -> Finding:
-    summary = ", ".join(f"{name} ({size / 1e6:.1f} MB)" for name, size in preset_sizes().items())
-    detail = summary or "no model is shipped; diffuse and animate jobs will be refused"
-    return Finding(name="presets", verdict="ok" if summary else "warning", detail=detail)
+    if summary := ", ".join(f"{name} ({size / 1e6:.1f} MB)" for name, size in preset_sizes().items()):
+        return Finding("ok", summary)
+    return Finding("warning", "no model is shipped; diffuse and animate jobs will be refused")
 
 
 _CONFINED = """
@@ -171,20 +148,16 @@ def _isolation(settings: Settings) -> Finding:
             command, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=False, timeout=60
         )
     first, *readable = done.stdout.splitlines() or [""]
-    missing = [hold for hold in ("landlock", "seccomp") if hold not in first.split()]
+    missing = " and ".join(hold for hold in ("landlock", "seccomp") if hold not in first.split())
     if missing:
-        detail = f"uploads are read without {' and '.join(missing)}, which this kernel or container does not give"
-        return Finding(name="isolation", verdict="warning", detail=detail)
+        return Finding("warning", f"uploads are read without {missing}, which this kernel or container does not give")
     if readable:
-        detail = (
-            f"the process that reads uploads can read {', '.join(readable)}; install Python and the service elsewhere"
-        )
-        return Finding(name="isolation", verdict="error", detail=detail)
-    return Finding(name="isolation", verdict="ok", detail="uploads are read without network, other files and programs")
+        detail = f"the process that reads uploads can read {', '.join(readable)}"
+        return Finding("error", f"{detail}; install Python and the service elsewhere")
+    return Finding("ok", "uploads are read without network, other files and programs")
 
 
 def _photos(_: Settings) -> Finding:
     if find_spec("pycolmap") is None:
-        detail = "pycolmap is not there; install dynamictree[photos] for reconstruct jobs"
-        return Finding(name="photos", verdict="warning", detail=detail)
-    return Finding(name="photos", verdict="ok", detail="pycolmap is there")
+        return Finding("warning", "pycolmap is not there; install dynamictree[photos] for reconstruct jobs")
+    return Finding("ok", "pycolmap is there")

@@ -4,6 +4,7 @@ import logging
 
 import pytest
 from fastapi.testclient import TestClient
+from uvicorn import Config
 
 from jobs.clients.keys import create_key
 from jobs.clients.keys import keys as all_keys
@@ -37,15 +38,27 @@ def test_changes_and_refused_keys_are_logged(settings: Settings, caplog: pytest.
     assert response.json()["secret"] not in caplog.text
 
 
-def test_the_access_log_tells_no_signature(
-    settings: Settings, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root = logging.getLogger()
-    monkeypatch.setattr(root, "handlers", [])
-    monkeypatch.setattr(root, "level", root.level)
+@pytest.fixture
+def own_loggers(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("", "uvicorn", "uvicorn.access"):
+        logger = logging.getLogger(name)
+        for attribute, value in (("handlers", []), ("level", logger.level), ("propagate", logger.propagate)):
+            monkeypatch.setattr(logger, attribute, value)
+
+
+@pytest.mark.usefixtures("own_loggers")
+def test_the_access_log_tells_no_signature(settings: Settings, capsys: pytest.CaptureFixture[str]) -> None:
+    Config("service.app:serving_app")  # sets up uvicorn's own loggers, as its start does
     set_up_logging(settings)
     line = ("127.0.0.1:9", "GET", "/v1/artifacts/A?key_id=K&expires=9&signature=abcdef0123", "1.1", 200)
     logging.getLogger("uvicorn.access").info('%s - "%s %s HTTP/%s" %d', *line)
     logged = capsys.readouterr().err
     assert "/v1/artifacts/A?key_id=K&expires=9&signature=" in logged
     assert "abcdef" not in logged
+
+
+@pytest.mark.usefixtures("own_loggers")
+def test_an_access_log_that_is_switched_off_stays_so(settings: Settings) -> None:
+    Config("service.app:serving_app", access_log=False)
+    set_up_logging(settings)
+    assert not logging.getLogger("uvicorn.access").hasHandlers()  # what uvicorn asks before each line

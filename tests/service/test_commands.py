@@ -53,7 +53,7 @@ def test_the_doctor_tells_what_is_there(tmp_path: Path) -> None:
 )
 def test_the_doctor_tells_what_is_not(tmp_path: Path, name: str, changes: dict[str, object]) -> None:
     settings = Settings(**{"state_dir": tmp_path, **changes})  # type: ignore[arg-type]
-    finding = next(result for result in examine(settings) if result.name == name)
+    finding = examine(settings)[name]
     assert finding.verdict == "error"
     assert "secret" not in finding.detail.replace("***", "")
 

@@ -100,6 +100,12 @@ def test_texts_and_truth_values_are_no_numbers(
     assert (response.status_code, response.json()["code"]) == (422, "validation-failed")
 
 
+def test_a_whole_number_with_a_point_is_an_integer(client: TestClient, asset: AssetRecord) -> None:
+    assert create(client, asset, seed=3.0)["seed"] == 3
+    half = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id, "seed": 0.5})
+    assert (half.status_code, half.json()["errors"][0]["pointer"]) == (422, "/seed")
+
+
 @pytest.mark.parametrize(
     "flood",
     [
