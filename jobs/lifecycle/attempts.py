@@ -265,9 +265,9 @@ def _replace_artifacts(
         if (row.name, row.sha256) not in wanted and (row.name in names or (whole_stage and row.stage == stage))
     ]
     connection.execute(t.artifacts.delete().where(t.artifacts.c.id.in_(stale)))
-    known = {(row.name, row.sha256) for row in there}
+    stored = {(row.name, row.sha256) for row in there}
     for file in files:
-        if (file.name, file.sha256) not in known:
+        if (file.name, file.sha256) not in stored:
             row = {"id": new_id(), "job_id": claimed.job.id, "stage": stage}
             times = {"created_at": now, "expires_at": now + retention_s}
             connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))

@@ -105,7 +105,7 @@ def describe_events(app: FastAPI) -> None:
             methods=["POST"],
             operation_id=f"on{name}",
             status_code=204,
-            tags=["webhooks"],
+            tags=["events"],
             responses={"default": {"description": "Anything else: it is sent again later"}},
         )
 
