@@ -24,15 +24,14 @@ def _make_strict(schema: Any) -> None:
         for each in schema:
             _make_strict(each)
     elif isinstance(schema, dict):
-        kind = schema.get("type")
-        if kind in ("int", "float", "bool"):
-            schema["strict"] = True
         for each in schema.values():
             _make_strict(each)
-        if kind == "int":
-            strict = dict(schema)
+        if schema.get("type") == "int" and not schema.get("strict"):  # the schema of a model in a model comes again
+            strict = schema | {"strict": True}
             schema.clear()
             schema |= core_schema.no_info_before_validator_function(_whole, strict)  # type: ignore[arg-type]
+        elif schema.get("type") in ("float", "bool"):
+            schema["strict"] = True
 
 
 def _whole(value: Any) -> Any:
