@@ -138,7 +138,8 @@ def test_a_newer_request_takes_an_upload_over(
 
     async def two_requests() -> int:
         first = asyncio.create_task(append_body(owned, record, stalled(), 0))
-        await asyncio.sleep(0.2)
+        while upload(services.store, record.id).writer is None:
+            await asyncio.sleep(0.01)
         offset = 79  # not where it stands
         while True:  # as a client does: it asks where the upload stands, until it has it
             try:
@@ -147,7 +148,7 @@ def test_a_newer_request_takes_an_upload_over(
             except ProblemError as error:
                 offset = int((error.headers or {})["Upload-Offset"])
         with pytest.raises(ProblemError, match="another request goes on"):
-            await asyncio.wait_for(first, 5)
+            await asyncio.wait_for(first, 60)
         return size
 
     assert asyncio.run(two_requests()) == 80
@@ -168,7 +169,7 @@ def test_an_upload_that_is_deleted_while_it_comes_leaves_nothing(
 
     async def one_request() -> None:
         with pytest.raises(ProblemError, match="another request goes on"):
-            await asyncio.wait_for(append_body(services.owned_by(ANYONE), record, stalled(), 0), 5)
+            await asyncio.wait_for(append_body(services.owned_by(ANYONE), record, stalled(), 0), 60)
 
     asyncio.run(one_request())
     assert services.upload_parts.size(record.id) == 0

@@ -8,6 +8,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import sqlalchemy as sa
+
+from jobs.database import tables as t
 from jobs.lifecycle.attempts import claim
 from jobs.lifecycle.maintenance import WORKER_LEASES, living, reap
 from jobs.storage.assets import add_asset
@@ -72,8 +75,9 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
     worker_process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.DEVNULL)
     try:
         until(lambda: living(store, WORKER_LEASES))
-        time.sleep(4)
-        assert reap(store, max_lost_attempts=2) == []  # renewed for longer than it lasts
+        begun = store.clock()
+        until(lambda: lease_end(store) > begun + 2 * 3)  # renewed for longer than it lasts
+        assert reap(store, max_lost_attempts=2) == []
         worker_process.send_signal(signal.SIGSTOP)
         store.clock = lambda: time.time() + 3 * PRESENCE_S  # what was said before it was stopped has passed
         time.sleep(PRESENCE_S + 1)
@@ -87,6 +91,11 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
         worker_process.kill()
         worker_process.wait()
         store.close()
+
+
+def lease_end(store: Store) -> float:
+    with store.reading() as connection:
+        return float(connection.execute(sa.select(t.jobs.c.lease_until)).scalar_one())
 
 
 def until(holds: Callable[[], object]) -> None:
