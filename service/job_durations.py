@@ -1,4 +1,4 @@
-"""Estimate durations and sizes from medians of this service's own recent jobs, cached for seconds."""
+"""Estimate durations from medians of this service's own recent jobs, cached for seconds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,7 +8,7 @@ from statistics import median
 from cachetools import TTLCache
 
 from jobs.lifecycle.maintenance import WORKER_LEASES, living
-from jobs.lifecycle.statistics import run_seconds, stage_bytes, stage_seconds
+from jobs.lifecycle.statistics import run_seconds, stage_seconds
 from jobs.records import JobRecord, StageRecord
 from jobs.states import JobState, JobType
 from jobs.store import Store
@@ -45,12 +45,8 @@ class JobDurations:
 
     def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
         """What stages take together [s]; None where one never ran here."""
-        return self._sum("seconds", stages, stage_seconds)
-
-    def stage_bytes(self, stages: Sequence[JobType]) -> int | None:
-        """What stages make together [bytes]; None where one never ran here."""
-        total = self._sum("bytes", stages, stage_bytes)
-        return None if total is None else round(total)
+        medians = [self._median("seconds", stage, partial(stage_seconds, self.store, stage)) for stage in stages]
+        return None if None in medians else sum(value for value in medians if value is not None)
 
     def forecast(self, job: JobRecord, position: int | None) -> Forecast:
         """Where a job stands; its end by the pace of the stage that runs and by this service's history.
@@ -95,12 +91,6 @@ class JobDurations:
         if seconds is None and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
             return OF_PHOTOS_S[stage.name]
         return seconds
-
-    def _sum(
-        self, what: str, stages: Sequence[JobType], look: Callable[[Store, JobType], Sequence[float]]
-    ) -> float | None:
-        medians = [self._median(what, stage, partial(look, self.store, stage)) for stage in stages]
-        return None if None in medians else sum(value for value in medians if value is not None)
 
     def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:
         value = self._medians.get((what, of))

@@ -38,15 +38,11 @@ class Courier:
         self.box = SecretBox(settings.secret_key_bytes)
         self.outbound = outbound or Outbound(private_hosts=settings.outbound_hosts)
         self.looked_at = time.monotonic()  # for whoever watches this thread
-        self._running: dict[asyncio.Task[None], str] = {}  # attempts, with the owner of each
+        self.running: dict[asyncio.Task[None], str] = {}  # attempts, with the owner of each
 
     def run(self, stopped: threading.Event) -> None:
         """Deliver until stopped."""
         asyncio.run(self._run(stopped))
-
-    def round(self) -> int:
-        """Attempt every due delivery once, wait for all, and return their number."""
-        return asyncio.run(self._round())
 
     async def _run(self, stopped: threading.Event) -> None:
         try:
@@ -58,25 +54,20 @@ class Courier:
                 self.looked_at = time.monotonic()
                 await asyncio.sleep(LOOK_S)
         finally:
-            await asyncio.gather(*self._running, return_exceptions=True)
-
-    async def _round(self) -> int:
-        started = await self.start_due()
-        await asyncio.gather(*self._running)
-        return started
+            await asyncio.gather(*self.running, return_exceptions=True)
 
     async def start_due(self) -> int:
         """Begin an attempt at every delivery that is due and has a place; return their number."""
         lease_s = self.settings.webhook_timeout_s + LEASE_MARGIN_S
-        busy = Counter(self._running.values())
-        room = AT_ONCE - len(self._running)
+        busy = Counter(self.running.values())
+        room = AT_ONCE - len(self.running)
         due = await asyncio.to_thread(
             claim_due, self.store, lease_s=lease_s, limit=room, per_owner=PER_OWNER, busy=busy
         )
         for delivery, endpoint in due:
             task = asyncio.create_task(self._tell(delivery, endpoint))
-            self._running[task] = endpoint.owner
-            task.add_done_callback(self._running.pop)
+            self.running[task] = endpoint.owner
+            task.add_done_callback(self.running.pop)
         return len(due)
 
     async def _tell(self, delivery: Delivery, endpoint: Endpoint) -> None:

@@ -175,8 +175,6 @@ class Estimate(Model):
     valid: Literal[True] = True
     # median of this service's own history [s]; null without one
     est_seconds: float | None
-    # of all products, likewise
-    est_bytes: int | None
     # of the products whose size is known before they are made
     format_bytes: dict[str, int]
 

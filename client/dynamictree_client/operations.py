@@ -10,7 +10,6 @@ from dynamictree_client.models import (
     Delivery,
     DeliveryList,
     DiffuseRequest,
-    Endpoint,
     EndpointList,
     EndpointRequest,
     EndpointWithSecret,
@@ -321,16 +320,6 @@ def list_webhook_endpoints() -> Call[EndpointList]:
 def create_webhook_endpoint(body: EndpointRequest) -> Call[EndpointWithSecret]:
     """Register an address that receives an event when a job ends. The signing secret is returned only here."""
     return Call(method="POST", path="/v1/webhook-endpoints", answer=EndpointWithSecret, body=body)
-
-
-def get_webhook_endpoint(id: str) -> Call[Endpoint]:
-    """One endpoint."""
-    return Call(method="GET", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=Endpoint)
-
-
-def put_webhook_endpoint(id: str, body: EndpointRequest) -> Call[Endpoint]:
-    """Change address and events; a disabled endpoint is enabled again."""
-    return Call(method="PUT", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=Endpoint, body=body)
 
 
 def delete_webhook_endpoint(id: str) -> Call[None]:

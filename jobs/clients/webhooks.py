@@ -122,31 +122,20 @@ def endpoint(store: Store, endpoint_id: str) -> Endpoint:
         return _read_endpoint(connection, store, endpoint_id)
 
 
-def change_endpoint(store: Store, endpoint_id: str, **values: object) -> Endpoint:
-    """Change an endpoint's address, events or secrets.
-
-    Raises:
-        NotFoundError: there is none.
-    """
-    with store.writing() as connection:
-        _read_endpoint(connection, store, endpoint_id)
-        if values:
-            this = t.webhook_endpoints.c.id == endpoint_id
-            connection.execute(t.webhook_endpoints.update().where(this).values(**values))
-        return _read_endpoint(connection, store, endpoint_id)
-
-
 def rotate_secret(store: Store, endpoint_id: str, box: SecretBox) -> tuple[Endpoint, str]:
     """Give an endpoint a new secret, and return both; the old one signs too for `ROTATION_OVERLAP_S`.
 
     Raises:
         NotFoundError: there is none.
     """
-    old = endpoint(store, endpoint_id)
-    until = store.clock() + ROTATION_OVERLAP_S
     secret = new_secret()
-    stored = box.encrypt(secret, endpoint_id)
-    return change_endpoint(store, endpoint_id, secret=stored, old_secret=old.secret, old_secret_until=until), secret
+    with store.writing() as connection:
+        old = _read_endpoint(connection, store, endpoint_id)
+        values = {"secret": box.encrypt(secret, endpoint_id), "old_secret": old.secret}
+        until = store.clock() + ROTATION_OVERLAP_S
+        this = t.webhook_endpoints.c.id == endpoint_id
+        connection.execute(t.webhook_endpoints.update().where(this).values(**values, old_secret_until=until))
+        return _read_endpoint(connection, store, endpoint_id), secret
 
 
 def delete_endpoint(store: Store, endpoint_id: str) -> None:

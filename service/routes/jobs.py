@@ -59,7 +59,6 @@ def create_job(
         asset, stages = require_possible(owned, body)
         estimate = EstimatePayload(
             est_seconds=owned.services.job_durations.stage_seconds(stages),
-            est_bytes=owned.services.job_durations.stage_bytes(stages),
             format_bytes=format_bytes(body, asset),
         )
         return Response(estimate.model_dump_json(), media_type="application/json")

@@ -138,20 +138,6 @@ def list_endpoints(owned: OwnedDep) -> EndpointListPayload:
     return EndpointListPayload(data=[EndpointPayload.of(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
-@router.get("/{id}", operation_id="getWebhookEndpoint", responses=refusals("not-found"))
-def get_endpoint(id: Id, owned: OwnedDep) -> EndpointPayload:
-    """One endpoint."""
-    return EndpointPayload.of(webhooks.endpoint(owned.store, id))
-
-
-@router.put("/{id}", operation_id="putWebhookEndpoint", responses=refusals("not-found", "fetch-failed"))
-async def put_endpoint(id: Id, body: EndpointRequest, owned: OwnedDep) -> EndpointPayload:
-    """Change address and events; a disabled endpoint is enabled again."""
-    await owned.services.outbound.check(body.url)
-    changes = {"url": body.url, "events": list(body.events), "disabled_reason": None}
-    return EndpointPayload.of(await run_in_threadpool(webhooks.change_endpoint, owned.store, id, **changes))
-
-
 @router.delete(
     "/{id}",
     operation_id="deleteWebhookEndpoint",

@@ -81,7 +81,6 @@ class EstimatePayload(Payload):
 
     valid: Literal[True] = True
     est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
-    est_bytes: int | None = Field(description="of all products, likewise")
     format_bytes: dict[str, int] = Field(description="of the products whose size is known before they are made")
 
 
