@@ -1,6 +1,5 @@
 """Create jobs: check the request, quotas and disk space; return the earlier job for a repeated key."""
 
-from dataclasses import replace
 from hashlib import sha256
 
 from fastapi import Response
@@ -26,6 +25,12 @@ from service.services import Owned
 from service.uploads.quota import require_bytes, require_room
 
 KEY_EXPIRES_S = 86400.0
+REPEATED = (
+    *("type", "preset", "seed", "params", "queue", "priority"),
+    *("webhook_id", "webhook_events", "external_id", "metadata"),
+)
+"""Fields of a job that one that is run again has too."""
+
 PAPER = "paper"
 """The preset that takes minutes without a GPU."""
 
@@ -53,25 +58,15 @@ def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: 
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
     _require_place(owned)
     require_bytes(owned, 0)
-    again = replace(
-        old,
+    again = JobRecord(
         id=new_id(),
         state=JobState.QUEUED,
         asset_id=read_asset(owned.store, old.asset_id).id,
         request_id=origin.request_id,
         traceparent=origin.traceparent,
-        stages=(),
-        attempt=1,
-        version=1,
-        error_code=None,
-        error_message=None,
-        cancel_at=None,
-        processor_s=0.0,
-        gpu_s=0.0,
         retry_of=old.id,
         created_at=owned.store.clock(),
-        started_at=None,
-        finished_at=None,
+        **{name: getattr(old, name) for name in REPEATED},
     )
     return _keep(owned, again, tuple(stage.name for stage in old.stages), None, response)
 

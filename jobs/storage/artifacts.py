@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
-from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 import obstore
@@ -22,40 +21,20 @@ FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What the system says where a file may not grow."""
 
 
-class ArtifactStore(Protocol):
-    """Storage of files by their sha256. Raises StorageAwayError, or StorageFullError without room."""
-
-    def put(self, path: Path, digest: str) -> None:
-        """Store a file's bytes atomically; does nothing if they are stored already."""
-
-    def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """Bytes from `start` up to `stop`, in chunks. FileNotFoundError where there are none."""
-
-    def fetch(self, digest: str, path: Path) -> None:
-        """Make the bytes readable at a path. FileNotFoundError where there are none."""
-
-    def exists(self, digest: str) -> bool:
-        """Whether the bytes are stored."""
-
-    def delete(self, digest: str) -> None:
-        """Delete the bytes, if any."""
-
-    def link(self, digest: str) -> str | None:
-        """Address of the bytes in object storage, without the service; None where they lie in a folder."""
-
-    def free_bytes(self) -> int | None:
-        """Room left [bytes]; None where that has no meaning. What is wrong with the storage passes through."""
-
-
 class FolderArtifacts:
-    """Storage in a folder: files are written beside, synced and renamed."""
+    """Storage of files by their sha256 in a folder: they are written beside, synced and renamed.
+
+    Raises:
+        FileNotFoundError: there are no bytes of this hash.
+        StorageFullError: there is no room.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
 
     def put(self, path: Path, digest: str) -> None:
-        """Store a file's bytes."""
+        """Store a file's bytes; does nothing if they are stored already."""
         with _reporting_full_disk():
             self._put(path, digest)
 
@@ -129,7 +108,11 @@ def _link_or_copy(path: Path, beside: Path) -> None:
 
 
 class ObjectArtifacts:
-    """Object storage behind obstore: S3, GCS, Azure, memory. A put is atomic there, small or multipart."""
+    """The same in object storage behind obstore: S3, GCS, Azure, memory. A put is atomic there, small or multipart.
+
+    Raises:
+        StorageAwayError: it does not answer, or not as it is asked.
+    """
 
     def __init__(self, objects: ObjectStore) -> None:
         self.objects = objects
@@ -177,6 +160,9 @@ class ObjectArtifacts:
         """No bound is known; asks for an object, so that a storage that is away is noticed."""
         self.exists("0" * 64)
         return None
+
+
+ArtifactStore = FolderArtifacts | ObjectArtifacts
 
 
 def open_artifacts(

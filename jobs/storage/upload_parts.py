@@ -4,7 +4,6 @@ import fcntl
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 import obstore
@@ -23,44 +22,15 @@ OBJECT_BYTES = 16 * 1024**2
 CHUNK_BYTES = 4 * 1024**2
 
 
-class PartWriter(Protocol):
-    """Appends to one upload. One thread at a time."""
-
-    def write(self, chunks: Sequence[bytes]) -> None:
-        """Append."""
-
-    def keep(self) -> None:
-        """Make the written bytes durable."""
-
-
-class PartStore(Protocol):
-    """Storage of incomplete uploads. Raises StorageAwayError if it does not respond."""
-
-    def size(self, upload_id: str) -> int:
-        """How many bytes are there, from the first one without a gap."""
-
-    def writer(self, upload_id: str, offset: int) -> PartWriter:
-        """Continue at byte `offset`, the upload's size. Raises BlockingIOError while another writer is active."""
-
-    def link(self, upload_id: str, offset: int) -> str | None:
-        """Address in object storage to put the bytes from `offset` on to; None where they lie in a folder."""
-
-    def fetch(self, upload_id: str, path: Path) -> None:
-        """Make the upload readable at a path."""
-
-    def delete(self, upload_id: str) -> None:
-        """Delete the upload, if any."""
-
-
 class FolderParts:
-    """One file an upload; its length is the truth."""
+    """Storage of incomplete uploads in a folder, one file each; its length is the truth."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
 
     def size(self, upload_id: str) -> int:
-        """How many bytes are there."""
+        """How many bytes are there, from the first one without a gap."""
         path = self.root / upload_id
         return path.stat().st_size if path.exists() else 0
 
@@ -118,7 +88,11 @@ class FileWriter:
 
 
 class ObjectParts:
-    """Objects named by the offset of their first byte; a put is atomic, so there is no half one."""
+    """The same in objects named by the offset of their first byte; a put is atomic, so there is no half one.
+
+    Raises:
+        StorageAwayError: the storage does not answer, or not as it is asked.
+    """
 
     def __init__(self, objects: ObjectStore) -> None:
         self.objects = objects
@@ -207,6 +181,10 @@ class ObjectWriter:
 
 def _key(upload_id: str, offset: int) -> str:
     return f"{PREFIX}/{upload_id}/{offset:020d}"
+
+
+PartStore = FolderParts | ObjectParts
+PartWriter = FileWriter | ObjectWriter
 
 
 def open_parts(artifacts_url: str, *, credentials: Mapping[str, str] | None = None) -> PartStore:

@@ -116,43 +116,25 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
             environment[name] = str(Path(folder).resolve())
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
     worker_name = f"{settings.worker_queue}-{os.getpid()}@%h"
-    # Celery imports the application with the current folder ahead of all others
-    celery = [
-        sys.executable,
-        "-m",
-        "celery",
-        "--quiet",  # no banner among the lines of the log
-        "--workdir",
-        "/",
-        "-A",
-        "worker.app",
-        "worker",
-        "-P",
-        "prefork",
-        "-c",
-        "1",
-    ]
-    celery += [
-        "-Q",
-        ",".join(queues_of(settings.worker_queue)),
-        "-n",
-        worker_name,
-        "--without-gossip",
-        "--without-mingle",
-        "-l",
-        settings.log_level,
-    ]
+    # Celery imports the application with the current folder ahead of all others; --quiet: no banner in the log
+    celery = ["-m", "celery", "--quiet", "--workdir", "/", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
+    celery += ["--without-gossip", "--without-mingle"]
+    celery += ["-Q", ",".join(queues_of(settings.worker_queue)), "-n", worker_name, "-l", settings.log_level]
     fd = listening.fileno()
-    uvicorn = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--fd", str(fd)]
-    uvicorn += ["--log-level", settings.log_level.lower(), "--no-access-log", "--timeout-graceful-shutdown", "5"]
-    uvicorn += ["--no-server-header", "--http", "service.http.connections:BoundedProtocol"]
-    uvicorn += ["--timeout-keep-alive", str(KEEP_ALIVE_S)]
+    uvicorn = ["-m", "uvicorn", "service.app:serving_app", "--factory", "--no-access-log", "--no-server-header"]
+    uvicorn += ["--fd", str(fd), "--log-level", settings.log_level.lower(), "--timeout-graceful-shutdown", "5"]
+    uvicorn += ["--http", "service.http.connections:BoundedProtocol", "--timeout-keep-alive", str(KEEP_ALIVE_S)]
+    grace_s = settings.shutdown_grace_s
     started = [
-        ChildPlan(name="api", command=uvicorn, environment=environment, pass_fds=(fd,), grace_s=10),
-        ChildPlan(name="worker", command=celery, environment=environment | threads, grace_s=settings.shutdown_grace_s),
-        ChildPlan(name="housekeeper", command=[sys.executable, "-m", "worker.housekeeper"], environment=environment),
+        ChildPlan(name="api", command=_python(uvicorn), environment=environment, pass_fds=(fd,), grace_s=10),
+        ChildPlan(name="worker", command=_python(celery), environment=environment | threads, grace_s=grace_s),
+        ChildPlan(name="housekeeper", command=_python(["-m", "worker.housekeeper"]), environment=environment),
     ]
     return started if settings.redis_url else [redis_plan(settings), *started]
+
+
+def _python(arguments: list[str]) -> list[str]:
+    return [sys.executable, *arguments]
 
 
 def _absolute(url: str) -> str:

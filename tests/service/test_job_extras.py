@@ -155,7 +155,7 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     page = client.get(url + "/deliveries?limit=1").json()
     assert len(client.get(f"{url}/deliveries?cursor={page['next_cursor']}").json()["data"]) == 1
     assert client.delete(url).status_code == 204
-    assert client.get(url).status_code == 404
+    assert client.delete(url).status_code == 404
     unknown = {"type": "voxelize", "asset_id": asset.id, "webhook": response.json()["id"]}
     assert client.post("/v1/jobs", json=unknown).status_code == 404
 
