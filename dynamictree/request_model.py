@@ -29,7 +29,7 @@ def _make_strict(schema: Any) -> None:
         if schema.get("type") == "int" and not schema.get("strict"):  # the schema of a model in a model comes again
             strict = schema | {"strict": True}
             schema.clear()
-            schema |= core_schema.no_info_before_validator_function(_whole, strict)  # type: ignore[arg-type]
+            schema |= core_schema.no_info_before_validator_function(_whole, strict)
         elif schema.get("type") in ("float", "bool"):
             schema["strict"] = True
 

@@ -65,7 +65,7 @@ async def _open(parts: PartStore, upload_id: str, offset: int) -> PartWriter:
     deadline = time.monotonic() + TAKE_OVER_S
     while True:
         try:
-            writer = await run_in_threadpool(parts.writer, upload_id, offset)
+            writer = await run_in_threadpool(lambda: parts.writer(upload_id, offset))
         except BlockingIOError as error:
             if time.monotonic() > deadline:
                 raise ProblemError("conflict", f"another request writes upload {upload_id}; try again") from error
