@@ -1,11 +1,11 @@
 """Coloured mesh of the subject, standing on the ground, from depth maps or from the splat."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import fast_simplification
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, UInt8
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
@@ -25,20 +25,9 @@ _FINE_VOXELS = 240  # along the longest side
 _SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
 _SMOOTHING_ROUNDS = 4
 _COLOR_SIDE_PX = 640
-_SPLAT_CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
+CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
 _REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # that the pictures hold
 _WIDEST, _FAINTEST = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """Mesh in metres, and the way from the scene's frame to it: x = scale (x' − origin)."""
-
-    mesh: TriangleMesh
-    model: SparseModel
-    ground_found: bool
-    scale: float
-    origin: Float64[np.ndarray, "3"]
 
 
 def stereo_surface(scene: Scene) -> Surface:
@@ -63,7 +52,7 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     inside = ((cloud.means > low) & (cloud.means < box.high)).all(axis=1)
     inside &= (cloud.scales.max(axis=1) < _WIDEST) & (cloud.opacity > _FAINTEST)
     try:
-        mesh = mesh_of_cloud(cloud.subset(inside), cells_along=_SPLAT_CELLS, max_faces=2 * MAX_FACES)
+        mesh = mesh_of_cloud(cloud.subset(inside), cells_along=CELLS, max_faces=2 * MAX_FACES)
     except (InputError, ValueError) as error:
         problem = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
         raise ReconstructionError(f"{problem}; {ADVICE}") from error
@@ -100,20 +89,6 @@ def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
     surface = _smoothed(_decimated(surface))
     mesh = TriangleMesh(vertices=surface.vertices, faces=surface.faces)
     return replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, scene.model.views)))
-
-
-def finished_shape(mesh: TriangleMesh, scene: Scene, *, height_m: float, unit_m: float | None = None) -> Shape:
-    """Scale a mesh of the scene, and place it on the ground.
-
-    A unit of the scene is `unit_m` long where that is known; if not, the mesh becomes `height_m` high.
-    """
-    bottom = mesh.vertices.min(axis=0).astype(np.float64)
-    middle = np.median(mesh.vertices, axis=0).astype(np.float64)
-    origin = np.array([middle[0], middle[1], bottom[2]])
-    scale = unit_m or height_m / float(np.ptp(mesh.vertices[:, 2]))
-    model = scene.model.transformed(scale, np.eye(3), origin)
-    metric = mesh.with_vertices((scale * (mesh.vertices - origin)).astype(np.float32))
-    return Shape(mesh=metric, model=model, ground_found=scene.ground_found, scale=scale, origin=origin)
 
 
 def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarray, "N 4"]:

@@ -11,10 +11,9 @@ from jaxtyping import Float32
 from dynamictree.files import replacing
 from dynamictree.formats.splat.ply import UP_AXIS
 from dynamictree.formats.splat.splat import write_splat
-from dynamictree.reconstruct.cut import cloud_in_metres
 from dynamictree.reconstruct.splat_start import spacing, thinned
 from dynamictree.reconstruct.splat_state import SplatState
-from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, table_of_points
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel
 
 OnFile = Callable[[Path], None]
@@ -25,7 +24,6 @@ _LEAST_POINTS = 4  # that have neighbours
 _SUBJECT = 1.2  # of the region's radius: what is farther away is background
 _WIDEST = 0.3  # of the region's radius
 _OPAQUE_LOGIT = np.float32(2)
-_UNKNOWN_SIZE_M = 1.0  # of the region's radius
 
 
 def ignore_file(path: Path) -> None:
@@ -68,7 +66,7 @@ class Draft:
             return
         path = self.folder / DRAFT
         with replacing(path) as stream:
-            cloud = cloud_in_metres(table, _UNKNOWN_SIZE_M, np.zeros(3))
+            cloud = cloud_of(table)
             write_splat(
                 replace(cloud, source=replace(cloud.source, up_axis=UP_AXIS)), stream
             )  # a .splat file cannot say another axis

@@ -11,10 +11,11 @@ from jaxtyping import Bool
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras, pairs_to_match
-from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
-from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
+from dynamictree.reconstruct.coloured_mesh import best_mesh_of
+from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.draft import Draft, OnFile, ignore_file
 from dynamictree.reconstruct.exposure import evenly_exposed
 from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames
@@ -23,16 +24,18 @@ from dynamictree.reconstruct.markers import metres_per_unit
 from dynamictree.reconstruct.options import ReconstructOptions
 from dynamictree.reconstruct.photo_cameras import write_cameras
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
+from dynamictree.reconstruct.photo_previews import write_photo_previews
 from dynamictree.reconstruct.photos import PhotoFile, list_photos
 from dynamictree.reconstruct.progress import OnProgress, Progress, StageClock, expected_seconds, ignore_progress
-from dynamictree.reconstruct.report import quality_warnings, write_result
+from dynamictree.reconstruct.report import photos_to_compare, quality_warnings, write_report_picture
 from dynamictree.reconstruct.result import MarkerReport, Reconstruction, Report
-from dynamictree.reconstruct.scene import find_scene
+from dynamictree.reconstruct.scene import Scene, find_scene
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.splat_state import SplatState
+from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.video_frames import write_sharp_frames
 from dynamictree.reconstruct.views import SparseModel, read_model
-from dynamictree.reconstruct.work_folder import WorkFolder, opened_work
+from dynamictree.reconstruct.work_folder import DEPTHS, PHOTOS, SPLAT, TIMES, alone_in_work, extend_work
 
 UNKNOWN_HEIGHT_M = 1.0  # of a mesh whose scale is unknown
 _LEAST_GAUSSIANS = 50
@@ -93,13 +96,13 @@ def reconstruct(
             )
             photos, root = frames.first(), frames.folder
         listed = list_photos(photos, root, side_px=options.photo_px)
-        space = stack.enter_context(opened_work(path, _sources(listed, root), options))
-        clock = StageClock(callbacks.on_progress, _expected_s(len(listed), options), space.times)
-        model = _find_cameras(listed, root, space, clock, callbacks.read_photos)
+        stack.enter_context(alone_in_work(path, _sources(listed, root), options))
+        clock = StageClock(callbacks.on_progress, _expected_s(len(listed), options), path / TIMES)
+        model = _find_cameras(listed, root, path, clock, callbacks.read_photos)
         if frames is not None and (more := frames.more(model)):
             listed = list_photos(more, root, side_px=options.photo_px)
-            space.extend(_sources(listed, root))
-            model = _find_cameras(listed, root, space, clock, callbacks.read_photos)
+            extend_work(path, _sources(listed, root), options)
+            model = _find_cameras(listed, root, path, clock, callbacks.read_photos)
         write_cameras([view.photo_camera for view in model.views], folder, scale="unknown")
         callbacks.on_file(folder / "cameras.json")
         model = evenly_exposed(model)
@@ -107,7 +110,7 @@ def reconstruct(
             scene = find_scene(
                 model,
                 max_views=options.max_views,
-                saved=space.depths,
+                saved=path / DEPTHS,
                 on_model=draft.show_points,
                 on_progress=report,
             )
@@ -119,22 +122,27 @@ def reconstruct(
                 draft.show(state)
 
             fit = fit_splat(
-                scene.matched, scene.coarse, options.schedule, sky=scene.sky, saved=space.splat, on_state=on_state
+                scene.matched, scene.coarse, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
             )
         with clock.stage("mesh"):
-            mesh, mesh_by = best_mesh_of(fit.table, scene, (*fit.figures["held_out"], *fit.figures["chosen_by"]))
+            cloud = cloud_of(fit.table)
+            mesh, mesh_by = best_mesh_of(fit.table, scene, fit.figures["held_out"])
             unit_m = metres_per_unit(scene.model.markers)
-            shape = finished_shape(mesh, scene, height_m=UNKNOWN_HEIGHT_M, unit_m=unit_m)
-    result = _result(fit, shape, mesh_by, [photo.name for photo in listed])
-    result.report["markers"] = [
-        MarkerReport(number=marker.number, edge_m=shape.scale * marker.edge, num_photos=marker.num_photos)
-        for marker in scene.model.markers
-    ]
-    if unit_m:
-        result.report["scale"] = "marker"
+            result = Reconstruction(
+                mesh=mesh,
+                scene=cloud,
+                own=own_gaussians(cloud, mesh),
+                cameras=[view.photo_camera for view in scene.model.views],
+                report=_report(fit, scene, mesh_by, [photo.name for photo in listed]),
+            )
+            middle = np.median(mesh.vertices, axis=0).astype(np.float64)
+            ground = np.array([middle[0], middle[1], mesh.vertices[:, 2].min()])
+            result = result.moved(unit_m or UNKNOWN_HEIGHT_M / mesh.height_m, ground)
     result.report["seconds"] = {part: round(taken, 2) for part, taken in clock.seconds.items()}
     result.report["processor_seconds"] = {part: round(taken, 2) for part, taken in clock.processor_seconds.items()}
-    write_result(result, folder)
+    result.write(folder)
+    write_photo_previews(scene.model.views, folder, needed=photos_to_compare(result.report["held_out"]))
+    write_report_picture(result, folder)
     draft.delete()
     worked_s = sum(clock.seconds.values())
     callbacks.on_progress(Progress(stage="mesh", share=1.0, total=1.0, worked_s=worked_s))
@@ -159,23 +167,23 @@ def _sources(photos: list[PhotoFile], root: Path | None) -> list[Path]:
 
 
 def _find_cameras(
-    photos: list[PhotoFile], root: Path | None, work: WorkFolder, clock: StageClock, read_photos: ReadPhotos
+    photos: list[PhotoFile], root: Path | None, work: Path, clock: StageClock, read_photos: ReadPhotos
 ) -> SparseModel:
     """Take cameras from files beside the photos, from an earlier call, or from structure from motion."""
     with clock.stage("photos") as report:
-        given, prepared = read_photos(photos, root, work.photos, lambda done, total: report(done / total))
+        given, prepared = read_photos(photos, root, work / PHOTOS, lambda done, total: report(done / total))
     with clock.stage("cameras") as report:
-        model = read_model(work.path, {photo.name: photo.source for photo in prepared})
-        return model or find_cameras(prepared, work.path, given=given, on_progress=report)
+        model = read_model(work, {photo.name: photo.source for photo in prepared})
+        return model or find_cameras(prepared, work, given=given, on_progress=report)
 
 
-def own_gaussians(scene: GaussianCloud, shape: Shape) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians of the scene are the thing.
+def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, " G"]:
+    """Which Gaussians of the scene, in the stage's frame, are the thing.
 
     Raises:
         ReconstructionError: next to none, since the cameras are wrong: what they saw fits at no place.
     """
-    own = of_the_tree(scene, shape.mesh.vertices, radius_m=shape.scale)
+    own = of_the_mesh(scene, mesh, radius=1.0)
     if own.sum() < _LEAST_GAUSSIANS:
         raise ReconstructionError(
             f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; "
@@ -184,39 +192,39 @@ def own_gaussians(scene: GaussianCloud, shape: Shape) -> Bool[np.ndarray, " G"]:
     return own
 
 
-def _result(fit: SplatFit, shape: Shape, mesh_by: str, photos: list[str]) -> Reconstruction:
-    """The products, and a report without scale, markers and times."""
-    model, mesh, figures = shape.model, shape.mesh, fit.figures
-    whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
-    own = own_gaussians(whole, shape)
+def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Report:
+    """The report in the stage's frame, without times and without what `Reconstruction.write` adds."""
+    model, figures = scene.model, fit.figures
     cameras = {view.source: view.camera for view in model.views}
     circle = camera_circle(cameras)
-    report: Report = {
+    return Report(
         **figures,
-        "num_photos": len(photos),
-        "num_registered": len(model.views),
-        "left_out": [photo for photo in photos if photo not in cameras],
-        "left_out_because": dict(model.left_out),
-        "reprojection_error_px": model.reprojection_error_px,
-        "num_points": len(model.points),
-        "ground_found": shape.ground_found,
-        "scale": "unknown",
-        "markers": [],
-        "height_m": mesh.height_m,
-        "radius_m": shape.scale,
-        "mesh_by": mesh_by,
-        "num_vertices": mesh.num_vertices,
-        "num_faces": mesh.num_faces,
-        "num_gaussians": int(own.sum()),
-        "num_gaussians_scene": whole.num_gaussians,
-        "camera_azimuths_deg": dict(zip(circle.photos, circle.azimuths_deg.round(1).tolist(), strict=True)),
-        "largest_gap_deg": round(circle.largest_gap_deg, 1),
-        "beside_largest_gap": list(circle.beside_gap),
-        "warnings": [
+        num_photos=len(photos),
+        num_registered=len(model.views),
+        left_out=[photo for photo in photos if photo not in cameras],
+        left_out_because=dict(model.left_out),
+        reprojection_error_px=model.reprojection_error_px,
+        num_points=len(model.points),
+        ground_found=scene.ground_found,
+        scale="marker" if metres_per_unit(model.markers) else "unknown",
+        markers=[MarkerReport(number=one.number, edge_m=one.edge, num_photos=one.num_photos) for one in model.markers],
+        height_m=0.0,
+        radius_m=1.0,
+        mesh_by=mesh_by,
+        num_vertices=0,
+        num_faces=0,
+        num_gaussians=0,
+        num_gaussians_scene=0,
+        camera_azimuths_deg=dict(zip(circle.photos, circle.azimuths_deg.round(1).tolist(), strict=True)),
+        largest_gap_deg=round(circle.largest_gap_deg, 1),
+        beside_largest_gap=list(circle.beside_gap),
+        warnings=[
             *coverage_warnings(circle, len(cameras), len(photos)),
             *quality_warnings(figures["held_out_psnr_db"], figures["held_out_blank_psnr_db"]),
         ],
-        "seconds": {},
-        "processor_seconds": {},
-    }
-    return Reconstruction(mesh=mesh, splat=whole.subset(own), scene=whole, views=model.views, report=report)
+        seconds={},
+        processor_seconds={},
+        plant_psnr_db=None,
+        without_plant_psnr_db=None,
+        plant_blank_psnr_db=None,
+    )

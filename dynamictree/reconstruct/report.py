@@ -1,22 +1,18 @@
 """Files of a reconstruction: products, numbers, cameras, and held-out photos beside the splat and the mesh."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 from PIL import Image
 
-from dynamictree.formats.mesh.ply_writer import write_ply
-from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, circle_picture
-from dynamictree.reconstruct.photo_cameras import write_cameras
-from dynamictree.reconstruct.photo_previews import read_photo_previews, write_photo_previews
+from dynamictree.reconstruct.photo_previews import read_photo_previews
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.result import Reconstruction
 from dynamictree.render import Camera, Look, Renderer, write_png
@@ -40,42 +36,21 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
     ]
 
 
-def write_result(result: Reconstruction, folder: Path) -> None:
-    """Write `mesh.ply`, `splat.ply`, `scene.ply`, cameras, previews of photos, `report.json` and `report.png`."""
-    with (folder / "mesh.ply").open("wb") as stream:
-        write_ply(result.mesh, stream)
-    with (folder / "splat.ply").open("wb") as stream:
-        write_gaussian_ply(result.splat, stream)
-    with (folder / "scene.ply").open("wb") as stream:
-        write_gaussian_ply(result.scene, stream)
-    write_cameras([view.photo_camera for view in result.views], folder, scale=result.report["scale"])
-    compared = photos_to_compare(result.report["held_out"])
-    write_photo_previews(result.views, folder, needed=compared)
-    (folder / "report.json").write_text(json.dumps(result.report, indent=1))
-    cameras = {view.source: view.camera for view in result.views}
-    write_report_picture(folder, result.mesh, result.scene, cameras, compared)
-
-
 def photos_to_compare(held_out: Sequence[str]) -> list[str]:
     """The held-out photos that `report.png` shows, evenly chosen."""
     rows = np.linspace(0, len(held_out) - 1, min(len(held_out), _MOST_ROWS)).round().astype(int)
     return [held_out[row] for row in rows]
 
 
-def write_report_picture(
-    folder: Path, mesh: TriangleMesh, scene: GaussianCloud, cameras: Mapping[str, Camera], compared: Sequence[str]
-) -> None:
-    """Write `report.png`: photos beside the splat and the mesh, and the circle of the cameras from above.
+def write_report_picture(result: Reconstruction, folder: Path) -> None:
+    """Write `report.png`: photos held out beside splat and mesh, and the circle of the cameras from above.
 
-    Args:
-        folder: where the previews of the photos are, and where the picture goes.
-        mesh: that is delivered.
-        scene: in the frame of the mesh.
-        cameras: by the names of their photos, in the same frame.
-        compared: names of photos; one without a preview is left out.
+    The previews of the photos are in the folder; a photo without one is left out.
     """
     previews = read_photo_previews(folder)
-    rows = [comparison_row(mesh, scene, cameras[name], previews[name]) for name in compared if name in previews]
+    cameras = {one.photo: one.camera for one in result.cameras}
+    compared = [name for name in photos_to_compare(result.report["held_out"]) if name in previews]
+    rows = [comparison_row(result.mesh, result.scene, cameras[name], previews[name]) for name in compared]
     rows.append(circle_picture(camera_circle(cameras), _REPORT_SIDE_PX))
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
@@ -96,16 +71,12 @@ class PlantQuality(NamedTuple):
         return self.with_db >= max(self.without_db + LEAST_GAIN_DB, self.one_color_db) > 0
 
 
-def plant_quality(
-    folder: Path,
-    scene: GaussianCloud,
-    plant: Bool[np.ndarray, " G"],
-    cameras: Mapping[str, Camera],
-    compared: Sequence[str],
-) -> PlantQuality | None:
+def plant_quality(result: Reconstruction, folder: Path) -> PlantQuality | None:
     """Compare held-out photos with the scene where the plant is seen; None where no photo has a preview."""
-    previews = read_photo_previews(folder)
-    photos = [(cameras[name], _shrunk(previews[name], _PLANT_SIDE_PX)) for name in compared if name in previews]
+    previews, scene, plant = read_photo_previews(folder), result.scene, result.own
+    cameras = {one.photo: one.camera for one in result.cameras}
+    names = [name for name in photos_to_compare(result.report["held_out"]) if name in previews]
+    photos = [(cameras[name], _shrunk(previews[name], _PLANT_SIDE_PX)) for name in names]
     values = []
     for camera, photo in photos:
         height, width = photo.shape[:2]

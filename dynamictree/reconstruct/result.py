@@ -1,11 +1,22 @@
 """Result of a reconstruction: mesh, splat, cameras, and a report of how good they are."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypedDict
 
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from dynamictree.errors import InputError
+from dynamictree.files import opened
+from dynamictree.formats.cloud_file import read_cloud
+from dynamictree.formats.mesh.ply import read_ply_mesh
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.views import View
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, read_cameras, write_cameras
 
 
 class MarkerReport(TypedDict):
@@ -20,7 +31,6 @@ class SplatFigures(TypedDict):
     """How well the splat shows photos that it was not learned from."""
 
     held_out: list[str]  # photos that the splat was not learned from and that judge it
-    chosen_by: list[str]  # photos that chose the best of its states, and are neither learned from nor held out
     held_out_psnr_db: list[float]  # of each
     held_out_masked_psnr_db: list[float]  # inside the mask; empty without masks
     held_out_ssim: list[float]
@@ -55,14 +65,84 @@ class Report(SplatFigures):
     warnings: list[str]  # what makes the result doubtful, and what to do
     seconds: dict[str, float]  # by stage
     processor_seconds: dict[str, float]  # by stage, of all cores
+    plant_psnr_db: float | None  # of held-out photos where the plant is seen; None unless it was cut out
+    without_plant_psnr_db: float | None  # the same of the scene without the plant
+    plant_blank_psnr_db: float | None  # and of one colour
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
-    """The tree as mesh and as splat, the whole scene, and the cameras [m, +Z up, standing on z = 0]."""
+    """A mesh, all Gaussians and the photos' cameras [m, +Z up, the mesh standing on z = 0]; and how good they are."""
 
     mesh: TriangleMesh
-    splat: GaussianCloud
     scene: GaussianCloud
-    views: tuple[View, ...]
+    own: Bool[np.ndarray, " G"]  # which Gaussians are the thing that the mesh shows
+    cameras: list[PhotoCamera]
     report: Report
+
+    @property
+    def splat(self) -> GaussianCloud:
+        """The Gaussians of the thing."""
+        return self.scene.subset(self.own)
+
+    def moved(self, scale: float, origin: Float64[np.ndarray, "3"]) -> "Reconstruction":
+        """Scale about a point, which becomes the origin."""
+
+        def points(values: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
+            moved: Float32[np.ndarray, "N 3"] = (scale * (values - origin)).astype(np.float32)
+            return moved
+
+        cameras = [
+            replace(one, camera=replace(one.camera, position_m=scale * (one.camera.position_m - origin)))
+            for one in self.cameras
+        ]
+        report = self.report.copy()
+        report["radius_m"] = scale * report["radius_m"]
+        report["markers"] = [{**marker, "edge_m": scale * marker["edge_m"]} for marker in report.get("markers", [])]
+        return replace(
+            self,
+            mesh=self.mesh.with_vertices(points(self.mesh.vertices)),
+            scene=replace(self.scene, means=points(self.scene.means), scales=self.scene.scales * np.float32(scale)),
+            cameras=cameras,
+            report=report,
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write `mesh.ply`, `splat.ply`, `scene.ply`, `cameras.json` and `report.json`, with the sizes of them."""
+        self.report.update(
+            {
+                "height_m": self.mesh.height_m,
+                "num_vertices": self.mesh.num_vertices,
+                "num_faces": self.mesh.num_faces,
+                "num_gaussians": int(self.own.sum()),
+                "num_gaussians_scene": self.scene.num_gaussians,
+            }
+        )
+        with (folder / "mesh.ply").open("wb") as stream:
+            write_ply(self.mesh, stream)
+        for name, cloud in (("splat.ply", self.splat), ("scene.ply", self.scene)):
+            with (folder / name).open("wb") as stream:
+                write_gaussian_ply(cloud, stream)
+        write_cameras(self.cameras, folder, scale=self.report["scale"])
+        (folder / "report.json").write_text(json.dumps(self.report, indent=1))
+
+    @staticmethod
+    def read(folder: Path) -> "Reconstruction":
+        """Read what `write` wrote, all Gaussians counting as the thing's.
+
+        Raises:
+            InputError: the folder holds no reconstruction.
+        """
+        if not (folder / "report.json").is_file():
+            raise InputError(f"{folder} holds no report.json; name the output folder of `dynamictree reconstruct`")
+        with opened(folder / "mesh.ply") as stream:
+            mesh = read_ply_mesh(stream.read(), companions={})
+        with opened(folder / "scene.ply") as stream:
+            scene = read_cloud(stream, file_type="ply")
+        return Reconstruction(
+            mesh=mesh,
+            scene=scene,
+            own=np.ones(scene.num_gaussians, np.bool_),
+            cameras=read_cameras(json.loads((folder / "cameras.json").read_text())),
+            report=json.loads((folder / "report.json").read_text()),
+        )

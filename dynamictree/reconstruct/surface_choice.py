@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float32
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.cut import of_the_tree
+from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
@@ -33,7 +33,7 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
     """
     if len(meshes) == 1:
         return next(iter(meshes))
-    own = np.any([of_the_tree(scene, mesh.vertices, radius_m=radius) for mesh in meshes.values()], axis=0)
+    own = np.any([of_the_mesh(scene, mesh, radius=radius) for mesh in meshes.values()], axis=0)
     scores: dict[str, list[float]] = {name: [] for name in meshes}
     for view in views:
         shrink = min(1.0, _SIDE_PX / max(view.image.shape[:2]))

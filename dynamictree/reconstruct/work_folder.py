@@ -9,7 +9,7 @@ import json
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
@@ -18,51 +18,19 @@ from dynamictree.files import replacing
 from dynamictree.reconstruct.options import ReconstructOptions
 
 _VERSION = 4  # of the files in the folder
-_SPLAT_VERSION = 3  # of the way in which it is learned
+_SPLAT_VERSION = 4  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
     *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz", "times.json"),
 )
+PHOTOS, TIMES, DEPTHS, SPLAT = "photos", "times.json", "depths.npz", "splat.npz"
+"""Prepared photos and masks; time that each stage took, in all attempts; depth maps; state of the optimisation."""
 _RESULTS = {"photos.key": _OF_PHOTOS, "depths.key": ("depths.npz",), "splat.key": ("splat.npz",)}
 """Files of each stage; one whose key differs is deleted, with all later ones."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorkFolder:
-    """Where each stage saves its result."""
-
-    path: Path
-    options: ReconstructOptions
-
-    def extend(self, sources: Iterable[Path]) -> None:
-        """Go on with more photos: features of the earlier ones stay, cameras are to be found anew."""
-        (self.path / "views.json").unlink(missing_ok=True)
-        for name, key in _keys(sources, self.options).items():
-            _write_key(self.path / name, key)
-
-    @property
-    def photos(self) -> Path:
-        """Prepared photos and masks."""
-        return self.path / "photos"
-
-    @property
-    def times(self) -> Path:
-        """Time that each stage took, in all attempts."""
-        return self.path / "times.json"
-
-    @property
-    def depths(self) -> Path:
-        """Depth maps of stereo."""
-        return self.path / "depths.npz"
-
-    @property
-    def splat(self) -> Path:
-        """State of the splat's optimisation."""
-        return self.path / "splat.npz"
-
-
 @contextmanager
-def opened_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> Iterator[WorkFolder]:
+def alone_in_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> Iterator[None]:
     """Use a folder alone, with what an earlier call with the same inputs left there.
 
     Args:
@@ -80,7 +48,14 @@ def opened_work(path: Path, sources: Iterable[Path], options: ReconstructOptions
         except BlockingIOError:
             raise InputError(f"another process is at work in {path}; wait for it, or choose another output") from None
         _delete_others(path, _keys(sources, options))
-        yield WorkFolder(path=path, options=options)
+        yield
+
+
+def extend_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> None:
+    """Go on with more photos: features of the earlier ones stay, cameras are to be found anew."""
+    (path / "views.json").unlink(missing_ok=True)
+    for name, key in _keys(sources, options).items():
+        _write_key(path / name, key)
 
 
 def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str]:

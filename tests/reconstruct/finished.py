@@ -56,7 +56,7 @@ def write_finished(folder: Path) -> None:
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(scene, stream)
     write_photos(folder, scene, [PhotoCamera(photo="a.jpg", camera=CAMERA, width=160, height=120)])
-    report = {"scale": "unknown", "radius_m": 2.0, "num_photos": 1, "held_out": ["a.jpg"]}
+    report = {"scale": "unknown", "radius_m": 2.0, "num_photos": 1, "held_out": ["a.jpg"], "warnings": []}
     (folder / "report.json").write_text(json.dumps(report))
 
 

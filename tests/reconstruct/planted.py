@@ -188,5 +188,5 @@ def write_planted(planted: Planted, folder: Path) -> None:
     write_photos(folder, planted.scene, list(planted.views))
     radius_m = float(np.ptp(planted.scene.means[planted.plant], axis=0).max())
     held_out = [planted.views[4].photo, planted.views[11].photo]
-    report = {"scale": "unknown", "radius_m": radius_m, "num_photos": 16, "held_out": held_out}
+    report = {"scale": "unknown", "radius_m": radius_m, "num_photos": 16, "held_out": held_out, "warnings": []}
     (folder / "report.json").write_text(json.dumps(report))

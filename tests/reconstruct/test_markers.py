@@ -180,7 +180,7 @@ def test_photos_with_a_marker_become_a_plant_of_its_true_height(tmp_path: Path) 
     assert result.report["scale"] == "marker"
     [marker] = result.report["markers"]
     assert marker["edge_m"] == pytest.approx(EDGE_M, rel=1e-6)
-    positions = np.array([view.camera.position_m for view in result.views])
+    positions = np.array([view.camera.position_m for view in result.cameras])
     radius_m = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1).mean()
     assert radius_m == pytest.approx(2.9 / 2, rel=0.02)
     assert result.report["height_m"] == pytest.approx(0.6, rel=0.06)  # the mesh begins above the ground

@@ -57,8 +57,8 @@ def test_the_cameras_are_where_the_photos_were_taken(reconstruction, orbit):
     assert result.report["num_registered"] >= 12
     assert result.report["reprojection_error_px"] < 1
     number = {path.name: row for row, path in enumerate(orbit.photos)}
-    true = np.array([orbit.cameras[number[view.source]].position_m for view in result.views])
-    positions = np.array([view.camera.position_m for view in result.views])
+    true = np.array([orbit.cameras[number[view.photo]].position_m for view in result.cameras])
+    positions = np.array([view.camera.position_m for view in result.cameras])
     scale, rotation, shift = aligned(positions, true)
     assert np.linalg.norm(scale * positions @ rotation.T + shift - true, axis=1).max() < 0.03
     assert rotation[2, 2] > np.cos(np.radians(2))  # +Z is up
@@ -70,8 +70,8 @@ def test_the_cameras_are_where_the_photos_were_taken(reconstruction, orbit):
 def test_the_mesh_is_the_thing_without_its_ground(reconstruction, orbit):
     _, result, _ = reconstruction
     number = {path.name: row for row, path in enumerate(orbit.photos)}
-    true_positions = np.array([orbit.cameras[number[view.source]].position_m for view in result.views])
-    scale, rotation, shift = aligned(np.array([view.camera.position_m for view in result.views]), true_positions)
+    true_positions = np.array([orbit.cameras[number[view.photo]].position_m for view in result.cameras])
+    scale, rotation, shift = aligned(np.array([view.camera.position_m for view in result.cameras]), true_positions)
     vertices = scale * result.mesh.vertices @ rotation.T + shift
     surface = orbit.stump.vertices[orbit.stump.faces].mean(axis=1)
     seen = surface[surface[:, 2] > 0.06]
@@ -99,7 +99,7 @@ def test_files_hold_what_was_found(reconstruction, orbit):
     assert report["scale"] == "unknown"
     assert report["num_registered"] + len(report["left_out"]) == len(orbit.photos)
     cameras = json.loads((folder / "cameras.json").read_text())["cameras"]
-    assert [camera["photo"] for camera in cameras] == [view.source for view in result.views]
+    assert [camera["photo"] for camera in cameras] == [view.photo for view in result.cameras]
     for name, cloud in (("splat.ply", result.splat), ("scene.ply", result.scene)):
         read = read_gaussian_ply(io.BytesIO((folder / name).read_bytes()))
         assert np.allclose(read.means, cloud.means, atol=1e-5)
@@ -193,7 +193,7 @@ def test_cameras_that_are_given_are_taken(orbit, tmp_path):
     out.mkdir()
     result = reconstruct(photos, out, options=OPTIONS, root=tmp_path)
     assert result.report["num_registered"] == len(orbit.photos)
-    positions = np.array([view.camera.position_m for view in result.views])
+    positions = np.array([view.camera.position_m for view in result.cameras])
     true = np.array([camera.position_m for camera in orbit.cameras])
     scale, rotation, shift = aligned(positions, true)
     assert np.linalg.norm(scale * positions @ rotation.T + shift - true, axis=1).max() < 1e-6

@@ -20,7 +20,7 @@ from dynamictree.reconstruct import ReconstructOptions, mapping
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.options import options_of
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
-from dynamictree.reconstruct.work_folder import opened_work
+from dynamictree.reconstruct.work_folder import DEPTHS, SPLAT, TIMES, alone_in_work
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_input_cameras import write_transforms
 
@@ -38,7 +38,7 @@ def on_progress(progress):
     if progress.stage == stage and progress.share >= share:
         os.kill(os.getpid(), signal.SIGKILL)
 
-schedule = Schedule(num_steps=60, side_px=160, check_every=20, coarser=((0.5, 2),), densify_every=20, patience=9)
+schedule = Schedule(num_steps=60, side_px=160, check_every=20, coarser=((0.5, 2),), densify_every=20)
 photos = sorted(root.glob("*.jpg"))
 options, listening = ReconstructOptions(schedule=schedule), Callbacks(on_progress=on_progress)
 reconstruct(photos, out, options=options, root=root, work=work, callbacks=listening)
@@ -113,29 +113,31 @@ def test_the_command_saves_its_work_when_it_is_stopped(photos, tmp_path, number)
 
 
 def test_results_of_other_photos_are_deleted_and_those_of_another_schedule(tmp_path):
-    photo = tmp_path / "a.jpg"
+    photo, work = tmp_path / "a.jpg", tmp_path / "work"
     photo.write_bytes(b"one")
-    with opened_work(tmp_path / "work", [photo], ReconstructOptions()) as work:
-        for path in (work.depths, work.splat):
-            path.write_bytes(b"result")
-    with opened_work(tmp_path / "work", [photo], ReconstructOptions()) as work:
-        assert work.depths.exists()
-        assert work.splat.exists()
-    with opened_work(tmp_path / "work", [photo], ReconstructOptions(schedule=Schedule(num_steps=100))) as work:
-        assert work.depths.exists()
-        assert not work.splat.exists()
+    shorter = ReconstructOptions(schedule=Schedule(num_steps=100))
+    saved = {TIMES, DEPTHS, SPLAT}
+
+    def left(options: ReconstructOptions) -> set[str]:
+        with alone_in_work(work, [photo], options):
+            return {name for name in saved if (work / name).exists()}
+
+    assert left(ReconstructOptions()) == set()
+    for name in saved:
+        (work / name).write_bytes(b"result")
+    assert left(ReconstructOptions()) == saved
+    assert left(shorter) == {TIMES, DEPTHS}
     photo.write_bytes(b"two")
-    with opened_work(tmp_path / "work", [photo], ReconstructOptions(schedule=Schedule(num_steps=100))) as work:
-        assert not work.depths.exists()
+    assert left(shorter) == set()
 
 
 def test_a_better_quality_goes_on_with_the_cameras_of_the_draft_unless_it_reads_larger_photos(tmp_path):
     def left(quality: Quality) -> set[str]:
         results = ("views.json", "depths.npz", "splat.npz")
-        with opened_work(tmp_path, [], options_of(LearningParams(quality=quality))) as work:
-            there = {name for name in results if (work.path / name).exists()}
+        with alone_in_work(tmp_path, [], options_of(LearningParams(quality=quality))):
+            there = {name for name in results if (tmp_path / name).exists()}
             for name in results:
-                (work.path / name).touch()
+                (tmp_path / name).touch()
         return there
 
     assert left("draft") == set()
@@ -146,9 +148,9 @@ def test_a_better_quality_goes_on_with_the_cameras_of_the_draft_unless_it_reads_
 
 def test_two_runs_do_not_share_a_work_folder(tmp_path):
     with (
-        opened_work(tmp_path / "work", [], ReconstructOptions()),
+        alone_in_work(tmp_path / "work", [], ReconstructOptions()),
         pytest.raises(InputError, match="another process is at work in"),
-        opened_work(tmp_path / "work", [], ReconstructOptions()),
+        alone_in_work(tmp_path / "work", [], ReconstructOptions()),
     ):
         pass
 
