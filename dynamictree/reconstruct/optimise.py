@@ -1,7 +1,7 @@
 """Optimisation of Gaussians against the photos. Kerbl et al. 2023, with a schedule for two cores.
 
 Coarse to fine: the first steps see small pictures, which cost little; Mip-Splatting's filter makes what is learned
-there hold at every size. Some photos choose: the best picture of them ends the work early.
+there hold at every size.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,8 +53,7 @@ class Schedule:
     depth_share: float = 0.1  # of the loss, at first; falls to a hundredth of it
     rules: DensityRules = field(default_factory=DensityRules)
     cut_out_min_opacity: float = 0.02  # below it a Gaussian is pruned, where photos are cut out
-    check_every: int = 250
-    patience: int = 3  # checks at full size without a better picture, until it ends
+    check_every: int = 250  # steps, between two looks at the photos held out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +61,7 @@ class SplatTask:
     """What Gaussians are fitted to."""
 
     targets: Sequence[Target]
-    choosing: Sequence[Target]  # not learned from: the best picture of them ends the work early
+    held_out: Sequence[Target]  # not learned from: they tell how good it is so far
     extent: float  # of the cameras
     cut_out: bool = False  # by masks: photos show the subject alone
     cameras: Float64[np.ndarray, "V 3"] | None = None  # of all photos; free space
@@ -76,14 +75,15 @@ def optimise(
 ) -> None:
     """Optimise, split and prune Gaussians in place; `on_step` may save the state, or raise to stop."""
     levels = _Levels(task, schedule)
-    while state.step < schedule.num_steps and not _worn_out(state, schedule):
+    while state.step < schedule.num_steps:
         on_step(state)
         rng = np.random.default_rng([1, state.step])
         shrink = _shrink(schedule, state.step)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
         _one_step(state, levels.target(state.step, shrink), task, schedule, degree, rng)
-        if task.choosing and state.step % schedule.check_every == 0:
-            _check(state, levels, schedule, degree)
+        if task.held_out and state.step % schedule.check_every == 0:
+            psnr_db = mean_psnr(state.table, levels.held_out, degree)
+            state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
         share = state.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and state.step % schedule.densify_every == 0:
             rules = _rules(schedule, shrink, cut_out=task.cut_out)
@@ -158,20 +158,6 @@ def _shrink(schedule: Schedule, step: int) -> int:
     return next((smaller for until, smaller in schedule.coarser if share < until), 1)
 
 
-def _worn_out(state: SplatState, schedule: Schedule) -> bool:
-    """Whether the last checks at full size were all worse than an earlier one."""
-    full = [psnr_db for step, _, psnr_db in state.checks if _shrink(schedule, int(step) - 1) == 1]
-    since = len(full) - 1 - int(np.argmax(full)) if full else 0
-    return since >= schedule.patience
-
-
-def _check(state: SplatState, levels: "_Levels", schedule: Schedule, degree: int) -> None:
-    psnr_db = mean_psnr(state.table, levels.choosing, degree)
-    state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
-    if _shrink(schedule, state.step) == 1 and psnr_db > state.best_psnr:
-        state.best_psnr, state.best = psnr_db, state.table.copy()
-
-
 def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
     """Mean over the photos [dB]."""
     return float(np.mean([psnr(drawn(table, target, sh_degree), on_black(target)) for target in targets]))
@@ -199,7 +185,7 @@ class _Levels:
     """The photos at every size that is used, and which comes next: each once, then in another order."""
 
     def __init__(self, task: SplatTask, schedule: Schedule) -> None:
-        self.choosing = [smaller(target, schedule.side_px) for target in task.choosing]
+        self.held_out = [smaller(target, schedule.side_px) for target in task.held_out]
         sides = {1: schedule.side_px, **{by: schedule.side_px // by for _, by in schedule.coarser}}
         self._targets = {by: [smaller(target, side) for target in task.targets] for by, side in sides.items()}
 

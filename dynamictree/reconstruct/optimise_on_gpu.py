@@ -57,7 +57,7 @@ def optimise_on_gpu(
     strategy.check_sanity(params, optimizers)
     running = strategy.initialize_state()
     targets = [smaller(target, schedule.side_px) for target in task.targets]
-    choosing = [smaller(target, schedule.side_px) for target in task.choosing]
+    held_out = [smaller(target, schedule.side_px) for target in task.held_out]
     while state.step < schedule.num_steps:
         on_step(state)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
@@ -77,8 +77,10 @@ def optimise_on_gpu(
             fall.step()
         state.step += 1
         state.keep(np.arange(0), _table(params))
-        if choosing and state.step % schedule.check_every == 0:
-            _check(state, params, choosing, degree)
+        if held_out and state.step % schedule.check_every == 0:
+            state.checks = np.concatenate(
+                [state.checks, [[state.step, len(state.table), _mean_psnr(params, held_out, degree)]]]
+            )
 
 
 def _params(state: SplatState, device: str) -> torch.nn.ParameterDict:
@@ -142,10 +144,7 @@ def _loss(picture: Picture, photo: Picture) -> Float[torch.Tensor, ""]:
     return loss
 
 
-def _check(state: SplatState, params: torch.nn.ParameterDict, choosing: list[Target], degree: int) -> None:
+def _mean_psnr(params: torch.nn.ParameterDict, targets: list[Target], degree: int) -> float:
     with torch.no_grad():
-        pairs = [_drawn(params, target, degree)[:2] for target in choosing]
-        psnr_db = np.mean([psnr(a.clamp(0, 1).cpu().numpy(), b.cpu().numpy()) for a, b in pairs])
-    state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
-    if psnr_db > state.best_psnr:
-        state.best_psnr, state.best = float(psnr_db), state.table.copy()
+        pairs = [_drawn(params, target, degree)[:2] for target in targets]
+    return float(np.mean([psnr(a.clamp(0, 1).cpu().numpy(), b.cpu().numpy()) for a, b in pairs]))

@@ -1,12 +1,8 @@
-"""Fit a splat to the photos, and save the state regularly.
-
-Some photos are held out and judge the result; others, which are not learned from either, choose the best state of it.
-"""
+"""Fit a splat to the photos, and save the state regularly. Some photos are held out and judge the result."""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,7 +31,6 @@ from dynamictree.reconstruct.views import SparseModel, View
 START_GAUSSIANS = 25_000
 _INSIDE = 0.5  # alpha
 _ONE_IN = 8  # photos is held out, and two at least
-_CHOOSES_ONE_IN = 16  # and one at least
 _SAVE_EVERY_S, _REPORT_EVERY_S = 20.0, 0.25
 
 
@@ -52,14 +47,6 @@ def held_out_views(number: int) -> list[int]:
     return [int((place + 0.5) * number / count) for place in range(count)]
 
 
-def choosing_views(number: int) -> list[int]:
-    """One in 16 of the photos and at least one, each in the middle between two that are held out."""
-    held_out = held_out_views(number)
-    between = [(first + second) // 2 for first, second in pairwise(held_out)]
-    count = min(max(1, number // _CHOOSES_ONE_IN), len(between))
-    return [between[int((place + 0.5) * len(between) / count)] for place in range(count)]
-
-
 def fit_splat(
     model: SparseModel,
     depths: DepthMaps | None,
@@ -69,7 +56,7 @@ def fit_splat(
     saved: Path | None = None,
     on_state: Callable[[SplatState], None] = lambda state: None,
 ) -> SplatFit:
-    """Fit Gaussians to all photos but those that choose the best state, and those held out, which judge it.
+    """Fit Gaussians to all photos but those held out, which judge the result.
 
     Args:
         model: in the stage's frame.
@@ -80,8 +67,7 @@ def fit_splat(
         on_state: gets the state every quarter of a second; what it raises passes through.
     """
     held_out_rows = held_out_views(len(model.views))
-    choosing_rows = choosing_views(len(model.views))
-    learned = [view for view in range(len(model.views)) if view not in {*held_out_rows, *choosing_rows}]
+    learned = [view for view in range(len(model.views)) if view not in held_out_rows]
     table = first_table(
         _some_views(model, learned),
         None if depths is None else _some_depths(depths, learned),
@@ -113,7 +99,7 @@ def fit_splat(
 
     task = SplatTask(
         targets=[target(view, None if depths is None else depths.depths[view]) for view in learned],
-        choosing=[target(view, None) for view in choosing_rows],
+        held_out=[target(view, None) for view in held_out_rows],
         extent=camera_extent(model.views),
         cut_out=any(view.alpha is not None for view in model.views),
         cameras=np.array([view.camera.position_m for view in model.views]),
@@ -126,12 +112,11 @@ def fit_splat(
         optimise(state, task, schedule, on_step)
     if saved is not None:
         state.save(saved)
-    table = state.result
+    table = state.table
     if sky is not None:
         behind = sky_table([model.views[view] for view in learned], [sky[view] for view in learned], schedule.sh_degree)
         table = np.concatenate([table, behind])
     figures = _figures(state, table, [model.views[view] for view in held_out_rows], schedule)
-    figures["chosen_by"] = [model.views[view].source for view in choosing_rows]
     return SplatFit(table, figures)
 
 
@@ -155,7 +140,6 @@ def _figures(
     height, width = pairs[0][1].shape[:2]
     return SplatFigures(
         held_out=[view.source for view in held_out],
-        chosen_by=[],
         held_out_psnr_db=psnr_db,
         held_out_masked_psnr_db=masked_db,
         held_out_ssim=[round(ssim(planes_of(picture), planes_of(photo)), 4) for picture, photo in pairs],

@@ -19,9 +19,7 @@ class SplatState:
     pull: Float32[np.ndarray, "2 G"]  # summed gradient by the place, number of views; since Gaussians were last made
     step: int = 0
     num_discarded: int = 0  # Gaussians whose gradient was not finite
-    best: Float32[np.ndarray, "B P"] | None = None  # Gaussians with the best PSNR of the choosing photos
-    best_psnr: float = -np.inf
-    checks: Float64[np.ndarray, "C 3"] = field(  # step, number of Gaussians, PSNR of the choosing photos [dB]
+    checks: Float64[np.ndarray, "C 3"] = field(  # step, number of Gaussians, PSNR of the photos held out [dB]
         default_factory=lambda: np.zeros((0, 3))
     )
 
@@ -36,19 +34,14 @@ class SplatState:
         """Read what `save` wrote."""
         with np.load(path, allow_pickle=False) as arrays:
             values = {name: arrays[name] for name in arrays}
-        for name in ("step", "num_discarded", "best_psnr"):
+        for name in ("step", "num_discarded"):
             values[name] = values[name].item()
         return cls(**values)
 
     def save(self, path: Path) -> None:
         """Write the state; a crash leaves the previous file."""
         with replacing(path) as stream:
-            np.savez(stream, **{name: value for name, value in vars(self).items() if value is not None})
-
-    @property
-    def result(self) -> Float32[np.ndarray, "R P"]:
-        """Gaussians with the best PSNR of the choosing photos, or the last ones."""
-        return self.table if self.best is None else self.best
+            np.savez(stream, **vars(self))
 
     @property
     def mean_pull(self) -> Float32[np.ndarray, " G"]:
