@@ -56,8 +56,7 @@ def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P
         (row, column), reach = at[0], np.arange(-_CLICK_PX, _CLICK_PX + 1)
         rows, columns = (one.ravel() for one in np.meshgrid(row + reach, column + reach))
     else:
-        rows, columns = (
-            np.concatenate(one) for one in zip(*(line(*first, *last) for first, last in pairwise(at)), strict=True)
-        )
+        segments = [line(*first, *last) for first, last in pairwise(at)]  # type: ignore[no-untyped-call]
+        rows, columns = (np.concatenate(one) for one in zip(*segments, strict=True))
     pixels: Int64[np.ndarray, "P 2"] = np.unique(np.stack([columns, rows], axis=1), axis=0).astype(np.int64)
     return pixels[:: -(-len(pixels) // _MOST_PIXELS)]
