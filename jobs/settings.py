@@ -80,6 +80,8 @@ class Settings(BaseSettings):
     presigned_links: bool = False
     upload_begin_s: float = Field(default=600.0, gt=0)
     upload_retention_s: float = Field(default=DAY_S, gt=0)
+    max_fetches: int = Field(default=8, ge=1)
+    fetch_time_s: float = Field(default=600.0, gt=0)
     outbound_hosts: tuple[str, ...] = ()
     webhook_timeout_s: float = Field(default=15.0, gt=0)
     webhook_retry_s: tuple[float, ...] = Field(default=RETRY_S, min_length=1, max_length=20)

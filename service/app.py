@@ -1,5 +1,6 @@
 """Application factory: routes, middleware, and the services opened in the lifespan."""
 
+import asyncio
 import gc
 import logging
 import threading
@@ -42,6 +43,7 @@ from service.routes import (
     webhooks,
 )
 from service.services import open_services
+from service.uploads.ingest import Ingest
 
 ROUTERS = (
     uploads.router,
@@ -149,7 +151,10 @@ def serving_app() -> FastAPI:
 async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
     with open_services(app.state.settings) as services:
         app.state.services = services
+        ingest = asyncio.create_task(Ingest(services).run())
         yield {"max_connections_per_address": services.settings.max_connections_per_address}
+        ingest.cancel()
+        await asyncio.gather(ingest, return_exceptions=True)
 
 
 def _warm_up() -> None:

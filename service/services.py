@@ -1,5 +1,6 @@
 """Services that the process opens at start-up, and their restriction to one caller."""
 
+import asyncio
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ class Services:
     parsers: FairSlots
     streams: OpenStreams
     large_answers: FairSlots
+    ingest_wakeup: asyncio.Event
 
     def owned_by(self, caller: Caller) -> "Owned":
         """The services as one caller may see them: the store returns only the rows of the caller's owner."""
@@ -81,6 +83,7 @@ def open_services(settings: Settings) -> Iterator[Services]:
             parsers=FairSlots(settings.max_parsers, per_owner=settings.share_of(settings.max_parsers)),
             streams=OpenStreams(settings.max_streams),
             large_answers=FairSlots(LARGE_ANSWERS, per_owner=1 if settings.keys == "required" else LARGE_ANSWERS),
+            ingest_wakeup=asyncio.Event(),
         )
     finally:
         store.close()

@@ -803,17 +803,19 @@ class UploadParts(Model):
 
 
 class Upload(Model):
-    """A file that comes in pieces."""
+    """A file that comes in pieces, or from an address."""
 
     id: str
-    # receiving; received; ready with an asset
-    state: Literal["receiving", "received", "ready"]
+    # receiving or fetching; received; ready with an asset; failed
+    state: Literal["receiving", "fetching", "received", "ready", "failed"]
     filename: str
     bytes_received: int
-    length: int
+    # null while an address does not tell
+    length: int | None
     # as promised
     sha256: str | None
     asset_id: str | None
+    error: "Problem | None"
     # RFC 3339, UTC
     created_at: datetime
     # RFC 3339, UTC

@@ -95,9 +95,9 @@ def append_to_upload(
     )
 
 
-def get_upload(id: str) -> Call[Upload]:
-    """An upload: how much is there, and the asset once there is one."""
-    return Call(method="GET", path=path_of("/v1/uploads/{id}", {"id": id}), answer=Upload)
+def get_upload(id: str, *, prefer: str | None = None) -> Call[Upload]:
+    """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
+    return Call(method="GET", path=path_of("/v1/uploads/{id}", {"id": id}), answer=Upload, headers={"prefer": prefer})
 
 
 def delete_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
@@ -117,9 +117,9 @@ def create_upload_parts(id: str) -> Call[UploadParts]:
     return Call(method="POST", path=path_of("/v1/uploads/{id}/parts", {"id": id}), answer=UploadParts)
 
 
-def create_asset(body: dict[str, Any]) -> Call[Asset]:
-    """Send a mesh, photos or a film, or name uploads that hold them."""
-    return Call(method="POST", path="/v1/assets", answer=Asset, body=body)
+def create_asset(body: dict[str, Any]) -> Call[Asset | Upload]:
+    """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
+    return Call(method="POST", path="/v1/assets", answer=Asset | Upload, body=body)
 
 
 def get_asset(id: str) -> Call[Asset]:

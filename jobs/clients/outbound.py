@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, urljoin, urlsplit
 
 from jobs.errors import OutboundError
 
@@ -19,6 +19,7 @@ Lookup = Callable[[str, int], Awaitable[list[str]]]
 
 CONNECT_S = 10.0
 READ_S = 30.0
+MAX_REDIRECTS = 3
 MAX_URL_CHARS = 2048
 _EMBEDS_V4 = (  # IPv6 addresses that mean an IPv4 address, and where it stands in them
     (ipaddress.ip_network("::ffff:0:0/96"), 0),  # mapped
@@ -156,6 +157,25 @@ class Outbound:
                 raise OutboundError(f"{target.parts.hostname} broke off: {_message_of(error)}") from error
             finally:
                 await response.aclose()
+
+    @asynccontextmanager
+    async def get(self, url: str) -> "AsyncIterator[httpx.Response]":
+        """GET a URL, following at most `MAX_REDIRECTS` redirects, each checked as the first address was.
+
+        Raises:
+            OutboundError: it may not be called, or what answers is no file.
+        """
+        for _ in range(MAX_REDIRECTS + 1):
+            target = await self.check(url)
+            async with self.send(target, "GET", headers={"Accept": "*/*"}) as response:
+                if response.is_redirect:
+                    url = urljoin(url, response.headers.get("location", ""))
+                    continue
+                if response.status_code != 200:
+                    raise OutboundError(f"{target.parts.hostname} answered {response.status_code}; 200 is needed")
+                yield response
+                return
+        raise OutboundError(f"there were more than {MAX_REDIRECTS} redirects; give the last address itself")
 
 
 def _message_of(error: Exception) -> str:

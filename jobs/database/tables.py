@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-REVISION = 2
+REVISION = 1
 """Of these tables. A release that changes them raises it and adds only what old code can ignore."""
 
 metadata = sa.MetaData()
@@ -157,12 +157,17 @@ uploads = sa.Table(
     sa.Column("owner", _id, nullable=False, index=True),
     sa.Column("state", sa.String(16), nullable=False, index=True),
     sa.Column("filename", sa.String(255), nullable=False),
-    sa.Column("metadata", sa.Text, nullable=False),  # Upload-Metadata as it was sent
-    sa.Column("length", sa.BigInteger, nullable=False),
+    sa.Column("options", sa.JSON, nullable=False),  # how to read it: kind, up_axis, unit_m
+    sa.Column("length", sa.BigInteger),  # null while an address does not tell
     sa.Column("received", sa.BigInteger, nullable=False),
     sa.Column("sha256", _hash),  # as promised; as found once it is whole
+    sa.Column("source_url", sa.Text),
+    sa.Column("make_asset", sa.Boolean, nullable=False),  # without being asked for it
     sa.Column("writer", sa.String(64)),  # the request that may write
+    sa.Column("lease_until", sa.Double),
     sa.Column("asset_id", _id),
+    sa.Column("error_code", sa.String(64)),
+    sa.Column("error_message", sa.Text),
     sa.Column("created_at", sa.Double, nullable=False),
     sa.Column("expires_at", sa.Double, nullable=False, index=True),
 )

@@ -104,7 +104,7 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
 
 
 def _is_restored(table: str, row: Mapping[str, Any]) -> bool:
-    return table != "uploads" or row["state"] == "ready"
+    return table != "uploads" or row["state"] in {"ready", "failed"}
 
 
 def _write_rows(connection: sa.Connection, path: Path) -> int:

@@ -1,5 +1,7 @@
-"""Rows of uploads: length, bytes received, and the asset that was made of them."""
+"""Rows of uploads: length, bytes received, and the resulting asset or error."""
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
@@ -8,26 +10,32 @@ import sqlalchemy as sa
 from jobs.clients.usage import stored_bytes_in
 from jobs.database import tables as t
 from jobs.errors import BytesQuotaError, ConflictError, GoneError, NotFoundError
+from jobs.records import Json
 from jobs.store import Store
 
-UploadState = Literal["receiving", "received", "ready"]
-"""Bytes come from a client; all are there; an asset was made."""
+UploadState = Literal["receiving", "fetching", "received", "ready", "failed"]
+"""Bytes come from a client, or from an address; all are there; an asset was made; it could not be."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UploadRecord:
-    """One file that someone sends in pieces."""
+    """One file that someone sends in pieces, or that is fetched from an address."""
 
     id: str
     owner: str = ""
     state: UploadState
     filename: str
-    metadata: str = ""  # Upload-Metadata as it was sent
-    length: int
+    options: Mapping[str, Json]
+    length: int | None
     received: int = 0
     sha256: str | None = None  # as promised; as found once it is whole
+    source_url: str | None = None
+    make_asset: bool = False  # without being asked for it
     writer: str | None = None  # the request that may write
+    lease_until: float | None = None  # of the process that fetches, or makes the asset
     asset_id: str | None = None
+    error_code: str | None = None
+    error_message: str | None = None
     created_at: float
     expires_at: float
 
@@ -48,7 +56,7 @@ def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = No
     with store.writing() as connection:
         store.take_turns(connection)
         if max_bytes is not None:
-            require_bytes_in(connection, store, upload.length, max_bytes)
+            require_bytes_in(connection, store, upload.length or 0, max_bytes)
         begun = (t.uploads.c.state == "receiving") & (t.uploads.c.owner == upload.owner)
         if connection.execute(sa.select(sa.func.count()).where(begun)).scalar_one() >= MAX_OPEN:
             idle = begun & (t.uploads.c.received == 0) & t.uploads.c.writer.is_(None)
@@ -112,6 +120,29 @@ def delete_upload(store: Store, upload_id: str) -> None:
     """
     with store.writing() as connection:
         _bury(connection, _read(connection, store, upload_id), now=store.clock())
+
+
+def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -> list[UploadRecord]:
+    """Claim uploads to fetch or to make assets of, each for `lease_s`; at most `per_owner` of one owner at once."""
+    now = store.clock()
+    waiting = (t.uploads.c.state == "fetching") | ((t.uploads.c.state == "received") & t.uploads.c.make_asset)
+    free = t.uploads.c.lease_until.is_(None) | (t.uploads.c.lease_until < now)
+    with store.reading() as connection:
+        busy = sa.select(t.uploads.c.owner).where(waiting & ~free)
+        running = Counter(connection.execute(busy).scalars())
+        place = sa.func.row_number().over(partition_by=t.uploads.c.owner, order_by=t.uploads.c.id).label("place")
+        ranked = sa.select(t.uploads.c.id, t.uploads.c.owner, place).where(waiting & free).subquery()
+        rows = connection.execute(sa.select(ranked).where(ranked.c.place <= per_owner)).all()
+    turns = sorted((row.place + running[row.owner], row.id) for row in rows)
+    ids = [upload_id for turn, upload_id in turns if turn <= per_owner][:limit]
+    claimed = []
+    for upload_id in ids:
+        with store.writing() as connection:
+            this = (t.uploads.c.id == upload_id) & waiting & free
+            if connection.execute(t.uploads.update().where(this).values(lease_until=now + lease_s)).rowcount:
+                row = connection.execute(sa.select(t.uploads).where(t.uploads.c.id == upload_id)).one()
+                claimed.append(UploadRecord(**row._mapping))
+    return claimed
 
 
 def announced_bytes(store: Store) -> list[int]:

@@ -39,6 +39,7 @@ REQUESTS: dict[str, dict[str, Any]] = {
     "createJob": _JOB_REQUESTS,
     "createAsset": {
         "uploads": {"summary": "Of uploads that are whole", "value": {"upload_ids": [_FILE]}},
+        "address": {"summary": "From an address", "value": {"url": "https://example.com/tree.glb", "sha256": _SHA}},
     },
     "interact": {
         "knock": {"summary": "A knock against a branch", "value": _PUSH},

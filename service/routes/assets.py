@@ -15,14 +15,14 @@ from dynamictree.requests import Reading
 from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
 from jobs.storage import assets as asset_rows
-from jobs.storage.uploads import upload
+from jobs.storage.uploads import UploadRecord, add_upload, upload
 from jobs.store import new_id
 from service.http.multipart import MAX_FILES, receive_form
 from service.http.problems import ProblemError
 from service.http.routing import Id, headers, refusals
-from service.schemas.assets import AssetPayload, AssetRequest
+from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
-from service.uploads.ingest import make_asset
+from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
 from service.uploads.intake import FIELDS, admit, sort_out
 from service.uploads.quota import reserved
 
@@ -85,18 +85,24 @@ _FORM = {
         "expired",
         "conflict",
         "checksum-mismatch",
+        "fetch-failed",
         "quota-exceeded",
     )
     | {
         200: {"description": "The same files were sent before; the same asset", "model": AssetPayload},
         201: {"description": "A new asset", **headers(Location="the asset")},
+        202: {
+            "description": "The address is being fetched; the upload tells of the asset",
+            "model": UploadPayload,
+            **headers(Location="the upload", Retry_After="seconds until it is worth a look"),
+        },
     },
 )
-async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload:
-    """Send a mesh, photos or a film, or name uploads that hold them."""
+async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
+    """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
     length = int(request.headers.get("content-length", "0"))
     if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":
-        return await _of_uploads(request, response, owned)
+        return await _of_uploads_or_address(request, response, owned)
     async with AsyncExitStack() as room:
         await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, length)))
         folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
@@ -113,13 +119,35 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
     return _asset_response(asset, new, response)
 
 
-async def _of_uploads(request: Request, response: Response, owned: Owned) -> AssetPayload:
+async def _of_uploads_or_address(request: Request, response: Response, owned: Owned) -> AssetPayload | Response:
     wanted = await _read_json(request, owned)
     given = {name: value for name in FIELDS if (value := getattr(wanted, name)) is not None}
     fields = {name: value if isinstance(value, str) else json.dumps(value) for name, value in given.items()}
-    uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
-    asset, new = await make_asset(owned, uploads, fields)
-    return _asset_response(asset, new, response)
+    if wanted.upload_ids is not None:
+        uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
+        asset, new = await make_asset(owned, uploads, fields)
+        return _asset_response(asset, new, response)
+    assert wanted.url is not None
+    await owned.services.outbound.check(
+        wanted.url
+    )  # tells at once what is wrong; what is connected to is checked again
+    now, allowed = owned.store.clock(), owned.caller.limits.get("bytes")
+    record = UploadRecord(
+        id=new_id(),
+        state="fetching",
+        filename=wanted.filename or name_of_url(wanted.url),
+        options=dict(fields) | ({} if allowed is None else {BYTES_ALLOWED: allowed}),
+        length=None,
+        sha256=wanted.sha256,
+        source_url=wanted.url,
+        make_asset=True,
+        created_at=now,
+        expires_at=now + owned.services.settings.upload_retention_s,
+    )
+    record = await run_in_threadpool(add_upload, owned.store, record)
+    owned.services.ingest_wakeup.set()
+    sent = {"Location": f"/v1/uploads/{record.id}", "Retry-After": "1"}
+    return Response(upload_payload(record, 0).model_dump_json(), 202, sent, "application/json")
 
 
 async def _read_json(request: Request, owned: Owned) -> AssetRequest:

@@ -1,7 +1,9 @@
 """/v1/uploads: resumable uploads by the tus protocol, version 1.0; see docs/uploads.md."""
 
+import asyncio
 import base64
 import binascii
+import time
 from email.utils import formatdate
 from typing import Annotated, Any
 
@@ -16,10 +18,12 @@ from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
 from service.http.multipart import MAX_NAME_CHARS, is_name
 from service.http.problems import ProblemError, wrong_field
+from service.http.request_headers import WaitS
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import UploadPartPayload, UploadPartsPayload, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.append import append, stands_elsewhere
+from service.uploads.intake import FIELDS, metadata_of, reading_options
 from service.uploads.quota import announce, require_room
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
@@ -29,6 +33,8 @@ CONTENT_TYPE = "application/offset+octet-stream"
 MAX_METADATA_CHARS = 8192
 PART_BYTES = 64 * 1024**2
 """Of one address: 64 of them are an upload of 4 GiB."""
+
+_LOOK_S = 0.25
 
 _HEX = frozenset("0123456789abcdef")
 
@@ -73,7 +79,10 @@ async def create_upload(
     tus_resumable: _Version = None,
     upload_length: Annotated[str | None, Header(description="size of the file [bytes]")] = None,
     upload_metadata: Annotated[
-        str | None, Header(description="filename and sha256 of the whole file; each a name, a space, base64")
+        str | None,
+        Header(
+            description="filename, kind, sha256, up_axis, unit_m, metadata, asset=auto; each a name, a space, base64"
+        ),
     ] = None,
     content_type: Annotated[str | None, Header()] = None,
 ) -> Response:
@@ -87,9 +96,10 @@ async def create_upload(
         id=new_id(),
         state="receiving",
         filename=metadata.get("filename") or metadata.get("name") or "file",
-        metadata=upload_metadata or "",
+        options={name: metadata[name] for name in FIELDS if name in metadata} | {"sent": upload_metadata or ""},
         length=length,
         sha256=metadata.get("sha256"),
+        make_asset=metadata.get("asset") == "auto",
         created_at=now,
         expires_at=now + owned.services.settings.upload_begin_s,
     )
@@ -114,9 +124,11 @@ def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Resp
     _require_version(tus_resumable)
     record = upload(owned.store, id)
     size = owned.services.upload_parts.size(id) if record.state == "receiving" else record.received
-    sent = _standing(record, size) | {"Cache-Control": "no-store", "Upload-Length": str(record.length)}
-    if record.metadata:
-        sent["Upload-Metadata"] = record.metadata
+    sent = _standing(record, size) | {"Cache-Control": "no-store"}
+    if record.length is not None:
+        sent["Upload-Length"] = str(record.length)
+    if record.options.get("sent"):
+        sent["Upload-Metadata"] = str(record.options["sent"])
     return Response(headers=sent)
 
 
@@ -158,11 +170,19 @@ async def append_to_upload(
 
 
 @router.get("/{id}", operation_id="getUpload", responses=refusals("not-found", "expired"))
-def get_upload(id: Id, owned: OwnedDep) -> UploadPayload:
-    """An upload: how much is there, and the asset once there is one."""
-    record = upload(owned.store, id)
-    receiving = record.state == "receiving"
-    return upload_payload(record, owned.services.upload_parts.size(id) if receiving else record.received)
+async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
+    """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
+    deadline = time.monotonic() + wait_s
+    while True:
+        record = await run_in_threadpool(upload, owned.store, id)
+        settled = record.state in {"ready", "failed"} or (record.state == "received" and not record.make_asset)
+        if settled or time.monotonic() >= deadline:
+            break
+        await asyncio.sleep(_LOOK_S)
+    size = record.received
+    if record.state == "receiving":
+        size = await run_in_threadpool(owned.services.upload_parts.size, id)
+    return upload_payload(record, size)
 
 
 @router.post("/{id}/parts", operation_id="createUploadParts", responses=refusals("not-found", "expired", "conflict"))
@@ -173,7 +193,7 @@ def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
     """
     record = upload(owned.store, id)
     parts, begin = owned.services.upload_parts, owned.services.upload_parts.size(id)
-    if record.state != "receiving":
+    if record.state != "receiving" or record.length is None:
         raise ConflictError(f"upload {id} is {record.state}; nothing is missing")
     missing = []
     for offset in range(begin, record.length, PART_BYTES):
@@ -212,7 +232,10 @@ async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> Upl
         changes["state"] = "received"
         if record.sha256 is not None:
             await run_in_threadpool(_require_promised, owned, record)
-    return await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), **changes)
+    record = await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), **changes)
+    if record.state == "received" and record.make_asset:
+        owned.services.ingest_wakeup.set()
+    return record
 
 
 def _require_promised(owned: Owned, record: UploadRecord) -> None:
@@ -263,14 +286,21 @@ def _metadata(header: str | None) -> dict[str, str]:
             raise wrong_field(
                 f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
             ) from error
+    reading_options({name: pairs[name] for name in FIELDS if name in pairs}, where="metadata")
+    metadata_of(pairs, where="metadata")
     promised = pairs.get("sha256")
     if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
-        raise wrong_field("metadata:sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
+        raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
+    if pairs.get("asset", "auto") != "auto":
+        raise _wrong("asset", "not-allowed", f"asset is {pairs['asset']!r}; only auto is allowed")
     for key in ("filename", "name"):
         if not is_name(pairs.get(key, "")):
-            detail = f"{key} has at most {MAX_NAME_CHARS} characters and no control character"
-            raise wrong_field(f"metadata:{key}", "not-allowed", detail)
+            raise _wrong(key, "not-allowed", f"{key} has at most {MAX_NAME_CHARS} characters and no control character")
     return pairs
+
+
+def _wrong(name: str, code: str, detail: str) -> ProblemError:
+    return wrong_field(f"metadata:{name}", code, detail)
 
 
 def _standing(record: UploadRecord, size: int) -> dict[str, str]:

@@ -1,14 +1,14 @@
 """Bodies of assets and uploads."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dynamictree.requests import Reading
 from jobs.states import AssetKind
 from jobs.storage.uploads import UploadRecord, UploadState
 from service.http.multipart import MAX_FILES
-from service.schemas.base import ULID_PATTERN, Metadata, Payload, Time
+from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time, problem_of
 
 
 class PartPayload(Payload):
@@ -41,25 +41,39 @@ class AssetPayload(Payload):
 
 
 class AssetRequest(Reading):
-    """Uploads to make an asset of, once they are whole."""
+    """What to make an asset of: uploads that are whole, or an address."""
 
-    upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] = Field(
-        min_length=1, max_length=MAX_FILES, description="a mesh and what it names, photos, or one zip"
+    upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
+        default=None, min_length=1, max_length=MAX_FILES, description="a mesh and what it names, photos, or one zip"
     )
+    url: str | None = Field(default=None, max_length=2048, description="https; fetched once, redirects are checked too")
+    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
+    filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
     kind: AssetKind | None = Field(default=None, description="by name if unset")
     metadata: Metadata | None = Field(default=None, description="texts of yours, returned as they are")
 
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.upload_ids is None) == (self.url is None):
+            raise ValueError("give either upload_ids or url")
+        if self.url is None and (self.sha256 or self.filename):
+            raise ValueError("sha256 and filename go with url; those of uploads are in Upload-Metadata")
+        if self.filename is not None and "\0" in self.filename:
+            raise ValueError("filename holds a NUL; leave it out")
+        return self
+
 
 class UploadPayload(Payload):
-    """A file that comes in pieces."""
+    """A file that comes in pieces, or from an address."""
 
     id: str
-    state: UploadState = Field(description="receiving; received; ready with an asset")
+    state: UploadState = Field(description="receiving or fetching; received; ready with an asset; failed")
     filename: str
     bytes_received: int
-    length: int
+    length: int | None = Field(description="null while an address does not tell")
     sha256: str | None = Field(description="as promised")
     asset_id: str | None
+    error: Problem | None
     created_at: Time
     expires_at: Time
 
@@ -81,4 +95,4 @@ class UploadPartsPayload(Payload):
 
 def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
     """An upload as a response body, with the number of bytes received."""
-    return UploadPayload.of(upload, bytes_received=size)
+    return UploadPayload.of(upload, bytes_received=size, error=problem_of(upload.error_code, upload.error_message))

@@ -124,6 +124,7 @@ def _clear_deleted(store: Store, parts: PartStore, upload_id: str) -> None:
 
 async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> AsyncIterator[bytes]:
     """The body, as long as it is no longer than what was announced."""
+    assert record.length is not None
     size = offset
     async for chunk in body:
         if chunk and not size:

@@ -1,21 +1,38 @@
-"""Make one asset of uploads that are whole."""
+"""Turn uploads into assets: on request, or in the background for URLs and `asset=auto`."""
 
+import asyncio
+import logging
 import shutil
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import AsyncIterator, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from urllib.parse import unquote, urlsplit
 
+import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.errors import ConflictError, GoneError
+from jobs.clients.keys import Limit
+from jobs.errors import ConflictError, GoneError, OutboundError
 from jobs.records import AssetRecord
-from jobs.storage.artifacts import hash_file
+from jobs.storage.artifacts import hash_file, is_full
 from jobs.storage.assets import read_asset
-from jobs.storage.uploads import UploadRecord, change_upload
+from jobs.storage.uploads import UploadRecord, change_upload, claim_uploads
 from jobs.store import new_id
+from service.http.caller import Caller
 from service.http.multipart import Form, ReceivedFile
-from service.http.problems import ProblemError
-from service.services import Owned
-from service.uploads.intake import admit, sort_out
+from service.http.problems import REFUSALS, ProblemError, problem_of
+from service.services import Owned, Services
+from service.uploads.batches import write_in_batches
+from service.uploads.intake import FIELDS, admit, sort_out
+from service.uploads.quota import require_bytes, require_room
+
+logger = logging.getLogger(__name__)
+
+BYTES_ALLOWED = "bytes_allowed"
+"""Option of an upload from an address: the quota of the key that asked for it."""
+
+LEASE_S = 60.0
+LOOK_S = 5.0
+CHUNK_BYTES = 1024**2
 
 
 async def make_asset(
@@ -31,7 +48,7 @@ async def make_asset(
     if len(asset_ids) == 1 and None not in asset_ids:
         return await run_in_threadpool(read_asset, owned.store, str(asset_ids.pop())), False
     for upload in uploads:
-        if upload.state != "received":
+        if upload.state not in {"received", "failed"} or upload.length is None:
             raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")
     folder = owned.services.settings.scratch_dir / f"ingest-{new_id()}"
     await run_in_threadpool(folder.mkdir, parents=True)
@@ -63,5 +80,150 @@ def _files(owned: Owned, uploads: Sequence[UploadRecord], folder: Path) -> list[
 
 
 def _finish(owned: Owned, upload: UploadRecord, asset: AssetRecord) -> None:
-    change_upload(owned.store, upload.id, state="ready", asset_id=asset.id, expires_at=asset.expires_at)
+    change_upload(
+        owned.store,
+        upload.id,
+        state="ready",
+        asset_id=asset.id,
+        error_code=None,
+        error_message=None,
+        expires_at=asset.expires_at,
+    )
     owned.services.upload_parts.delete(upload.id)
+
+
+class Ingest:
+    """Fetches addresses and makes assets that nobody waits for. A lease in the store tells who does which."""
+
+    def __init__(self, services: Services) -> None:
+        self.services = services
+        self._running: set[asyncio.Task[None]] = set()
+
+    async def run(self) -> None:
+        """Look for work until cancelled."""
+        try:
+            while True:
+                await self._look()
+                try:
+                    async with asyncio.timeout(LOOK_S):
+                        await self.services.ingest_wakeup.wait()
+                except TimeoutError:
+                    continue
+        finally:
+            for task in self._running:
+                task.cancel()
+            await asyncio.gather(*self._running, return_exceptions=True)
+
+    async def _look(self) -> None:
+        self.services.ingest_wakeup.clear()
+        room = self.services.settings.max_fetches - len(self._running)
+        if room <= 0:
+            return
+        try:
+            share = self.services.settings.share_of(self.services.settings.max_fetches)
+            claimed = await run_in_threadpool(
+                claim_uploads, self.services.store, lease_s=LEASE_S, limit=room, per_owner=share
+            )
+        except sa.exc.SQLAlchemyError as error:
+            logger.warning("uploads cannot be looked for: %s", error)
+            return
+        for upload in claimed:
+            task = asyncio.create_task(self._work(upload))
+            self._running.add(task)
+            task.add_done_callback(self._done)
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._running.discard(task)
+        self.services.ingest_wakeup.set()
+        if not task.cancelled() and (error := task.exception()) is not None:
+            logger.error("an upload was left; its lease will run out", exc_info=error)
+
+    async def _work(self, upload: UploadRecord) -> None:
+        allowed = upload.options.get(BYTES_ALLOWED)
+        limits: dict[Limit, int] = {"bytes": allowed} if isinstance(allowed, int) else {}
+        owned = self.services.owned_by(Caller(owner=upload.owner, limits=limits))
+        renewing = asyncio.create_task(self._renew(upload.id))
+        try:
+            if upload.state == "fetching":
+                upload = await fetch(owned, upload)
+            options = {name: str(value) for name, value in upload.options.items() if name in FIELDS}
+            await make_asset(owned, [upload], options)
+        except (*REFUSALS, OSError) as error:
+            if isinstance(error, OSError) and not isinstance(error, REFUSALS) and not is_full(error):
+                raise
+            problem = (
+                problem_of(error) if isinstance(error, REFUSALS) else ProblemError("disk-full", "the disk is full")
+            )
+            if upload.state == "fetching":
+                await run_in_threadpool(owned.services.upload_parts.delete, upload.id)  # a later fetch begins anew
+            await run_in_threadpool(
+                change_upload,
+                owned.store,
+                upload.id,
+                state="failed",
+                error_code=problem.code,
+                error_message=problem.detail,
+                make_asset=False,
+            )
+        finally:
+            renewing.cancel()
+
+    async def _renew(self, upload_id: str) -> None:
+        while True:
+            await asyncio.sleep(LEASE_S / 3)
+            until = self.services.store.clock() + LEASE_S
+            await run_in_threadpool(change_upload, self.services.store, upload_id, lease_until=until)
+
+
+async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
+    """Fetch an upload's bytes from its address.
+
+    Raises:
+        OutboundError, ProblemError: it may not be called, does not answer, or has too much.
+    """
+    settings = owned.services.settings
+    assert upload.source_url is not None
+    await run_in_threadpool(owned.services.upload_parts.delete, upload.id)
+    writer = await run_in_threadpool(owned.services.upload_parts.writer, upload.id, 0)
+
+    def write(batch: list[bytes]) -> None:
+        _require_place(owned, sum(map(len, batch)))
+        writer.write(batch)
+
+    try:
+        async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
+            if response.headers.get("content-encoding", "identity") != "identity":
+                raise OutboundError("the address sends a packed body though it was asked not to")
+            await run_in_threadpool(_require_place, owned, _bytes_of(response.headers.get("content-length", "0")))
+            body = _bounded(response.aiter_raw(CHUNK_BYTES), settings.max_upload_bytes)
+            size = await write_in_batches(body, write)
+    except TimeoutError as error:
+        raise OutboundError(f"the file did not come within {settings.fetch_time_s:g} s") from error
+    finally:
+        await asyncio.shield(run_in_threadpool(writer.keep))
+    return await run_in_threadpool(
+        change_upload, owned.store, upload.id, was=("fetching",), state="received", length=size, received=size
+    )
+
+
+async def _bounded(body: AsyncIterator[bytes], allowed: int) -> AsyncIterator[bytes]:
+    size = 0
+    async for chunk in body:
+        size += len(chunk)
+        if size > allowed:
+            raise ProblemError("payload-too-large", f"the file has more than the {allowed:,} bytes that are allowed")
+        yield chunk
+
+
+def _bytes_of(length: str) -> int:
+    return int(length) if length.isascii() and length.isdecimal() and len(length) <= 18 else 0
+
+
+def _require_place(owned: Owned, wanted: int) -> None:
+    require_room(owned, wanted)
+    require_bytes(owned, wanted)
+
+
+def name_of_url(url: str) -> str:
+    """What a file at an address is called."""
+    return PurePosixPath(unquote(urlsplit(url).path)).name[:255].replace("\0", "") or "file"

@@ -85,7 +85,7 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     Raises:
         ProblemError: a field or the set of files is not allowed.
     """
-    reading, metadata = _reading_of(form.fields), _metadata_of(form.fields)
+    reading, metadata = reading_options(form.fields), metadata_of(form.fields)
     files = form.files
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder, require_room=partial(require_room, owned))
@@ -111,29 +111,37 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     return Upload(kind="mesh", num_models=len(models), files=every, reading=reading, metadata=metadata)
 
 
-def _reading_of(fields: Mapping[str, str]) -> Reading:
-    """Up axis and unit of the fields of a form."""
+def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Reading:
+    """Up axis and unit of the fields of a form, or of `Upload-Metadata`; `where` names it in errors.
+
+    Raises:
+        ProblemError: a field is unknown or not allowed.
+    """
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
-        detail = f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known"
-        raise wrong_field(f"form:{unknown[0]}", "unknown-field", detail)
+        raise _wrong(
+            where, unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known"
+        )
     if fields.get("kind", "mesh") not in ASSET_KINDS:
-        detail = f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed"
-        raise wrong_field("form:kind", "not-allowed", detail)
+        raise _wrong(where, "kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
     try:
         own = {name: fields[name] for name in Reading.model_fields if name in fields}
         return Reading.model_validate(own, strict=False)  # a form has texts only
     except ValidationError as error:
-        wrong = field_errors([one | {"loc": ("form", *one["loc"])} for one in error.errors()])
+        wrong = field_errors([one | {"loc": (where, *one["loc"])} for one in error.errors()])
         raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
 
 
-def _metadata_of(fields: Mapping[str, str]) -> dict[str, str]:
-    """The texts of `metadata`, which is a JSON object."""
+def metadata_of(fields: Mapping[str, str], *, where: str = "form") -> dict[str, str]:
+    """The texts of `metadata`, which is a JSON object.
+
+    Raises:
+        ProblemError: it is none, or has too many or too long texts.
+    """
     try:
         return _METADATA.validate_json(fields.get("metadata", "{}"))
     except ValidationError as error:
-        wrong = field_errors([one | {"loc": ("form", "metadata")} for one in error.errors()])
+        wrong = field_errors([one | {"loc": (where, "metadata")} for one in error.errors()])
         raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
 
 
@@ -281,6 +289,10 @@ def _is_mask(file: ReceivedFile) -> bool:
 
 def _suffix(file: ReceivedFile) -> str:
     return PurePosixPath(file.name).suffix.lower()
+
+
+def _wrong(where: str, name: str, code: str, detail: str) -> ProblemError:
+    return wrong_field(f"{where}:{name}", code, detail)
 
 
 def _unsupported(file: ReceivedFile, suffixes: tuple[str, ...]) -> ProblemError:

@@ -32,7 +32,7 @@ def announce(owned: Owned, upload: UploadRecord) -> UploadRecord:
     Raises:
         ProblemError, BytesQuotaError: on the disk, or in the owner's quota, there is not.
     """
-    require_room(owned, upload.length)
+    require_room(owned, upload.length or 0)
     return add_upload(owned.store, upload, max_bytes=owned.caller.limits.get("bytes"))
 
 
@@ -44,6 +44,7 @@ def reserved(owned: Owned, length: int) -> Iterator[None]:
         id=new_id(),
         state="receiving",
         filename="form",
+        options={},
         length=length,
         writer="form",
         created_at=now,

@@ -63,7 +63,9 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
 
 def _upload(store: Store, upload_id: str) -> UploadRecord:
     now = store.clock()
-    return UploadRecord(id=upload_id, state="ready", filename="tree", length=1, created_at=now, expires_at=now + 100)
+    return UploadRecord(
+        id=upload_id, state="failed", filename="tree", options={}, length=1, created_at=now, expires_at=now + 100
+    )
 
 
 def _rows(store: Store) -> dict[str, list[dict[str, object]]]:

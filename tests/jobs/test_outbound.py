@@ -2,7 +2,11 @@
 
 import asyncio
 import socket
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
+from typing import ClassVar
 from urllib.parse import urlsplit
 
 import pytest
@@ -141,6 +145,75 @@ def test_one_private_address_among_public_ones_is_enough() -> None:
         asyncio.run(Outbound(look_up=both).check("https://tree.example/"))
 
 
+class Site(BaseHTTPRequestHandler):
+    """Redirects, files, and a server that breaks off."""
+
+    hosts: ClassVar[list[str]] = []
+
+    def do_GET(self) -> None:
+        self.hosts.append(self.headers["Host"])
+        if self.path.startswith("/to/"):
+            self.send_response(302)
+            self.send_header("Location", self.path.removeprefix("/to/"))
+            self.end_headers()
+        elif self.path == "/short":
+            self.send_response(200)
+            self.send_header("Content-Length", "100")
+            self.end_headers()
+            self.wfile.write(b"half")
+        elif self.path == "/file":
+            self.send_response(200)
+            self.send_header("Content-Length", "4")
+            self.end_headers()
+            self.wfile.write(b"tree")
+        else:
+            self.send_error(404)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"tree.example:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+async def fetched(site: str, path: str) -> bytes:
+    async def look_up(host: str, port: int) -> list[str]:
+        return ["127.0.0.1" if host == "tree.example" else "10.0.0.1"]
+
+    async with Outbound(private_hosts=(site,), look_up=look_up).get(f"http://{site}{path}") as response:
+        return b"".join([chunk async for chunk in response.aiter_raw()])
+
+
+def test_a_file_is_fetched_by_its_name_from_the_checked_address(site: str) -> None:
+    assert asyncio.run(fetched(site, "/file")) == b"tree"
+    assert Site.hosts[-1] == site
+    assert asyncio.run(fetched(site, "/to//file")) == b"tree"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/to/http://inside.example/file",
+        "/to/https://inside.example/",
+        "/to/file:///etc/passwd",
+        "/to//to//to//to//to//file",
+        "/absent",
+        "/short",
+    ],
+)
+def test_a_redirect_is_checked_as_the_first_address_was(site: str, path: str) -> None:
+    with pytest.raises(OutboundError):
+        asyncio.run(fetched(site, path))
+
+
 def test_who_does_not_answer_is_reported() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -150,6 +223,5 @@ def test_who_does_not_answer_is_reported() -> None:
 
 
 async def _open(where: str) -> None:
-    outbound = Outbound(private_hosts=(where,))
-    async with outbound.send(await outbound.check(f"http://{where}/"), "POST", headers={}):
+    async with Outbound(private_hosts=(where,)).get(f"http://{where}/"):
         pass

@@ -32,7 +32,7 @@ def test_tables_of_an_earlier_revision_are_refused(tmp_path: Path, earlier: str)
     with engine.begin() as connection:
         connection.execute(sa.text(earlier))
     engine.dispose()
-    with pytest.raises(SchemaError, match=r"revision 0, this program needs 2; .* another state folder"):
+    with pytest.raises(SchemaError, match=r"revision 0, this program needs 1; .* another state folder"):
         Store.open(url)
 
 

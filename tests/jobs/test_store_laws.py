@@ -12,6 +12,7 @@ from jobs.lifecycle.rows import end, move
 from jobs.records import AssetRecord, Claim, ClientKey
 from jobs.states import TRANSITIONS, JobState, stages_of
 from jobs.storage.assets import delete_asset
+from jobs.storage.uploads import UploadRecord, add_upload, claim_uploads
 from jobs.store import Store
 from tests.jobs.conftest import FILE, Clock, add_job, claim, publish
 from tests.rows import job_row
@@ -278,6 +279,30 @@ def test_a_client_key_gives_its_job_when_the_asset_is_gone(store: Store, asset: 
     assert earlier is not None
     assert earlier.id == job.id
     assert store.for_owner("other").job_of_key(key) is None
+
+
+def test_uploads_of_owners_take_turns(store: Store, clock: Clock) -> None:
+    def begin(owner: str, number: int) -> None:
+        row = UploadRecord(
+            id=f"{owner}{number}",
+            state="fetching",
+            filename="a",
+            options={},
+            length=None,
+            make_asset=True,
+            source_url="https://a.example",
+            created_at=clock.now,
+            expires_at=clock.now + 1000,
+        )
+        add_upload(store.for_owner(owner), row)
+
+    for number in range(9):
+        begin("a", number)
+    begin("b", 0)
+    assert [u.id for u in claim_uploads(store, lease_s=60, limit=8, per_owner=2)] == ["a0", "b0", "a1"]
+    assert claim_uploads(store, lease_s=60, limit=8, per_owner=2) == []
+    begin("b", 1)
+    assert [u.id for u in claim_uploads(store, lease_s=60, limit=8, per_owner=2)] == ["b1"]
 
 
 def test_a_job_whose_queue_has_no_worker_goes_where_there_is_one(

@@ -46,14 +46,18 @@ def photo(number: int, size: tuple[int, int] = (400, 300)) -> bytes:
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("way", ["form", "uploads"])
+@pytest.mark.parametrize("way", ["form", "uploads", "auto"])
 def test_texts_of_the_client_come_back(client: TestClient, way: str) -> None:
     texts = {"plot": "17", "Baum": "Bäume"}
     if way == "form":
         sent = client.post("/v1/assets", files={"file": ("tree.obj", OBJ)}, data={"metadata": json.dumps(texts)})
-    else:
+    elif way == "uploads":
         body = {"upload_ids": [whole(client, OBJ, filename="tree.obj")], "metadata": texts}
         sent = client.post("/v1/assets", json=body)
+    else:
+        upload_id = whole(client, OBJ, filename="tree.obj", asset="auto", metadata=json.dumps(texts))
+        ready = client.get(f"/v1/uploads/{upload_id}", headers={"Prefer": "wait=30"}).json()
+        sent = client.get(f"/v1/assets/{ready['asset_id']}")
     assert sent.json()["metadata"] == texts, sent.text
     again = client.post("/v1/assets", files={"file": ("tree.obj", OBJ)})
     assert (again.json()["id"], again.json()["metadata"]) == (sent.json()["id"], texts)

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from unittest.mock import AsyncMock
 
@@ -15,15 +16,17 @@ from jobs.clients.outbound import Outbound
 from jobs.lifecycle.attempts import report_progress, start_stage, succeed
 from jobs.lifecycle.maintenance import forget_expired, hold_lease, overdue, worker_lease
 from jobs.records import AssetPart, AssetRecord
+from jobs.settings import Settings
 from jobs.states import stages_of
 from jobs.storage.assets import add_asset
+from service.app import create_app
 from service.http.caller import ANYONE
 from service.routes import job_events
 from service.services import Services
 from tests import servers
 from tests.rows import asset_row, job_row
 from tests.service.conftest import change_services, hold, publish
-from tests.service.test_assets import OBJ
+from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import claimed, create
 
 
@@ -158,6 +161,59 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     assert client.delete(url).status_code == 404
     unknown = {"type": "voxelize", "asset_id": asset.id, "webhook": response.json()["id"]}
     assert client.post("/v1/jobs", json=unknown).status_code == 404
+
+
+class Site(BaseHTTPRequestHandler):
+    """Files by address."""
+
+    def do_GET(self) -> None:
+        files = {"/tree.obj": OBJ.replace(b"mtllib tree.mtl\n", b""), "/no.obj": b"hello", "/large.obj": bytes(5000)}
+        if self.path not in files:
+            self.send_error(404)
+            return
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(files[self.path])
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("path", "promised", "code"),
+    [
+        ("/tree.obj", None, None),
+        ("/tree.obj", "0" * 64, "checksum-mismatch"),
+        ("/no.obj", None, "unsupported-format"),
+        ("/absent.obj", None, "fetch-failed"),
+        ("/large.obj", None, "payload-too-large"),
+    ],
+)
+def test_an_address_becomes_an_asset(settings: Settings, path: str, promised: str | None, code: str | None) -> None:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    where = f"127.0.0.1:{server.server_port}"
+    app = create_app(settings.model_copy(update={"outbound_hosts": (where,), "max_upload_bytes": 4000}))
+    with TestClient(app, "http://localhost") as client:
+        sent = client.post("/v1/assets", json={"url": f"http://{where}{path}", "sha256": promised, "unit_m": 2})
+        assert (sent.status_code, sent.json()["state"]) == (202, "fetching")
+        upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
+        if code is None:
+            asset = client.get(f"/v1/assets/{upload['asset_id']}").json()
+            assert (asset["summary"]["extent_m"], asset["parts"][0]["name"]) == ([2.0, 2.0, 4.0], "tree.obj")
+        else:
+            assert (upload["state"], upload["error"]["code"]) == ("failed", code)
+        assert left_behind(app.state.services) == []
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_an_address_inside_is_not_fetched(client: TestClient) -> None:
+    for url in ("https://169.254.169.254/latest/meta-data/", "http://127.0.0.1:6379/", "file:///etc/passwd"):
+        refused = client.post("/v1/assets", json={"url": url})
+        assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed")
 
 
 def test_a_stream_whose_head_is_not_taken_gives_its_place_back(client: TestClient, services: Services) -> None:

@@ -14,7 +14,7 @@ from service.services import Services
 from service.uploads import append as append_module
 from service.uploads import batches
 from service.uploads.append import append as append_body
-from tests.service.test_assets import MTL, OBJ, left_behind
+from tests.service.test_assets import MTL, OBJ, left_behind, zipped
 from tests.service.tus import BYTES, TUS, append, begin, metadata, whole
 
 
@@ -55,10 +55,24 @@ def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, servic
     assert services.upload_parts.size(ids[0]) == 0
 
 
+def test_an_upload_may_ask_for_its_asset(client: TestClient) -> None:
+    packed = zipped(("tree.obj", OBJ), ("tree.mtl", MTL))
+    sent = TUS | {"Upload-Length": str(len(packed)), "Upload-Metadata": metadata(filename="a.zip", asset="auto")}
+    url = client.post("/v1/uploads", content=packed, headers=BYTES | sent).headers["Location"]
+    response = client.get(url, headers={"Prefer": "wait=30"}).json()
+    assert response["state"] == "ready"
+    assert client.get(f"/v1/assets/{response['asset_id']}").json()["summary"]["num_vertices"] == 4
+
+
 def test_an_upload_that_is_no_tree_says_so(client: TestClient) -> None:
-    id = whole(client, b"hello world\n", filename="tree.obj")
-    refused = client.post("/v1/assets", json={"upload_ids": [id]})
-    assert (refused.status_code, refused.json()["code"]) == (415, "unsupported-format")
+    id = whole(client, b"hello world\n", filename="tree.obj", asset="auto")
+    response = client.get(f"/v1/uploads/{id}", headers={"Prefer": "wait=30"}).json()
+    assert (response["state"], response["asset_id"], response["error"]["code"]) == (
+        "failed",
+        None,
+        "unsupported-format",
+    )
+    assert client.post("/v1/assets", json={"upload_ids": [id]}).status_code == 415
 
 
 def test_an_upload_goes_on_where_it_stands_and_nowhere_else(client: TestClient) -> None:

@@ -117,7 +117,9 @@ def test_more_bytes_than_come_in_a_minute_go_in_a_minute(keeper: Housekeeper, mo
 
 def test_an_upload_is_forgotten_after_its_bytes(keeper: Housekeeper) -> None:
     now = keeper.store.clock()
-    row = UploadRecord(id="u", state="receiving", filename="a", length=9, created_at=now - 2, expires_at=now - 1)
+    row = UploadRecord(
+        id="u", state="receiving", filename="a", options={}, length=9, created_at=now - 2, expires_at=now - 1
+    )
     add_upload(keeper.store, row)
     keeper.parts.writer("u", 0).keep()
     away = replace(keeper, parts=PartsAway(keeper.parts.root))  # type: ignore[attr-defined]
@@ -226,7 +228,7 @@ def test_one_upload_that_cannot_be_removed_keeps_no_other(keeper: Housekeeper) -
     now = keeper.store.clock()
     for name in ("a", "b", "c"):
         times = {"created_at": now - 2, "expires_at": now - 1}
-        add_upload(keeper.store, UploadRecord(id=name, state="receiving", filename="a", length=9, **times))
+        add_upload(keeper.store, UploadRecord(id=name, state="receiving", filename="a", options={}, length=9, **times))
 
     class Stuck(FolderParts):
         def delete(self, upload_id: str) -> None:
