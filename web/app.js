@@ -177,6 +177,7 @@ export class App {
 
   onClear() {
     hideProblem();
+    this.stage.surroundings.arrow.visible = false; // no wind blows until a tree moves
     this.hand.leave();
     this.player.stop();
     this.company.place();

@@ -39,6 +39,7 @@ export class Person {
     const { box, middle, radius, halfWidth } = this.stage;
     const beside = Math.min(box.max.x + 0.1 * radius, middle.x + SEEN_SHARE * halfWidth - 0.4 * height);
     this.mesh.visible = visible;
+    this.stage.surroundings.arrow.material.visible = !visible; // which lies where the person stands
     this.mesh.scale.setScalar(height);
     this.mesh.position.set(beside + 0.2 * height, middle.y - 0.3 * radius, box.min.z);
     this.mesh.rotation.set(Math.PI / 2, 0, 0);
