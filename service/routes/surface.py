@@ -5,11 +5,13 @@ import json
 import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
+from jaxtyping import Float, Float64, Int32, Int64, Integer
 from safetensors.numpy import save
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import bin_weights
+from dynamictree.voxel.grid import VoxelGrid
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
@@ -22,6 +24,9 @@ router = APIRouter(prefix="/v1", tags=["spectra"])
 
 BONES = 4
 """A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
+
+MAX_TIED = 20_000
+"""Vertices up to which a push bends each as the service does: a few seconds of solving. Others follow near voxels."""
 
 _FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
 
@@ -70,11 +75,10 @@ def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh
     rig = rig_for(owned, ready, spectrum_id)
     weights = bin_weights(rig.turns.shape[1], rig.num_frames)[:, None]  # bin 0 is the lean, the others φ_k = 2 c_k
     turns, step_rad = quantised(rig.turns * weights)
-    carried = bone_ties(ready, mesh)
-    strongest = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
+    rows, shares = _pushed(ready, mesh)
     return {
-        "bone_rows": np.take_along_axis(carried.rows, strongest, axis=1).astype(np.uint16),
-        "bone_weights": _bytes(np.take_along_axis(carried.weights, strongest, axis=1)),
+        "bone_rows": rows.astype(np.uint16),
+        "bone_weights": _bytes(shares),
         "turn_shapes": turns,
         "turn_scale_rad": step_rad,
         "turn_parent": rig.skeleton.parent,
@@ -83,6 +87,38 @@ def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh
         "turn_bone": rig.vertices.rows[:, 0],
         "turn_share": rig.vertices.shares[:, 1],
     }
+
+
+def _pushed(ready: ReadyTree, mesh: TriangleMesh) -> tuple[Integer[np.ndarray, "N b"], Float[np.ndarray, "N b"]]:
+    """Bones that carry each vertex under a push, the strongest first, and their weights; 0 for what is no plant."""
+    if mesh.num_vertices <= MAX_TIED:
+        carried = bone_ties(ready, mesh)
+        strongest = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
+        rows, weights = (np.take_along_axis(values, strongest, axis=1) for values in (carried.rows, carried.weights))
+        return rows, weights
+    grid, tree = ready.tree.system.grid, ready.tree.system.tree
+    far, near = _nearest_voxels(grid, tree, mesh)
+    weights = np.where(mesh.still_vertices[:, None], 0, 1 / (far**2 + grid.voxel_size_m**2))
+    return ready.tree.bones.bone_of_voxel[near], weights
+
+
+def _nearest_voxels(
+    grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None, mesh: TriangleMesh
+) -> tuple[Float64[np.ndarray, "N b"], Int64[np.ndarray, "N b"]]:
+    """Distances [m] and rows of the voxels next to each vertex; of several trees those of its own."""
+    from scipy.spatial import cKDTree  # not at start: half a second
+
+    every = [(np.arange(mesh.num_vertices), np.arange(len(grid)))]
+    if tree is not None and mesh.face_tree is not None:
+        every = [
+            (np.unique(mesh.faces[mesh.face_tree == each]), np.flatnonzero(tree == each)) for each in np.unique(tree)
+        ]
+    far, rows = np.zeros((mesh.num_vertices, BONES)), np.zeros((mesh.num_vertices, BONES), np.int64)
+    for vertices, own in every:
+        distance, index = cKDTree(grid.centres_m[own]).query(mesh.vertices[vertices], k=np.arange(1, BONES + 1))
+        far[vertices] = distance  # infinite where there are fewer
+        rows[vertices] = own[np.minimum(index, len(own) - 1)]
+    return far, rows
 
 
 def _bytes(weights: np.ndarray) -> np.ndarray:

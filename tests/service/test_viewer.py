@@ -268,6 +268,21 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(
     np.testing.assert_array_equal(again["turn_shapes"], tensors["turn_shapes"])
 
 
+def test_pushes_bend_a_large_surface_by_near_voxels(
+    client: TestClient, spectrum_id: str, grown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exact, near = [], []
+    for most, tensors in ((surface.MAX_TIED, exact), (10, near)):
+        monkeypatch.setattr(surface, "MAX_TIED", most)
+        tensors.append(load(client.get(f"/v1/spectra/{spectrum_id}/surface").content))
+    np.testing.assert_array_equal(exact[0]["turn_shapes"], near[0]["turn_shapes"])
+    assert (near[0]["bone_weights"].astype(int).sum(axis=1) == 255).all()
+    shared = [
+        bool(set(one) & set(other)) for one, other in zip(exact[0]["bone_rows"], near[0]["bone_rows"], strict=True)
+    ]
+    assert np.mean(shared) > 0.8, "other bones than the solved ties"
+
+
 def test_mode_shapes_of_voxels_are_left_out_where_they_are_not_wanted(client: TestClient, spectrum_id: str) -> None:
     path = f"/v1/spectra/{spectrum_id}/modes"
     whole, small = (load(client.get(path, params={"shapes": shapes}).content) for shapes in ("true", "false"))
