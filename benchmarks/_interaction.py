@@ -4,10 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.gaussian.binding import Binding, bind_to_faces
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.system import ModalSystem, modal_system
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from lab.dataset.sample import make_sample, voxel_spectrum
 
@@ -23,6 +26,11 @@ class Scene:
     mesh: TriangleMesh
     spectrum: SparseVoxelSpectrum
     system: ModalSystem
+
+    def vertex_frames(self) -> VertexFrames:
+        """The vertices at any modal coordinates."""
+        shares = voxel_shares(self.spectrum.grid, self.mesh)
+        return VertexFrames(rig_of(self.mesh, self.spectrum), self.mesh.vertices, shares)
 
 
 def scene() -> Scene:

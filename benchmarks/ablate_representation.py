@@ -7,10 +7,10 @@ unseen species, by vertex.
 import numpy as np
 
 from benchmarks._machine import machine
-from dynamictree.devoxelize.interpolation import VoxelInterpolation
-from dynamictree.devoxelize.nearest import nearest
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree import method
+from dynamictree.devoxelize.nearest import nearest_rows
 from dynamictree.mesh import edges_of
+from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average, voxelize
 from lab.dataset.motion import vertex_spectrum
@@ -21,7 +21,7 @@ TREES = ((2, "weeping"), (3, "palm"))
 ALL = 24  # frequencies
 RESOLUTIONS = (32, 64, 128, 256)
 COUNTS = (4, 8, 16, 24)
-COUNTS_AT = (128, "smooth")  # where they are compared; elsewhere K = 16
+COUNTS_AT = (128, "rig")  # where they are compared; elsewhere K = 16
 
 
 def run() -> dict[str, object]:
@@ -33,17 +33,18 @@ def run() -> dict[str, object]:
         for resolution in RESOLUTIONS:
             grid = voxelize(sample.mesh, resolution).grid
             average = surface_average(sample.mesh, grid)
-            ways = {
-                "nearest": nearest(grid, sample.mesh.vertices),
-                "trilinear": _trilinear(grid, sample.mesh.vertices),
-                "smooth": smooth(grid, sample.mesh),
-            }
-            for way, interpolation in ways.items():
+            rows, (corners, weights) = nearest_rows(grid, sample.mesh.vertices), _trilinear(grid, sample.mesh.vertices)
+            for way in ("nearest", "trilinear", "rig"):
                 for count in COUNTS if (resolution, way) == COUNTS_AT else (16,):
                     truncated = truth[:, :count]
                     flat = truncated.reshape(len(truncated), -1).view(np.float32)
                     voxels = np.ascontiguousarray(average.astype(np.float32) @ flat).view(np.complex64)
-                    back = interpolation.apply(voxels.reshape(-1, count, 3))
+                    voxels = voxels.reshape(-1, count, 3)
+                    if way == "rig":
+                        back = method.devoxelize(SparseVoxelSpectrum(grid=grid, coefficients=voxels), sample.mesh)
+                    else:
+                        around = (voxels[corners] * weights[:, :, None, None]).sum(axis=1)
+                        back = around if way == "trilinear" else voxels[rows]
                     name = f"{resolution}, {way}, K={count}"
                     tables.setdefault(name, []).append(_row(back, truth, sample.mesh.vertices, edges))
     return {
@@ -57,8 +58,8 @@ def run() -> dict[str, object]:
     }
 
 
-def _trilinear(grid: VoxelGrid, points: np.ndarray) -> VoxelInterpolation:
-    """Between the centres of the eight voxels around, of which those count that are there."""
+def _trilinear(grid: VoxelGrid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and weights of the eight voxels around, of which those count that are there, [N, 8]."""
     place = (points.astype(np.float64) - grid.origin_m) / grid.voxel_size_m - 0.5
     low = np.floor(place).astype(np.int32)
     share = place - low
@@ -66,9 +67,7 @@ def _trilinear(grid: VoxelGrid, points: np.ndarray) -> VoxelInterpolation:
     rows = np.stack([grid.rows_of((low + corner).astype(np.int32)) for corner in corners], axis=1)  # [N, 8]
     weights = np.prod(np.where(corners, share[:, None], 1 - share[:, None]), axis=2) * (rows >= 0)
     weights /= weights.sum(axis=1, keepdims=True)
-    return VoxelInterpolation(
-        rows=np.maximum(rows, 0).astype(np.int32), weights=weights.astype(np.float32), num_voxels=len(grid)
-    )
+    return np.maximum(rows, 0), weights.astype(np.float32)
 
 
 def _row(back: np.ndarray, truth: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> dict[str, float]:

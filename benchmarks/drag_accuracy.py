@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks._machine import machine
 from benchmarks.modal_locality import line_of, stem_of_voxels
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.mesh import edges_of
 from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
 from dynamictree.modal.force import Drag, contact_at_voxel
@@ -87,7 +87,7 @@ def _tree(seed: int, species: str, rng: np.random.Generator) -> list[dict[str, o
     _, spectrum = voxel_spectrum(sample)
     system = modal_system(spectrum)
     tree, grid, mesh = InteractiveTree(system), system.grid, sample.mesh
-    ties = smooth(grid, mesh)
+    ties = voxel_shares(grid, mesh)
     carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     owner = stem_of_voxels(sample, system)
     level_of_stem = np.zeros(len(sample.skeleton.stem_length_m), int)

@@ -7,11 +7,10 @@ import numpy as np
 from benchmarks._interaction import gaussians_on, scene
 from benchmarks._machine import copied, machine, over_floor, timed
 from benchmarks.deform_gaussians import frame_bytes
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.modal.bone_attachment import attach_mesh
 from dynamictree.modal.bones import bones_of
-from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
 from dynamictree.modal.warp import bend, bone_turns, pose
@@ -23,8 +22,8 @@ FLOOR_TARGET = 2.5  # times what copying the bytes of a frame takes
 def run() -> dict[str, object]:
     prepared = scene()
     system, mesh, grid = prepared.system, prepared.mesh, prepared.spectrum.grid
-    ties = smooth(grid, mesh)
-    vertices = VertexFrames(system, ties)
+    ties = voxel_shares(grid, mesh)
+    vertices = prepared.vertex_frames()
     deformer = Deformer(gaussians_on(mesh))
     shuffled = Deformer(gaussians_on(mesh, in_face_order=False))
     states = knocked(system)

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse
 
 from benchmarks._machine import machine
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.mesh import edges_of
 from dynamictree.modal.bone_attachment import attach_mesh
 from dynamictree.modal.bones import bones_of
@@ -115,7 +115,7 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
     q = equilibrium(
         system, generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
     ).q
-    bones, ties = bones_of(system), smooth(grid, mesh)
+    bones, ties = bones_of(system), voxel_shares(grid, mesh)
     carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     everywhere, highest = np.ones((1, len(bones.parent)), np.float32), int(np.argmax(mesh.vertices[:, 2]))
 

@@ -11,9 +11,7 @@ from benchmarks import _mpm as mpm
 from benchmarks._interaction import gaussians_on, scene
 from benchmarks._machine import Timing, machine, timed
 from benchmarks.modal_frame import knocked
-from dynamictree.devoxelize.smooth import smooth
 from dynamictree.gaussian.deform import Deformer
-from dynamictree.modal.frames import VertexFrames
 
 TARGET = 1000.0
 TIMED_SUBSTEPS = 12
@@ -22,8 +20,7 @@ NS_LIMIT = 250.0
 
 def run() -> dict[str, object]:
     prepared = scene()
-    ties = smooth(prepared.spectrum.grid, prepared.mesh)
-    vertices = VertexFrames(prepared.system, ties)
+    vertices = prepared.vertex_frames()
     binding = gaussians_on(prepared.mesh)
     deformer, states = Deformer(binding), knocked(prepared.system)
     ours = timed(lambda: deformer.pose(vertices.displacement(next(states))))

@@ -10,9 +10,7 @@ import numpy as np
 from benchmarks._interaction import SEED, SPECIES, gaussians_on, scene
 from benchmarks._machine import machine, timed
 from benchmarks.modal_frame import knocked
-from dynamictree.devoxelize.smooth import smooth
 from dynamictree.gaussian.deform import Deformer
-from dynamictree.modal.frames import VertexFrames
 from lab.dataset.sample import make_sample
 from lab.dataset.stem_skeleton import Skeleton
 
@@ -64,7 +62,7 @@ def run() -> dict[str, object]:
     if newton is None:
         raise SystemExit("benchmarks: rod_rival needs Newton; pip install newton warp-lang")
     prepared = scene()
-    vertices = VertexFrames(prepared.system, smooth(prepared.spectrum.grid, prepared.mesh))
+    vertices = prepared.vertex_frames()
     deformer, states = Deformer(gaussians_on(prepared.mesh)), knocked(prepared.system)
     rods = RodTree(make_sample(SEED, SPECIES).skeleton)
     ours = timed(lambda: deformer.pose(vertices.displacement(next(states))))

@@ -59,7 +59,7 @@ def _sizes(mesh: TriangleMesh, source_bytes: int) -> dict[str, object]:
             product = "glb" if name == "morph" else "glb-skinned"
             facts: dict[str, dict[str, int | float]] = {}
             options = ExportParams(formats=(product,), joints=joints or None)
-            path = write_products(mesh, spectrum, options, Path(folder) / name, on_facts=facts.__setitem__)[product]
+            path = write_products(mesh, spectrum, options, Path(folder), on_facts=facts.__setitem__)[product]
             size = path.stat().st_size
             row[f"{name}_mb"] = round(size / 1e6, 2)
             row[f"{name}_max_error"] = round(1e3 * facts[product]["max_error_m"] / mesh.height_m, 3)

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex64, Float32
 
-from dynamictree.devoxelize.nearest import nearest
+from dynamictree.devoxelize.nearest import nearest_rows
 from dynamictree.gaussian.animate import iter_splat_frames
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -128,7 +128,7 @@ def devoxelize(
     if how == "rig":
         rig = rig_of(mesh, spectrum)
         return rig.loop(mesh.vertices, rig.vertices)
-    moved: Complex64[np.ndarray, "N K 3"] = nearest(spectrum.grid, mesh.vertices).apply(spectrum.coefficients)
+    moved: Complex64[np.ndarray, "N K 3"] = spectrum.coefficients[nearest_rows(spectrum.grid, mesh.vertices)]
     moved[mesh.still_vertices] = 0
     return moved
 

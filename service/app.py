@@ -159,7 +159,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
 
 def _warm_up() -> None:
     # numba, which the first push and the first look at the limits would wait for
-    import dynamictree.devoxelize.smooth
+    import dynamictree.devoxelize.shares
     import dynamictree.export.table
     import dynamictree.gaussian.deform  # noqa: F401
 

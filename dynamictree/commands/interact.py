@@ -1,6 +1,6 @@
 """`dynamictree interact`: push a tree and write how it swings."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +13,7 @@ from dynamictree.commands.input_files import load_mesh
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
@@ -28,6 +28,8 @@ from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.requests import InteractParams, Reading
+from dynamictree.rig.rig import rig_of
+from dynamictree.spectrum import SparseVoxelSpectrum
 
 FORMATS = ("modal", "motion", "ply")
 FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply": "frames-ply.zip"}
@@ -75,8 +77,9 @@ def interact(
     """
     wanted = _formats(formats, has_mesh=mesh is not None)
     with opened(spectrum) as stream:
+        sway = read_spectrum(stream)
         system = modal_system(
-            read_spectrum(stream),
+            sway,
             mass_kg=params.mass_kg,
             damping_ratio=params.damping_ratio,
             frequency_hz=params.frequency_hz,
@@ -100,7 +103,8 @@ def interact(
         start="held" if held else "rest",
         bent=tree if params.warp else None,
     )
-    files = _write(tree, answer, source, carried, output, wanted=wanted, fps=fps)
+    moved = None if source is None else _vertex_frames(tree, answer, source, carried, sway)
+    files = _write(answer, source, moved, output, wanted=wanted, fps=fps)
     facts = {
         "files": [str(path) for path in files],
         "num_frames": frames,
@@ -160,10 +164,9 @@ def _forces(
 
 
 def _write(
-    tree: InteractiveTree,
     answer: Answer,
     mesh: TriangleMesh | None,
-    carried: BoneAttachment | None,
+    moved: Callable[[], Iterator[Float32[np.ndarray, "N 3"]]] | None,
     output: Path,
     *,
     wanted: tuple[str, ...],
@@ -176,23 +179,28 @@ def _write(
                     stream.write(save(answer_tensors(answer), {"fps": repr(fps)}))
                     continue
                 assert mesh is not None
-                frames = _vertex_frames(tree, answer, mesh, carried)
+                assert moved is not None
                 if name == "motion":
-                    write_motion(mesh, frames, stream, num_frames=len(answer.q), fps=fps)
+                    write_motion(mesh, moved(), stream, num_frames=len(answer.q), fps=fps)
                 else:
-                    stream.writelines(iter_ply_sequence_zip(mesh, frames))
+                    stream.writelines(iter_ply_sequence_zip(mesh, moved()))
     return [output / FILE_NAMES[name] for name in wanted]
 
 
 def _vertex_frames(
-    tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, carried: BoneAttachment | None
-) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    tree: InteractiveTree,
+    answer: Answer,
+    mesh: TriangleMesh,
+    carried: BoneAttachment | None,
+    spectrum: SparseVoxelSpectrum,
+) -> Callable[[], Iterator[Float32[np.ndarray, "N 3"]]]:
     """Displacement of the mesh's vertices, frame after frame [m]: bent where bones carry them."""
-    if carried is None:
-        return tree.superposed(answer, VertexFrames(tree.system, smooth(tree.system.grid, mesh)))
-    return tree.bent(answer, mesh.vertices, carried)
+    if carried is not None:
+        return lambda: tree.bent(answer, mesh.vertices, carried)
+    frames = VertexFrames(rig_of(mesh, spectrum), mesh.vertices, voxel_shares(tree.system.grid, mesh))
+    return lambda: tree.superposed(answer, frames)
 
 
 def _carried(tree: InteractiveTree, mesh: TriangleMesh) -> BoneAttachment:
     grid = tree.system.grid
-    return attach_mesh(tree.bones, mesh, smooth(grid, mesh), voxel_size_m=grid.voxel_size_m)
+    return attach_mesh(tree.bones, mesh, voxel_shares(grid, mesh), voxel_size_m=grid.voxel_size_m)

@@ -12,7 +12,7 @@ from dynamictree.modal.bones import Bones
 
 if TYPE_CHECKING:
     from dynamictree.devoxelize.attachment import Attachments  # brings numba
-    from dynamictree.devoxelize.interpolation import VoxelInterpolation  # likewise
+    from dynamictree.devoxelize.shares import VoxelShares  # likewise
 
 BONES_A_VERTEX = 6
 STIFF_VOXELS = 12.0  # a part of the mesh that is smaller has one bone: a leaf keeps its shape
@@ -31,7 +31,7 @@ class BoneAttachment:
 
 
 def attach_mesh(
-    bones: Bones, mesh: Surface, ties: "VoxelInterpolation", *, voxel_size_m: float, parts_hang: bool = True
+    bones: Bones, mesh: Surface, ties: "VoxelShares", *, voxel_size_m: float, parts_hang: bool = True
 ) -> BoneAttachment:
     """Give each vertex the bones of its voxels, spread along the edges of what may move.
 
@@ -41,13 +41,11 @@ def attach_mesh(
     Args:
         bones: of the grid's voxels.
         mesh: at rest.
-        ties: from `devoxelize.smooth`, of this mesh and grid.
+        ties: of this mesh and grid.
         voxel_size_m: of the grid.
         parts_hang: if not, what is small has its own strongest bone, so that a twig's joint carries the twig.
     """
-    assert ties.fitted is not None
-    assert ties.attachments is not None
-    vertex, part = ties.fitted, ties.attachments.part  # of the welded mesh
+    vertex, part = ties.welded, ties.attachments.part  # of the welded mesh
     sample = np.zeros(len(part), np.int64)  # one of the vertices at a place, a moving one if there is any
     order = np.argsort(ties.weights.any(axis=1), kind="stable")
     sample[vertex[order]] = order

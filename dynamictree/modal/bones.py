@@ -58,12 +58,12 @@ class _Nodes:
     parent: Int32[np.ndarray, " B"]
 
 
-def bones_of(system: ModalSystem, *, length_voxels: float = BONE_VOXELS, one_root: bool = False) -> Bones:
+def bones_of(system: ModalSystem, *, length_voxels: float = BONE_VOXELS) -> Bones:
     """Read bones of a length and their turning from a spectrum's voxels; a second or so for 30,000 voxels.
 
-    Each of several trees has a root, unless `one_root` is set for skeletons that must have one.
+    Each of several trees has a root.
     """
-    paths, nodes = _nodes(system, length_voxels, one_root=one_root)
+    paths, nodes = _nodes(system, length_voxels)
     parent = nodes.parent
     flow = np.where(nodes.own, _flow(paths), 0)
     share = flow / np.bincount(nodes.of_voxel, flow)[nodes.of_voxel]
@@ -129,7 +129,7 @@ def _gaps(
     return np.asarray(np.linalg.norm(arm - np.clip(share, 0, 1)[..., None] * along, axis=2))
 
 
-def _nodes(system: ModalSystem, length_voxels: float, *, one_root: bool) -> tuple[_Paths, _Nodes]:
+def _nodes(system: ModalSystem, length_voxels: float) -> tuple[_Paths, _Nodes]:
     """Which node each voxel is of, and each node's parent; nodes in order of their distance from the root."""
     from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -149,7 +149,7 @@ def _nodes(system: ModalSystem, length_voxels: float, *, one_root: bool) -> tupl
         (np.ones(together.sum(), np.int8), (edges.row[together], edges.col[together])), shape=graph.shape
     )
     _, node = connected_components(same, directed=False)
-    for foot in [np.concatenate(roots)] if one_root else roots:
+    for foot in roots:
         node[foot] = node[foot[0]]  # a root is one node, whatever its shape
     parent = _parents(node.astype(np.int64), paths)
     return paths, _merge_small(node.astype(np.int64), parent, distance, smallest=SMALLEST_NODE * length_voxels)

@@ -5,9 +5,10 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Complex128, Float32
 
-from dynamictree.devoxelize.interpolation import VoxelInterpolation
-from dynamictree.modal.system import ModalSystem
+from dynamictree.devoxelize.shares import VoxelShares
 from dynamictree.parallel import compiled_reordered, in_bands
+from dynamictree.rig.rig import Rig
+from dynamictree.spectrum import bin_weights
 
 _STEPS = np.iinfo(np.int16).max
 _BLOCK = 1024
@@ -17,20 +18,20 @@ _AT_ONCE = 6
 
 
 class VertexFrames:
-    """u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k} with each φ_k interpolated to the vertices once.
+    """u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}, with φ_k of the loop in which the rig moves the vertices.
 
-    The interpolation is linear, so for forces that move the whole tree this is the interpolation of the voxels' motion,
-    without its solve in every frame. φ is stored in 16 bits: steps of max |φ_k| / 32767.
+    φ is stored in 16 bits: steps of max |φ_k| / 32767.
     """
 
-    def __init__(self, system: ModalSystem, interpolation: VoxelInterpolation) -> None:
-        at_vertices = interpolation.apply(system.shapes)  # [N, M, 3]
+    def __init__(self, rig: Rig, vertices: Float32[np.ndarray, "N 3"], shares: VoxelShares) -> None:
+        often = bin_weights(rig.turns.shape[1], rig.num_frames)[1:, None]
+        at_vertices = rig.loop(vertices, rig.vertices)[:, 1:] * often  # [N, M, 3]
         parts = np.concatenate([at_vertices.real, -at_vertices.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
-        flat = parts.transpose(1, 0, 2).reshape(2 * system.num_modes, -1)  # [2M, 3N]
+        flat = parts.transpose(1, 0, 2).reshape(2 * len(often), -1)  # [2M, 3N]
         self._scale = np.maximum(np.abs(flat).max(axis=1, initial=0), np.finfo(np.float32).tiny) / _STEPS
         missing = -len(flat) % _AT_ONCE  # rows of zeros, which `displacement` gives no coordinate
         self._basis = np.pad(np.round(flat / self._scale[:, None]).astype(np.int16), ((0, missing), (0, 0)))
-        self._interpolation = interpolation
+        self._shares = shares
 
     @property
     def num_bytes(self) -> int:
@@ -39,7 +40,7 @@ class VertexFrames:
 
     def weights(self, of_voxels: Float32[np.ndarray, "G V"]) -> Float32[np.ndarray, "G N"]:
         """w_g of each vertex: the mean over the voxels that it depends on."""
-        return np.ascontiguousarray(self._interpolation.mean(np.ascontiguousarray(of_voxels.T)).T)
+        return np.ascontiguousarray(self._shares.mean(np.ascontiguousarray(of_voxels.T)).T)
 
     def displacement(
         self, q: Complex128[np.ndarray, "G M"], weights: Float32[np.ndarray, "G N"] | None = None

@@ -12,7 +12,7 @@ from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
 from dynamictree.modal.interactive_tree import InteractiveTree
 
 if TYPE_CHECKING:
-    from dynamictree.devoxelize.interpolation import VoxelInterpolation  # brings numba, which only vertices need
+    from dynamictree.devoxelize.shares import VoxelShares  # brings numba, which only vertices need
     from dynamictree.gaussian.deform import Deformer  # brings numba
     from dynamictree.modal.frames import VertexFrames  # likewise
     from dynamictree.rig.rig import Rig  # likewise
@@ -38,7 +38,7 @@ class ReadyTree:
     tree: InteractiveTree
     expires_at: float  # of the spectrum
     mesh: TriangleMesh | None = None
-    interpolation: "VoxelInterpolation | None" = None
+    shares: "VoxelShares | None" = None
     frames: "VertexFrames | None" = None
     attachment: BoneAttachment | None = None
     gaussians: MovingGaussians | None = None
@@ -55,28 +55,18 @@ class ReadyTree:
         return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes + bone_bytes
 
 
-def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
-    """Interpolation from the voxels to the mesh's vertices."""
-    from dynamictree.devoxelize.smooth import smooth
+def vertex_shares(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelShares":
+    """The voxels that the mesh's vertices depend on."""
+    from dynamictree.devoxelize.shares import voxel_shares
 
-    if ready.interpolation is None:
-        ready.interpolation = smooth(ready.tree.system.grid, mesh)
-    return ready.interpolation
-
-
-def vertex_frames(ready: ReadyTree, mesh: TriangleMesh) -> "VertexFrames":
-    """Basis that gives the mesh's vertices at any modal coordinates."""
-    from dynamictree.modal.frames import VertexFrames
-
-    if ready.frames is None:
-        ready.frames = VertexFrames(ready.tree.system, vertex_ties(ready, mesh))
-    return ready.frames
+    if ready.shares is None:
+        ready.shares = voxel_shares(ready.tree.system.grid, mesh)
+    return ready.shares
 
 
 def bone_ties(ready: ReadyTree, mesh: TriangleMesh) -> BoneAttachment:
     """Weights that attach the mesh's vertices to the bones."""
     if ready.attachment is None:
-        ties = vertex_ties(ready, mesh)
-        grid = ready.tree.system.grid
-        ready.attachment = attach_mesh(ready.tree.bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
+        shares, voxel_m = vertex_shares(ready, mesh), ready.tree.system.grid.voxel_size_m
+        ready.attachment = attach_mesh(ready.tree.bones, mesh, shares, voxel_size_m=voxel_m)
     return ready.attachment

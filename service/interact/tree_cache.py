@@ -11,7 +11,7 @@ from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import modal_system
 from jobs.storage.assets import read_asset
 from service.http.problems import ProblemError
-from service.interact.ready_tree import MovingGaussians, ReadyTree, bone_ties
+from service.interact.ready_tree import MovingGaussians, ReadyTree, bone_ties, vertex_shares
 from service.interact.stored_trees import (
     load_result,
     load_source_cloud,
@@ -22,6 +22,7 @@ from service.interact.stored_trees import (
 from service.services import Owned
 
 if TYPE_CHECKING:
+    from dynamictree.modal.frames import VertexFrames
     from dynamictree.rig.rig import Rig
 
 
@@ -94,6 +95,16 @@ def rig_for(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "Rig":
         spectrum = load_spectrum(owned, spectrum_id)
         ready.rig = rig_of(mesh, spectrum) if stream is None else read_rig(stream)
     return ready.rig
+
+
+def vertex_frames(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "VertexFrames":
+    """Basis that gives the mesh's vertices at any modal coordinates."""
+    from dynamictree.modal.frames import VertexFrames  # brings numba
+
+    if ready.frames is None:
+        mesh, rig = with_mesh(owned, ready, spectrum_id), rig_for(owned, ready, spectrum_id)
+        ready.frames = VertexFrames(rig, mesh.vertices, vertex_shares(ready, mesh))
+    return ready.frames
 
 
 def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> MovingGaussians:

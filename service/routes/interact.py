@@ -20,7 +20,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
 from dynamictree.errors import Cancelled, UnstableTimestep
-from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.interactive_tree import Answer
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.locality import chosen_falloff_m
@@ -44,8 +43,15 @@ from service.interact.forces import (
     state_payload,
     with_state,
 )
-from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
-from service.interact.tree_cache import living_tree, moving_gaussians, ready_tree, vertex_contact, with_mesh
+from service.interact.ready_tree import ReadyTree, bone_ties
+from service.interact.tree_cache import (
+    living_tree,
+    moving_gaussians,
+    ready_tree,
+    vertex_contact,
+    vertex_frames,
+    with_mesh,
+)
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
 
@@ -274,7 +280,7 @@ def _displacement(
         return np.stack(list(_while_there(ready.tree.voxels(answer, warp=body.warp), left)))
     mesh = with_mesh(owned, ready, body.spectrum_id)
     _refuse_costly(answer, mesh.num_vertices, 12)
-    return np.stack(list(_while_there(_iter_vertices(body, ready, mesh, answer), left)))
+    return np.stack(list(_while_there(_iter_vertices(body, ready, owned, answer), left)))
 
 
 def _while_there(frames: Iterator[np.ndarray], left: threading.Event | None) -> Iterator[np.ndarray]:
@@ -290,13 +296,14 @@ def _while_there(frames: Iterator[np.ndarray], left: threading.Event | None) -> 
 
 
 def _iter_vertices(
-    body: InteractRequest, ready: ReadyTree, mesh: TriangleMesh, answer: Answer
+    body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Displacement of the mesh's vertices, frame after frame [m]."""
     if body.warp:
+        mesh = with_mesh(owned, ready, body.spectrum_id)
         yield from ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
     else:
-        yield from ready.tree.superposed(answer, vertex_frames(ready, mesh))
+        yield from ready.tree.superposed(answer, vertex_frames(owned, ready, body.spectrum_id))
 
 
 def _gaussians(
@@ -307,11 +314,10 @@ def _gaussians(
 
     moving = moving_gaussians(owned, ready, body.spectrum_id)
     _refuse_costly(answer, len(moving.rows), 40)
-    mesh = with_mesh(owned, ready, body.spectrum_id)
     shape = body.num_frames, len(moving.rows)
     means, quaternions, scales = (np.empty((*shape, width), np.float32) for width in (3, 4, 3))
     with moving.alone:
-        for frame, vertices in enumerate(_while_there(_iter_vertices(body, ready, mesh, answer), left)):
+        for frame, vertices in enumerate(_while_there(_iter_vertices(body, ready, owned, answer), left)):
             out = Pose(means=means[frame], quaternions=quaternions[frame], scales=scales[frame])
             moving.deformer.pose(vertices, out=out)
     return {"rows": moving.rows, "means": means, "quaternions": quaternions, "scales": scales}

@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trimesh.creation import icosphere
 
-from dynamictree.devoxelize import surface_fit
-from dynamictree.devoxelize.nearest import nearest
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree import method
+from dynamictree.devoxelize.nearest import nearest_rows
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, edges_of
-from dynamictree.spectrum import from_motion, to_motion
+from dynamictree.spectrum import SparseVoxelSpectrum, from_motion
 from dynamictree.voxel.voxelize import surface_average, voxelize
+
+HOW: tuple[method.Devoxelization, ...] = ("paper", "rig")
 
 
 def tube(start: list[float], end: list[float], radius: float, *, rings: int = 40, sides: int = 6) -> TriangleMesh:
@@ -59,14 +60,14 @@ def bending_motion(mesh: TriangleMesh, moving: np.ndarray) -> np.ndarray:
     return np.stack([moved_x, moved_y + sideways, np.zeros_like(turn)], axis=-1).astype(np.float32)
 
 
-def through_voxels(mesh: TriangleMesh, displacement: np.ndarray, how: str) -> np.ndarray:
+def through_voxels(mesh: TriangleMesh, displacement: np.ndarray, how: method.Devoxelization) -> np.ndarray:
     """The motion after a stay in the voxels' spectrum."""
     grid = voxelize(mesh, 128).grid
     coefficients = from_motion(displacement, 11)  # [N, K, 3]
     parts = coefficients.reshape(len(coefficients), -1).view(np.float32)
     in_voxels = (surface_average(mesh, grid) @ parts).view(np.complex64).reshape(len(grid), 11, 3)
-    interpolation = nearest(grid, mesh.vertices) if how == "nearest" else smooth(grid, mesh)
-    return to_motion(interpolation.apply(in_voxels), len(displacement))
+    spectrum = SparseVoxelSpectrum(grid=grid, coefficients=in_voxels, num_frames=len(displacement))
+    return np.stack(list(method.move(spectrum, mesh, devoxelization=how)))
 
 
 def size_of(displacement: np.ndarray) -> float:
@@ -83,52 +84,19 @@ def stretch(mesh: TriangleMesh, displacement: np.ndarray) -> np.ndarray:
 def test_a_twig_does_not_drag_another_that_passes_close_by() -> None:
     mesh, owner = two_close_twigs()
     motion = bending_motion(mesh, owner == 1)
-    dragged = {how: size_of(through_voxels(mesh, motion, how)[:, owner == 2]) for how in ("nearest", "smooth")}
+    dragged = {how: size_of(through_voxels(mesh, motion, how)[:, owner == 2]) for how in HOW}
     whole = size_of(motion[:, owner == 1])
-    assert dragged["nearest"] > 0.3 * whole  # the voxels alone cannot tell the two apart
-    assert dragged["smooth"] < 0.12 * whole
+    assert dragged["paper"] > 0.3 * whole  # the voxels alone cannot tell the two apart
+    assert dragged["rig"] < 0.12 * whole
 
 
 def test_a_bent_twig_is_not_torn() -> None:
     mesh, owner = two_close_twigs()
     motion = bending_motion(mesh, owner > 0)
     assert np.percentile(stretch(mesh, motion), 99) < 0.02
-    result = {how: np.percentile(stretch(mesh, through_voxels(mesh, motion, how)), 99) for how in ("nearest", "smooth")}
-    assert result["smooth"] < 0.03
-    assert result["nearest"] > 0.1
-
-
-def test_the_mean_over_the_surface_in_a_voxel_comes_back() -> None:
-    mesh, _ = two_close_twigs()
-    grid = voxelize(mesh, 128).grid
-    average = surface_average(mesh, grid)
-    height = grid.centres_m[:, 2:] / 10
-    values = (height**2).astype(np.float32)
-    back = average @ smooth(grid, mesh, smoothness=1e-4).apply(values)
-    trunk = np.abs(grid.centres_m[:, 0]) < 0.15
-    np.testing.assert_allclose(back[trunk], values[trunk], atol=0.002)
-
-
-@pytest.mark.parametrize("max_nodes", [10, 40_000])
-def test_the_same_motion_everywhere_stays_the_same_everywhere(monkeypatch: pytest.MonkeyPatch, max_nodes: int) -> None:
-    monkeypatch.setattr(surface_fit, "MAX_NODES", max_nodes)
-    monkeypatch.setattr(surface_fit, "MERGED", 2.0)
-    mesh, _ = two_close_twigs()
-    grid = voxelize(mesh, 128).grid
-    values = np.tile(np.array([[1.5 + 2j, -3]], np.complex64), (len(grid), 1))
-    for interpolation in (nearest(grid, mesh.vertices), smooth(grid, mesh)):
-        result = interpolation.apply(values)
-        assert result.dtype == np.complex64
-        np.testing.assert_allclose(result, np.broadcast_to(values[0], result.shape), rtol=1e-3)
-
-
-def test_clusters_of_vertices_give_what_single_vertices_give(monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh, owner = two_close_twigs()
-    motion = bending_motion(mesh, owner == 1)
-    one_by_one = through_voxels(mesh, motion, "smooth")
-    monkeypatch.setattr(surface_fit, "MAX_NODES", 10)
-    monkeypatch.setattr(surface_fit, "MERGED", 2.0)
-    assert size_of(through_voxels(mesh, motion, "smooth") - one_by_one) < 0.1 * size_of(one_by_one)
+    result = {how: np.percentile(stretch(mesh, through_voxels(mesh, motion, how)), 99) for how in HOW}
+    assert result["rig"] < 0.03
+    assert result["paper"] > 0.1
 
 
 def test_a_leaf_card_follows_the_twig_that_it_hangs_on() -> None:
@@ -141,14 +109,14 @@ def test_a_leaf_card_follows_the_twig_that_it_hangs_on() -> None:
     leafy, part = merged(replace(mesh), card)
     owner = np.concatenate([owner, np.full(4, 1)])
     motion = bending_motion(leafy, owner == 1)
-    result = through_voxels(leafy, motion, "smooth")
+    result = through_voxels(leafy, motion, "rig")
     assert size_of(result[:, part == 1] - motion[:, part == 1]) < 0.2 * size_of(motion[:, part == 1])
 
 
 def test_weights_are_shares_of_the_voxels_that_a_vertex_hangs_on() -> None:
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
-    result = smooth(grid, mesh)
+    result = voxel_shares(grid, mesh)
     np.testing.assert_allclose(result.weights.sum(axis=1), 1, rtol=1e-5)
     assert result.weights.min() >= 0
     middle = np.einsum("nm,nmc->nc", result.weights, grid.centres_m[result.rows])
@@ -158,55 +126,21 @@ def test_weights_are_shares_of_the_voxels_that_a_vertex_hangs_on() -> None:
 def test_nearest_is_the_voxel_that_a_point_lies_in() -> None:
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
-    result = nearest(grid, mesh.vertices)
-    np.testing.assert_array_equal(result.rows[:, 0], grid.rows_of(grid.coords_of(mesh.vertices)))
-    values = np.arange(len(grid), dtype=np.float32)
-    np.testing.assert_array_equal(result.apply(values), values[result.rows[:, 0]])
+    rows = nearest_rows(grid, mesh.vertices)
+    np.testing.assert_array_equal(rows, grid.rows_of(grid.coords_of(mesh.vertices)))
 
 
 def test_a_vertex_of_no_face_takes_from_the_nearest_voxel() -> None:
     mesh, _ = two_close_twigs()
     loose = replace(mesh, vertices=np.concatenate([mesh.vertices, np.array([[0, 0, 20]], np.float32)]))
     grid = voxelize(loose, 128).grid
-    result = smooth(grid, loose)
+    result = voxel_shares(grid, loose)
     assert grid.coords[result.rows[-1, 0], 2] == grid.coords[:, 2].max()
-    assert np.isfinite(result.apply(grid.centres_m)).all()
+    assert np.isfinite(result.mean(grid.centres_m)).all()
 
 
 def test_a_grid_of_another_mesh_is_refused() -> None:
     mesh, _ = two_close_twigs()
     other = replace(mesh, vertices=mesh.vertices * np.float32(0.5))
     with pytest.raises(InputError, match="voxelize this mesh"):
-        smooth(voxelize(mesh, 64).grid, other)
-
-
-@pytest.mark.parametrize(("resolution", "merges"), [(256, False), (32, True)])
-def test_only_vertices_that_lie_close_are_merged(
-    monkeypatch: pytest.MonkeyPatch, resolution: int, merges: bool
-) -> None:
-    monkeypatch.setattr(surface_fit, "MAX_NODES", 10)
-    mesh, _ = two_close_twigs()
-    fit = smooth(voxelize(mesh, resolution).grid, mesh).fit
-    assert fit is not None
-    assert (fit.prolongation is not None) == merges
-
-
-def test_a_surface_that_lies_in_one_voxel_is_solved_on_clusters() -> None:
-    """10,242 vertices in a voxel of 8 cm would touch each other: 105 million pairs."""
-    ball = icosphere(subdivisions=5, radius=0.02)
-    knot = TriangleMesh(vertices=ball.vertices.astype(np.float32), faces=ball.faces.astype(np.int32))
-    mesh, _ = merged(tube([0.1, 0, 0], [0.1, 0, 10], 0.02), knot)
-    grid = voxelize(mesh, 128).grid
-    fitted = smooth(grid, mesh)
-    assert fitted.fit is not None
-    assert len(fitted.fit.factor.order) < 0.1 * mesh.num_vertices
-    values = np.tile(np.float32([0.3, -0.2, 0.1]), (len(grid), 1))
-    np.testing.assert_allclose(fitted.apply(values), np.tile(values[:1], (mesh.num_vertices, 1)), atol=1e-4)
-
-
-def test_parts_that_crowd_in_one_voxel_take_its_mean(rng: np.random.Generator) -> None:
-    corners = rng.uniform(-0.02, 0.02, (10_500, 3)).astype(np.float32)
-    crumbs = TriangleMesh(vertices=corners, faces=np.arange(10_500, dtype=np.int32).reshape(-1, 3))
-    mesh, _ = merged(tube([0.1, 0, 0], [0.1, 0, 10], 0.02), crumbs)
-    fitted = smooth(voxelize(mesh, 128).grid, mesh)
-    assert fitted.fit is None
+        voxel_shares(voxelize(mesh, 64).grid, other)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds
 from dynamictree.modal.bone_attachment import STIFF_VOXELS, attach_mesh
 from dynamictree.modal.bones import bones_of
@@ -28,7 +28,7 @@ def pulled():
     sample = make_sample(13, "round-broadleaf")
     _, spectrum = voxel_spectrum(sample)
     tree, mesh = InteractiveTree(modal_system(spectrum)), sample.mesh
-    ties, voxel_m = smooth(spectrum.grid, mesh), spectrum.grid.voxel_size_m
+    ties, voxel_m = voxel_shares(spectrum.grid, mesh), spectrum.grid.voxel_size_m
     carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=voxel_m)
     rng = np.random.default_rng(0)
     moved = []
@@ -82,7 +82,7 @@ def test_what_hangs_on_a_branch_stays_on_it(pulled):
     _, ties, voxel_m, moved = pulled
     at = ties.attachments
     vertex = np.zeros(len(at.part), np.int64)
-    vertex[ties.fitted] = np.arange(len(ties.fitted))
+    vertex[ties.welded] = np.arange(len(ties.welded))
     places = np.einsum("bsi,tbsic->tbsc", at.weights, moved[:, vertex[at.corners]])
     gaps = np.linalg.norm(places[:, :, 1] - places[:, :, 0], axis=2) / voxel_m  # growth [voxels]
     assert np.percentile(gaps, 99) < 1
@@ -93,7 +93,7 @@ def test_a_pulled_vertex_is_where_it_was_asked_to_be():
     sample = make_sample(13, "round-broadleaf")
     _, spectrum = voxel_spectrum(sample, 64)
     tree, mesh = InteractiveTree(modal_system(spectrum)), sample.mesh
-    carried = attach_mesh(tree.bones, mesh, smooth(spectrum.grid, mesh), voxel_size_m=spectrum.grid.voxel_size_m)
+    carried = attach_mesh(tree.bones, mesh, voxel_shares(spectrum.grid, mesh), voxel_size_m=spectrum.grid.voxel_size_m)
     rng = np.random.default_rng(1)
     blended = np.flatnonzero((carried.weights > 0.2).sum(axis=1) > 1)
     missed = []
@@ -118,7 +118,7 @@ def test_a_trunk_of_short_pieces_bends_as_one():
     of_vertex = {name: getattr(sample, name)[source] for name in ("part", "node", "coefficients")}
     _, spectrum = voxel_spectrum(replace(sample, mesh=mesh, **of_vertex))
     tree, voxel_m = InteractiveTree(modal_system(spectrum)), spectrum.grid.voxel_size_m
-    carried = attach_mesh(tree.bones, mesh, smooth(spectrum.grid, mesh), voxel_size_m=voxel_m)
+    carried = attach_mesh(tree.bones, mesh, voxel_shares(spectrum.grid, mesh), voxel_size_m=voxel_m)
     top = int(spectrum.grid.centres_m[:, 2].argmax())
     drag = Drag(at=contact_at_voxel(spectrum.grid, top), displacement_m=(0.25 * tree.system.height_m, 0.0, 0.0))
     groups = group_forces([drag], falloff_m=default_falloff_m(tree.system))

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.bone_attachment import attach_mesh
 from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, compliance, contact_at_voxel, equilibrium, generalised_force
+from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sample import make_sample, voxel_spectrum
@@ -117,10 +119,10 @@ def test_a_strong_drag_bends_a_grown_tree_and_does_not_stretch_it():
     q = equilibrium(system, constant).q
     q = q * 0.2 * mesh.height_m / np.linalg.norm(displacement(system.shapes, q)[0, top])
 
-    bones, interpolation = bones_of(system), smooth(voxels.grid, mesh)
-    carried = attach_mesh(bones, mesh, interpolation, voxel_size_m=voxels.grid.voxel_size_m)
+    bones, shares = bones_of(system), voxel_shares(voxels.grid, mesh)
+    carried = attach_mesh(bones, mesh, shares, voxel_size_m=voxels.grid.voxel_size_m)
     bent = bend(bones, posed(bones, q), mesh.vertices, carried.rows, carried.weights)
-    plain = interpolation.apply(displacement(system.shapes, q)[0])
+    plain = VertexFrames(rig_of(mesh, spectrum), mesh.vertices, shares).displacement(q)
 
     def stretch(moved):
         start, end = edges_of(mesh.faces).T
@@ -142,7 +144,8 @@ def test_a_coarse_pole_bends_as_its_voxels_do_and_its_foot_stands():
     grid = voxelize(mesh, 128).grid
     coefficients = np.zeros((len(grid), 2, 3), np.complex64)
     coefficients[:, 1, 1] = (grid.centres_m[:, 2] / mesh.height_m) ** 2
-    bones, ties = bones_of(modal_system(SparseVoxelSpectrum(grid=grid, coefficients=coefficients))), smooth(grid, mesh)
+    bones = bones_of(modal_system(SparseVoxelSpectrum(grid=grid, coefficients=coefficients)))
+    ties = voxel_shares(grid, mesh)
     carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     stance = posed(bones, np.array([[1.5]], np.complex128))
     bent = bend(bones, stance, mesh.vertices, carried.rows, carried.weights)

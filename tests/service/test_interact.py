@@ -14,10 +14,12 @@ from safetensors.numpy import load
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
+from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.settings import Settings
 from jobs.storage.assets import delete_asset
@@ -25,7 +27,7 @@ from service.app import create_app
 from service.http.caller import ANYONE
 from service.http.request_headers import SAFETENSORS
 from service.interact.forces import MAX_FORCES
-from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
+from service.interact.ready_tree import ReadyTree, bone_ties, vertex_shares
 from service.interact.tree_cache import living_tree
 from service.services import Services
 from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
@@ -349,7 +351,8 @@ def test_vertices_of_still_parts_do_not_move_under_pushes(
         if warp:
             frames = np.stack(list(ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))))
         else:
-            frames = np.stack(list(ready.tree.superposed(answer, vertex_frames(ready, mesh))))
+            vertices = VertexFrames(rig_of(mesh, spectrum), mesh.vertices, vertex_shares(ready, mesh))
+            frames = np.stack(list(ready.tree.superposed(answer, vertices)))
         assert not frames[:, -4:].any()
         assert np.abs(frames[-1, :-4]).max() > 1e-4
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from dynamictree import method
-from dynamictree.devoxelize.smooth import smooth
 from dynamictree.export.write import write_products
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.mesh import TriangleMesh
@@ -60,16 +59,6 @@ def test_a_bush_moves_as_much_when_it_is_generated_coarsely(tmp_path: Path) -> N
     assert len(read_spectrum(stream).grid) == len(voxels.grid)
     paths = write_products(mesh, coarse, ExportParams(formats=("glb",)), tmp_path)
     assert paths["glb"].stat().st_size > 0
-
-
-def test_a_mesh_too_large_for_a_fit_moves_by_the_means_of_its_voxels() -> None:
-    mesh = bush(60, card_m=0.2)
-    grid = method.voxelize(mesh).grid
-    interpolation = smooth(grid, mesh, max_factored=1)
-    assert interpolation.fit is None
-    shear = grid.centres_m * np.float32([0.1, 0, 0])
-    exact = mesh.vertices * np.float32([0.1, 0, 0])
-    np.testing.assert_allclose(interpolation.apply(shear), exact, atol=0.1 * 0.2)  # of the size of a card
 
 
 @pytest.mark.slow
