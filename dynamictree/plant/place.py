@@ -132,8 +132,8 @@ def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...
 
 def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
     """A warning if a shape that was turned from `taken` up to +Z up is far likelier to stand along another axis."""
-    surely = 0.8  # and so likely: below it, small low-poly trees are doubted that stand as their file says
-    if judged is None or judged.axis == "+Z" or judged.confidence < max(_OTHERWISE * judged.upright, surely):
+    likely = 0.5  # more than all the others together
+    if judged is None or judged.axis == "+Z" or judged.confidence < max(_OTHERWISE * judged.upright, likely):
         return ()
     direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
     column = int(np.argmax(np.abs(direction)))

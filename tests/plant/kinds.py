@@ -128,6 +128,13 @@ def log(*, branches: bool = True) -> trimesh.Trimesh:
     return trimesh.util.concatenate([trunk, *stubs]) if branches else trunk
 
 
+def low_poly() -> trimesh.Trimesh:
+    """A pole and three balls of few faces, as of games."""
+    balls = ((1.3, (0.8, 0, 2.6)), (1.2, (-0.8, 0.4, 2.9)), (1.0, (0.1, -0.6, 3.6)))
+    crown = [trimesh.creation.icosphere(1, radius).apply_translation(at) for radius, at in balls]
+    return trimesh.util.concatenate([rod((0, 0, 0), (0, 0, 2), 0.3), *crown])
+
+
 def stump() -> trimesh.Trimesh:
     """The foot of a felled trunk with four roots."""
     roots = [rod((0, 0, 0.15), (1.1 * np.cos(t), 1.1 * np.sin(t), 0.05), 0.1) for t in 0.3 + np.pi / 2 * np.arange(4)]
@@ -279,6 +286,14 @@ KINDS = {
         file_type="glb",
         content=lambda: exported(grown("round-broadleaf"), up="+Z"),
         is_right=lambda stated: warned(stated, "orientation-uncertain"),
+    ),
+    "low-poly tree along +Z in a GLB": Kind(
+        file_type="glb",
+        content=lambda: exported(low_poly(), up="+Z"),
+        is_right=lambda stated: warned(stated, "orientation-uncertain"),
+    ),
+    "low-poly tree along +Y in a GLB": Kind(
+        file_type="glb", content=lambda: exported(low_poly()), is_right=lambda stated: stated["warnings"] == []
     ),
     "tree along +Y in a GLB": Kind(
         file_type="glb",
