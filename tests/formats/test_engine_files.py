@@ -5,14 +5,12 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from benchmarks._played import played_skin, played_usd_skin, played_usdz, played_vertex_texture, reported_facts
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.skin import write_skinned_glb
-from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.usd_skin import write_skinned_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, iter_vertex_texture_zip, texture_layout
@@ -30,20 +28,6 @@ def frames_of(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 7)
 
 def texture_zip(mesh: TriangleMesh, frames: np.ndarray) -> bytes:
     return b"".join(iter_vertex_texture_zip(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True))
-
-
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (15, 3), (16, 5), (33, 64)])
-def test_openexr_reads_the_halves_that_were_written(
-    tmp_path: Path, rng: np.random.Generator, height: int, width: int
-) -> None:
-    noise = rng.normal(size=(height, width, 3)).astype(np.float16)
-    for name, pixels in {"noise": noise, "flat": np.zeros_like(noise)}.items():  # the first does not get smaller
-        path = tmp_path / f"{name}.exr"
-        with path.open("wb") as stream:
-            write_exr(pixels, stream)
-        read = OpenEXR.File(str(path))
-        np.testing.assert_array_equal(read.channels()["RGB"].pixels, pixels)
-        assert read.header()["compression"] == OpenEXR.ZIP_COMPRESSION
 
 
 def test_a_vertex_texture_holds_every_frame_to_half_a_half(rng: np.random.Generator) -> None:
