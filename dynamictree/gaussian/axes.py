@@ -24,9 +24,9 @@ def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianClo
     return replace(turned, source=replace(turned.source, up_axis=up_axis, scale=unit_m))
 
 
-def to_source_axes(cloud: GaussianCloud) -> GaussianCloud:
-    """Undo `to_z_up`: as the source's file would have it, so that what we write lies where the capture lay."""
-    return transformed(cloud, up_rotation(cloud.source.up_axis).T, 1 / cloud.source.scale)
+def to_source_axes(cloud: GaussianCloud, up_axis: str | None = None) -> GaussianCloud:
+    """Undo `to_z_up`, so that what we write lies where the capture lay; `up_axis` is that of a format that has one."""
+    return transformed(cloud, up_rotation(up_axis or cloud.source.up_axis).T, 1 / cloud.source.scale)
 
 
 def transformed(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], scale: float) -> GaussianCloud:

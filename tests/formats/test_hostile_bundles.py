@@ -97,7 +97,7 @@ def test_a_sog_archive_has_bounds(files: Files) -> None:
     refused(packed(files)[:-40], "no ZIP archive")
     refused(packed({"a.txt": b""}), "JSON of the meta.json cannot be read")
     refused(packed(files | {f"{n}.txt": b"" for n in range(64)}), "at most 64 files")
-    refused(packed(files | {"zeros": bytes(30 << 20)}, zipfile.ZIP_DEFLATED), "100:1 are allowed")
+    refused(packed(files | {"zeros": bytes(30 << 20)}, zipfile.ZIP_DEFLATED), "100:1 is allowed")
     refused(packed(files | {"meta.json": b" " * (2 << 20)}), "larger than the 1,048,576 bytes")
     refused(packed(files | {"quats.webp": picture(300, 300)}), "300 x 300 pixels")
     refused(packed(files | {"quats.webp": files["quats.webp"][:60]}), "is damaged")

@@ -17,7 +17,6 @@ from dynamictree.gaussian.axes import to_source_axes, transformed
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.rotation import polar_rotations, unit_quaternions
-from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Y"
 EXTENSION = "KHR_gaussian_splatting"
@@ -49,8 +48,7 @@ def read_gltf_gaussian(stream: ByteReader) -> GaussianCloud:
 
 def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write one primitive of 32-bit floats, in the source's units and +Y up, as glTF demands."""
-    rotation = up_rotation(UP_AXIS).T @ up_rotation(cloud.source.up_axis)
-    source = transformed(to_source_axes(cloud), rotation, 1.0)
+    source = to_source_axes(cloud, UP_AXIS)
     attributes = {
         "POSITION": source.means,
         f"{EXTENSION}:ROTATION": source.quaternions[:, [1, 2, 3, 0]],

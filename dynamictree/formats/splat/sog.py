@@ -24,7 +24,7 @@ from dynamictree.formats.json_fields import (
     parse_object,
     text_list,
 )
-from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.formats.seekable import SeekableReader, refuse_bomb, remaining_bytes
 from dynamictree.formats.splat.activations import (
     log_from_scales,
     scales_from_log,
@@ -34,10 +34,9 @@ from dynamictree.formats.splat.activations import (
 from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
 from dynamictree.formats.suffixes import SOG_FOLDER_FILE
 from dynamictree.formats.texture import decoded_image
-from dynamictree.gaussian.axes import to_source_axes, transformed
+from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
-from dynamictree.up_axis import up_rotation
 
 META = SOG_FOLDER_FILE
 UP_AXIS = "-Y"
@@ -46,8 +45,6 @@ _VERSION = 2
 _PARTS = ("means", "scales", "quats", "sh0", "shN")
 _MAX_META_BYTES = 1 << 20
 _MAX_FILES = 64
-_MAX_RATIO = 100  # unpacked over packed bytes; clouds of real trees are below 5
-_ALWAYS_BYTES = 16 << 20  # unpacked, whatever the ratio
 _ROW = 64  # palette entries beside each other
 _MAX_PALETTE = 1 << 16
 _STEPS = 65_535
@@ -71,7 +68,7 @@ def read_sog(stream: SeekableReader) -> GaussianCloud:
         )
     count = integer_field(meta, "count", high=1 << 32)
     check_count(count)
-    _refuse_bomb(count, sum(map(len, files.values())))
+    refuse_bomb(f"the SOG file of {count:,} Gaussians", 20 * count, sum(map(len, files.values())))  # five pictures
     low, high = (_picture(files, meta, "means", count, place) for place in (0, 1))
     rotations, scales, colors = (_picture(files, meta, name, count) for name in ("quats", "scales", "sh0"))
     first = _codebook(meta, "sh0")[colors[:, :3]]  # [G, 3]
@@ -107,8 +104,7 @@ def bundled(meta: SeekableReader, beside: Mapping[str, bytes]) -> SeekableReader
 
 def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write a bundle in the source's units and −Y up, its Gaussians in Morton order; harmonics lose most."""
-    turn = up_rotation(UP_AXIS).T @ up_rotation(cloud.source.up_axis)
-    source = transformed(to_source_axes(cloud), turn, 1.0)
+    source = to_source_axes(cloud, UP_AXIS)
     log_places = np.sign(source.means) * np.log1p(np.abs(source.means.astype(np.float64)))
     low, high = log_places.min(axis=0), log_places.max(axis=0)
     steps = np.rint((log_places - low) / np.maximum(high - low, 1e-30) * _STEPS).astype(np.int64)
@@ -154,12 +150,9 @@ def _unpacked(stream: SeekableReader) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(stream.read())) as archive:
             entries = archive.infolist()
-            total = sum(entry.file_size for entry in entries)
-            if len(entries) > _MAX_FILES or total > max(_MAX_RATIO * size, _ALWAYS_BYTES):
-                raise FormatError(
-                    f"the SOG archive has {len(entries):,} files of {total:,} bytes in {size:,}; at most {_MAX_FILES} "
-                    f"files and {_MAX_RATIO}:1 are allowed"
-                )
+            if len(entries) > _MAX_FILES:
+                raise FormatError(f"the SOG archive has {len(entries):,} files; at most {_MAX_FILES} files are allowed")
+            refuse_bomb("the SOG archive", sum(entry.file_size for entry in entries), size)
             if any(entry.filename == META and entry.file_size > _MAX_META_BYTES for entry in entries):
                 raise FormatError(
                     f"{META} of the SOG file is larger than the {_MAX_META_BYTES:,} bytes that are allowed"
@@ -167,15 +160,6 @@ def _unpacked(stream: SeekableReader) -> dict[str, bytes]:
             return {entry.filename: archive.read(entry) for entry in entries}
     except (*_UNREADABLE, ValueError) as error:
         raise FormatError(f"the SOG file is no ZIP archive that can be read: {str(error)[:120]}") from error
-
-
-def _refuse_bomb(count: int, packed_bytes: int) -> None:
-    unpacked = 20 * count  # five pictures
-    if unpacked > max(packed_bytes * _MAX_RATIO, _ALWAYS_BYTES):
-        raise FormatError(
-            f"the SOG file says {count:,} Gaussians, {unpacked:,} bytes, in pictures of {packed_bytes:,}; "
-            f"at most {_MAX_RATIO}:1 is allowed"
-        )
 
 
 def _picture(

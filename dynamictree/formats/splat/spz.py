@@ -12,7 +12,7 @@ from jaxtyping import Float32, Num, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.seekable import SeekableReader, refuse_bomb
 from dynamictree.formats.splat.activations import (
     color_from_harmonic,
     harmonic_from_color,
@@ -21,11 +21,10 @@ from dynamictree.formats.splat.activations import (
     with_largest,
     without_largest,
 )
-from dynamictree.gaussian.axes import to_source_axes, transformed
+from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.rotation import unit_quaternions
-from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Y"
 _MAGIC = 0x5053474E  # "NGSP"
@@ -55,8 +54,7 @@ def write_spz(cloud: GaussianCloud, stream: ByteWriter) -> None:
 
     Positions are rounded to 1/4096 of a unit, or coarser where they reach beyond ±2048.
     """
-    turn = up_rotation(UP_AXIS).T @ up_rotation(cloud.source.up_axis)
-    source = transformed(to_source_axes(cloud), turn, 1.0)
+    source = to_source_axes(cloud, UP_AXIS)
     reach = max(float(np.abs(source.means).max()), 1e-30)
     fractional_bits = int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 12))
     header = _LEGACY_HEADER.pack(_MAGIC, 3, source.num_gaussians, source.sh_degree, fractional_bits, 0, 0)
@@ -75,7 +73,7 @@ def _read_gzip(content: bytes) -> GaussianCloud:
         if magic != _MAGIC or version not in (2, 3):
             raise FormatError(f"the gzip stream is no SPZ file of version 2 or 3 (magic {magic:#x}, version {version})")
         sizes = _sizes(count, degree, version)
-        _refuse_bomb(count, sum(sizes), len(content))
+        refuse_bomb(f"the SPZ file of {count:,} Gaussians", sum(sizes), len(content))
         body = unpacker.decompress(unpacker.unconsumed_tail, sum(sizes))
     except zlib.error as error:
         raise FormatError(f"the SPZ file is damaged: {error}") from error
@@ -91,7 +89,7 @@ def _read_zstandard(head: bytes, stream: SeekableReader) -> GaussianCloud:
         raise FormatError(f"the SPZ file is of version {version}; 2, 3 and 4 are understood")
     sizes = _sizes(count, degree, version)
     content = head + stream.read()
-    _refuse_bomb(count, sum(sizes), len(content))
+    refuse_bomb(f"the SPZ file of {count:,} Gaussians", sum(sizes), len(content))
     expected_streams = 6 if degree else num_streams  # a writer may leave out the empty stream of harmonics
     if num_streams not in (5, 6) or num_streams != expected_streams or table_offset < _HEADER.size:
         raise FormatError(
@@ -110,16 +108,6 @@ def _read_zstandard(head: bytes, stream: SeekableReader) -> GaussianCloud:
         parts.append(_decompressed(content[place : place + packed_size], expected))
         place += packed_size
     return _unpacked([*parts, np.empty(0, np.uint8)][:6], fractional_bits, version)
-
-
-def _refuse_bomb(count: int, unpacked_bytes: int, packed_bytes: int) -> None:
-    max_ratio = 100  # unpacked over packed bytes; clouds of real trees are below 3, of nothing but zeros at 1000
-    always_bytes = 16 * 2**20  # unpacked, whatever the ratio
-    if unpacked_bytes > max(packed_bytes * max_ratio, always_bytes):
-        raise FormatError(
-            f"the SPZ header says {count:,} Gaussians, {unpacked_bytes:,} bytes, in a file of {packed_bytes:,}; "
-            f"at most {max_ratio}:1 is allowed"
-        )
 
 
 def _decompressed(packed: bytes, size: int) -> UInt8[np.ndarray, " bytes"]:
