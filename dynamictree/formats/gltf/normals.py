@@ -62,38 +62,6 @@ class NormalError:
     still_normal_error_deg: float  # root mean square, where the normals of the rest pose stayed
 
 
-@dataclass(kw_only=True)
-class NormalErrors:
-    """Sums over frames."""
-
-    count: int = 0
-    squares: float = 0.0
-    still_squares: float = 0.0
-    largest: float = 0.0
-
-    def add(
-        self,
-        truth: Float32[np.ndarray, "n 3"],
-        morphed: Float32[np.ndarray, "n 3"],
-        still: Float32[np.ndarray, "n 3"],
-    ) -> None:
-        """Add the vertices of a frame."""
-        angle = angles_rad(morphed, truth)
-        self.count += len(truth)
-        self.squares += float((angle**2).sum())
-        self.still_squares += float((angles_rad(still, truth) ** 2).sum())
-        self.largest = max(self.largest, float(angle.max()))
-
-    def summary(self) -> NormalError:
-        """Errors in degrees."""
-        count = max(self.count, 1)
-        return NormalError(
-            normal_error_deg=float(np.rad2deg(np.sqrt(self.squares / count))),
-            max_normal_error_deg=float(np.rad2deg(self.largest)),
-            still_normal_error_deg=float(np.rad2deg(np.sqrt(self.still_squares / count))),
-        )
-
-
 def _face_normals(mesh: TriangleMesh, displacement: Float32[np.ndarray, "N 3"] | None) -> Float64[np.ndarray, "N 3"]:
     vertices = mesh.vertices if displacement is None else mesh.vertices + displacement
     return vertex_normals(vertices.astype(np.float64), mesh.faces)

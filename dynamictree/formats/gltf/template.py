@@ -4,6 +4,7 @@ Targets are attached primitive by primitive, in the primitive's own axes and uni
 """
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from dynamictree.formats.gltf.normals import NormalError, NormalErrors, turn_normals
+from dynamictree.formats.gltf.normals import NormalError, angles_rad, turn_normals
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import SourceGltf, TriangleMesh
 from dynamictree.up_axis import up_rotation
@@ -127,19 +128,28 @@ class Template:
     ) -> NormalError:
         """Give targets the normals that, with the same weights, come nearest to those of the frames."""
         solve = np.linalg.pinv(weights).astype(np.float32)  # [M, T]
-        errors = NormalErrors()
         still = [slot.local_normals(rest) for slot, _ in self.moved]
         deltas = [np.zeros((len(solve), *own.shape), np.float32) for own in still]
         for number, normals in enumerate(frames()):
             for (slot, _), own, delta in zip(self.moved, still, deltas, strict=True):
                 delta += solve[:, number, None, None] * (slot.local_normals(normals) - own)
+        count, squares, still_squares, largest = 0, 0.0, 0.0, 0.0
         for row, normals in zip(weights.astype(np.float32), frames(), strict=True):
             for (slot, _), own, delta in zip(self.moved, still, deltas, strict=True):
-                errors.add(slot.local_normals(normals), own + np.tensordot(row, delta, 1), own)
+                truth = slot.local_normals(normals)
+                angle = angles_rad(own + np.tensordot(row, delta, 1), truth)
+                count += len(truth)
+                squares += float((angle**2).sum())
+                still_squares += float((angles_rad(own, truth) ** 2).sum())
+                largest = max(largest, float(angle.max()))
         for (_, targets), delta in zip(self.moved, deltas, strict=True):
             for target, normals in zip(targets, delta, strict=True):
                 target["NORMAL"] = self.writer.add_accessor(normals, target=VERTEX_BUFFER)
-        return errors.summary()
+        return NormalError(
+            normal_error_deg=math.degrees(math.sqrt(squares / max(count, 1))),
+            max_normal_error_deg=math.degrees(largest),
+            still_normal_error_deg=math.degrees(math.sqrt(still_squares / max(count, 1))),
+        )
 
     def changes(
         self, changed: Mapping[int, Float32[np.ndarray, "n w"]], nodes: Sequence[int], count: int, num_vertices: int
