@@ -1,12 +1,22 @@
-"""Trees to tell apart: stems with crowns of leaf cards that touch."""
+"""Trees to tell apart: stems with crowns of leaf cards that touch; and generated ones."""
+
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from dynamictree.mesh import TriangleMesh, joined
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 PLACES_M = ((0.0, 0.0), (3.0, 0.5), (0.8, 3.1), (4.2, 3.6), (-2.6, 2.2))
 HEIGHTS_M = (8.0, 7.0, 8.5, 7.5, 6.5)
+
+
+@cache
+def grown(species: str, seed: int = 4) -> TriangleMesh:
+    """A generated tree, grown once for all tests of a process."""
+    return grow_tree(SPECIES[species], np.random.default_rng(seed)).mesh
 
 
 def tree(height_m: float, *, seed: int = 0, num_cards: int = 250) -> TriangleMesh:

@@ -15,8 +15,8 @@ from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.up_axis import up_rotation
-from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
+from tests.plant.stand import grown
 
 CELLS = 130
 _THICK = 0.012  # of the height: standard deviation of what thickens stems and leaves
@@ -79,10 +79,10 @@ PLANTS: dict[str, tuple[Solid, ...]] = {
 @cache
 def skin(species: str, solid: Solid) -> TriangleMesh:
     """One closed surface around a grown tree and a solid below it, as meshes from pictures are; 1 m high."""
-    grown = grow_tree(SPECIES[species], np.random.default_rng(4)).mesh
-    foot = grown.vertices[:, 2].min()
-    sampled = trimesh.Trimesh(grown.vertices, grown.faces, process=False).sample(300_000, seed=0)
-    points = (sampled - [0, 0, foot]) / (grown.vertices[:, 2].max() - foot)
+    tree = grown(species)
+    foot = tree.vertices[:, 2].min()
+    sampled = trimesh.Trimesh(tree.vertices, tree.faces, process=False).sample(300_000, seed=0)
+    points = (sampled - [0, 0, foot]) / (tree.vertices[:, 2].max() - foot)
     low, high = np.minimum(points.min(axis=0), -0.35) - 0.06, np.maximum(points.max(axis=0), 0.35) + 0.06
     cell = float((high - low).max()) / CELLS
     centre = centres(low, high, cell)

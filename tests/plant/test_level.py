@@ -19,8 +19,7 @@ from dynamictree.plant.sample import surface_points
 from dynamictree.requests import Reading
 from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
-from lab.dataset.sapling import grow_tree
-from lab.dataset.species import SPECIES
+from tests.plant.stand import grown
 from tests.plant.test_still_gaussians import plant, pot, splat_of
 from tests.reconstruct.planted import sheet
 
@@ -79,7 +78,7 @@ def test_a_tree_without_ground_stays_as_it_is(species: str) -> None:
 @pytest.mark.parametrize("species", ["spreading-broadleaf", "spire-conifer", "acacia"])
 def test_the_side_of_a_crown_is_nothing_that_a_tree_stands_on(species: str) -> None:
     """Points spread evenly over leaves and wood, tilted to eight sides."""
-    sampled = surface_points(grow_tree(SPECIES[species], np.random.default_rng(4)).mesh, 20_000)
+    sampled = surface_points(grown(species), 20_000)
     assert sampled is not None
     for turn in np.arange(8) * np.pi / 4:
         tilt = Rotation.from_rotvec(np.radians(40) * np.array([np.cos(turn), np.sin(turn), 0]))

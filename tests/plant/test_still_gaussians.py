@@ -20,15 +20,15 @@ from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, with_
 from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
-from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import tube
+from tests.plant.stand import grown
 
 
 @cache
-def plant(species: str, seed: int = 4) -> GaussianCloud:
+def plant(species: str) -> GaussianCloud:
     """Splats of a generated tree, its foot at the origin."""
-    mesh = grow_tree(SPECIES[species], np.random.default_rng(seed)).mesh
+    mesh = grown(species)
     cloud = splats_of_mesh(mesh, per_face=1, at_least=30_000, rng=np.random.default_rng(0)).cloud
     cloud = replace(cloud, means=cloud.means - np.float32([0, 0, mesh.vertices[:, 2].min()]))
     return cloud.subset(np.arange(0, cloud.num_gaussians, 3))

@@ -13,9 +13,9 @@ from dynamictree.plant.names import is_still_name
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
-from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import merged, tube
+from tests.plant.stand import grown
 
 
 def still_faces_of(mesh: TriangleMesh) -> np.ndarray | None:
@@ -23,9 +23,9 @@ def still_faces_of(mesh: TriangleMesh) -> np.ndarray | None:
 
 
 def tree(species: str = "round-broadleaf") -> TriangleMesh:
-    grown = grow_tree(SPECIES[species], np.random.default_rng(4)).mesh
-    lifted = grown.vertices - grown.vertices.min(axis=0) * np.float32([0, 0, 1])
-    return TriangleMesh(vertices=lifted, faces=grown.faces)
+    mesh = grown(species)
+    lifted = mesh.vertices - mesh.vertices.min(axis=0) * np.float32([0, 0, 1])
+    return TriangleMesh(vertices=lifted, faces=mesh.faces)
 
 
 def plane(side: float, z: float) -> TriangleMesh:
