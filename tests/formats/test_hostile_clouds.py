@@ -177,15 +177,9 @@ def _set(document: object, path: str, value: object) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("accessors/0/count", 10**12, "count is 1000000000000; a whole number"),
         ("bufferViews/0/byteLength", 5, "ends at byte 120 of a view of 5"),
-        ("accessors/0/count", "ten", "count is 'ten'; a whole number"),
-        ("accessors/0/componentType", 7, "componentType is 7"),
         *(("accessors/0/type", shape, "type is .* a string is allowed") for shape in ([], {}, None, 3)),
-        ("accessors/0/type", "VEC9", "VEC9.* are read"),
-        ("accessors/0/bufferView", 99, "bufferViews. is 99"),
         ("accessors/2/type", "SCALAR", r"\(10, 1\); \(10, 3\) is needed"),
-        ("bufferViews/0/byteOffset", 10**9, "ends at byte 1000000120"),
         ("meshes/0/primitives/0/mode", 4, "not of points"),
         ("meshes/0/primitives/0/extensions", {}, "no primitive with KHR"),
         ("meshes/0/primitives/0/attributes", {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 1}, r"\(10, 4\)"),
@@ -197,13 +191,8 @@ def _set(document: object, path: str, value: object) -> None:
             "no attribute KHR_gaussian_splatting:ROTATION",
         ),
         ("meshes/0/primitives/0/attributes", [], "attributes is .*a JSON object"),
-        ("nodes/0/mesh", 3, "mesh .* is 3; a whole number from 0 to 0"),
         ("nodes/0/scale", [1, 2, 1], "mirrors, shears or stretches"),
-        ("nodes/0/scale", [1, 2], "scale has 2 numbers"),
-        ("nodes/0/children", [0], "nodes are a tree"),
         ("scene", 5, "scene .* is 5; a whole number from 0 to 0"),
-        ("scenes", 5, "scenes is 5; a list"),
-        ("nodes", [5], r"nodes\[0\] is 5; a JSON object"),
     ],
 )
 def test_a_contradictory_glb_is_reported_with_the_place(path: str, value: object, message: str) -> None:
@@ -237,21 +226,6 @@ def test_linear_colours_become_display_colours() -> None:
 
     grey = read(changed_glb(change), "glb").sh[0, 0, 0] * 0.28209479 + 0.5
     np.testing.assert_allclose(grey, 0.735357, atol=1e-5)  # sRGB of linear 0.5, IEC 61966-2-1
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"glTF", "has 4 bytes; it is truncated"),
-        (b"glTF" + struct.pack("<II", 2, 12), "has 12 bytes; it is truncated"),
-        (b"glTF" + struct.pack("<IIII", 2, 20, 1000, 0x4E4F534A), "ends at byte 1020 of 20"),
-        (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[[[[", "cannot be read"),
-        (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[1] ", "a JSON object is allowed"),
-    ],
-)
-def test_a_broken_glb_is_refused(content: bytes, message: str) -> None:
-    with pytest.raises(FormatError, match=message):
-        read(content, "glb")
 
 
 def test_a_glb_of_meshes_is_distinguished_from_splats() -> None:

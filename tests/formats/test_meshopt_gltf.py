@@ -145,11 +145,6 @@ def test_without_the_binding_files_are_refused_with_the_command(
         write_products(*tree, ExportParams(formats=("glb",), glb_compression="meshopt"), tmp_path)
 
 
-def test_fallback_buffers_alone_have_no_bytes() -> None:
-    assert packing.is_fallback({"extensions": {"EXT_meshopt_compression": {"fallback": True}}})
-    assert not packing.is_fallback({"extensions": {"EXT_meshopt_compression": {}}})
-
-
 def by_gltf_transform(*arguments: str | Path) -> str:
     return by_node("meshopt_gltf.mjs", *arguments, package="@gltf-transform")
 

@@ -10,6 +10,7 @@ import pygltflib
 import pytest
 import trimesh
 
+from benchmarks._played import accessor, played_morphs
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.gltf.motion import MorphOptions, MorphSummary, write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
@@ -38,27 +39,13 @@ def animated(
     return stream.getvalue(), summary
 
 
-def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
-    """Read with pygltflib's document, not with our reader."""
-    entry = document.accessors[index]
-    view = document.bufferViews[entry.bufferView]
-    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[entry.type]
-    blob = document.binary_blob()
-    assert entry.componentType == 5126
-    return np.frombuffer(blob, "<f4", entry.count * width, view.byteOffset).reshape(-1, width)
-
-
 def played(content: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Times and displacement at every key, +Z up, as an engine adds targets up."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     sampler = document.animations[0].samplers[0]
     assert sampler.interpolation == "LINEAR"
-    targets = [accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets]
-    for primitive in document.meshes[0].primitives:
-        assert primitive.targets == document.meshes[0].primitives[0].targets
-    keys = accessor(document, sampler.output).reshape(-1, len(targets))
-    moved = np.einsum("tm,mnc->tnc", keys, np.stack(targets))
-    return accessor(document, sampler.input)[:, 0], np.stack([moved[..., 0], -moved[..., 2], moved[..., 1]], axis=-1)
+    assert all(one.targets == document.meshes[0].primitives[0].targets for one in document.meshes[0].primitives)
+    return accessor(document, sampler.input)[:, 0], played_morphs(content)
 
 
 @pytest.mark.parametrize("num_frames", [100, 61])

@@ -158,17 +158,6 @@ def test_las_without_colours_is_grey() -> None:
     np.testing.assert_allclose([red / green, blue / green], np.tile([[0.93], [0.79]], len(green)), atol=0.02)
 
 
-def test_text_is_read_with_any_delimiter_header_and_colours() -> None:
-    points = _lattice(0.5, 3)
-    rows = np.concatenate([points, np.full((27, 1), 0.7), np.tile([10, 20, 30], (27, 1))], axis=1)
-    for delimiter in (" ", ",", ";", "\t"):
-        lines = [delimiter.join(f"{value:g}" for value in row) for row in rows]
-        text = "\n".join(["# a comment", "x y z i r g b", *lines, ""]).encode()
-        cloud = read_cloud(io.BytesIO(text), file_type="xyz")
-        np.testing.assert_allclose(cloud.means, points, atol=1e-6)
-        np.testing.assert_allclose(cloud.sh[0, 0] * SH_0 + 0.5, np.array([10, 20, 30]) / 255, atol=1e-6)
-
-
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
 def test_a_ply_without_faces_is_a_point_cloud(encoding: str) -> None:
     points = _lattice(0.5, 3)
