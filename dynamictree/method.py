@@ -45,18 +45,13 @@ def animate(
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
     mesh = triangle_mesh(mesh)
-    voxels = voxelize(mesh)
-    spectrum = generate(voxels, wind=wind, seed=seed, model=model)
+    spectrum = generate(voxelize(mesh), wind=wind, seed=seed, model=model)
     for displacement in move(spectrum, mesh, num_frames=num_frames, flutter=flutter, devoxelization=devoxelization):
         yield mesh.vertices + displacement
 
 
 def animate_splat(
-    cloud: GaussianCloud,
-    mesh: AnyMesh,
-    spectrum: SparseVoxelSpectrum,
-    *,
-    num_frames: int | None = None,
+    cloud: GaussianCloud, mesh: AnyMesh, spectrum: SparseVoxelSpectrum, *, num_frames: int | None = None
 ) -> Iterator[GaussianCloud]:
     """Frames of a splat that moves with the mesh in it: the paper's output."""
     mesh = triangle_mesh(mesh)
@@ -94,7 +89,7 @@ def generate(
     With `wind_bands` the model is asked for five winds as well: how strong each mode is there.
     `foliage` is 0 for a bare tree and 1 for one in leaf; by default the shape tells it, but not that of a surface that
     was made of a cloud (`of_cloud`).
-    `on_step` gets the sampler steps done and their total; what it raises passes through.
+    `on_step` gets the sampler steps done and their total.
     """
     from dynamictree.models import loaded_once
     from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
@@ -112,8 +107,8 @@ def generate(
 
     own = wind or Wind()
     spectrum = with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step)
-    by_shape = None if of_cloud else spectrum.foliage
-    return replace(spectrum, source=voxels.source, foliage=by_shape if foliage is None else foliage)
+    known = foliage if foliage is not None or of_cloud else spectrum.foliage
+    return replace(spectrum, source=voxels.source, foliage=known)
 
 
 def devoxelize(
@@ -144,26 +139,15 @@ def move(
     """Displacement of each vertex over one loop, frame by frame [m], as every product has it.
 
     `num_frames` are spread over the loop; by default there is one every 1/24 s. `flutter` is how far leaves turn above
-    the spectrum's frequencies: 0 not at all, 1 as in nature. With the devoxelization "paper" the
-    nearest voxels' displacements are added.
+    the spectrum's frequencies: 0 not at all, 1 as in nature. With "paper" the nearest voxels' displacements are added.
     """
     mesh = triangle_mesh(mesh)
-    if devoxelization == "paper":
-        yield from displace(devoxelize(spectrum, mesh, "paper"), spectrum, num_frames=num_frames)
-        return
     num_frames = spectrum.num_frames if num_frames is None else num_frames
+    phases = np.arange(num_frames) / num_frames
+    if devoxelization == "paper":
+        yield from iter_motion(devoxelize(spectrum, mesh, "paper"), phases, spectrum.num_frames)
+        return
     still = rig_of(mesh, spectrum)
     rig = fluttering(still, flutter_modes(still, spectrum, flutter))
-    for theta in rig.theta(np.arange(num_frames) / num_frames):
+    for theta in rig.theta(phases):
         yield rig.displacement(theta, mesh.vertices, rig.vertices)
-
-
-def displace(
-    vertex_spectrum: Complex64[np.ndarray, "N K 3"], spectrum: SparseVoxelSpectrum, *, num_frames: int | None = None
-) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Displacement of each vertex over one loop, frame by frame [m]: the inverse Fourier transform of paper eq. 1.
-
-    `num_frames` are spread over the loop; by default there is one every 1/24 s.
-    """
-    num_frames = spectrum.num_frames if num_frames is None else num_frames
-    return iter_motion(vertex_spectrum, np.arange(num_frames) / num_frames, spectrum.num_frames)

@@ -11,7 +11,7 @@ from dynamictree.export.write import write_products
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams, Format, Wind
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum, to_motion
 
 NUM_FRAMES = 6
 
@@ -37,7 +37,7 @@ def test_a_mesh_of_trimesh_is_voxelized_as_ours_is(post: trimesh.Trimesh) -> Non
 
 
 def test_vertices_follow_the_spectrum(post: trimesh.Trimesh, spectrum: SparseVoxelSpectrum) -> None:
-    motion = np.stack(list(method.displace(method.devoxelize(spectrum, post), spectrum, num_frames=NUM_FRAMES)))
+    motion = to_motion(method.devoxelize(spectrum, post), NUM_FRAMES)
     top = post.vertices[:, 2] > 0.9
     expected = 2 * 0.01 * 4 * np.cos(2 * np.pi * np.arange(NUM_FRAMES) / NUM_FRAMES)
     np.testing.assert_allclose(motion[:, top, 0].mean(axis=1), expected, atol=0.01)
