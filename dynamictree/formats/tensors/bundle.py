@@ -21,7 +21,7 @@ from dynamictree.mesh import TriangleMesh, validate_mesh
 from dynamictree.plant.capture import Capture
 
 VERSION = 2
-MAX_BYTES = 3 << 30
+MAX_BYTES = {TriangleMesh: 1 << 30, Capture: 3 << 30}
 _FIELDS, _TENSOR, _BYTES = "fields", "tensor", "bytes"
 """Name of the tensor that is the JSON of the fields; and in it, of what stands for an array and for bytes."""
 
@@ -78,7 +78,7 @@ def _checked(mesh: TriangleMesh) -> TriangleMesh:
 
 def _read(stream: ByteReader, kind: type[Value], *, leave_out: tuple[str, ...] = ()) -> Value:
     try:
-        tensors = load(read_all(stream, MAX_BYTES))
+        tensors = load(read_all(stream, MAX_BYTES[kind]))
         content = json.loads(tensors[_FIELDS].tobytes())
         version = content["version"]
         if version == VERSION:
