@@ -12,7 +12,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, TriangleMesh, validate_mesh
 from dynamictree.plant.capture import Capture, moving_part, with_still_parts
 from dynamictree.plant.level import up_of_standing
-from dynamictree.plant.likeness import FEWEST_GAUSSIANS, VISIBLE, doubt_cloud, doubt_mesh
+from dynamictree.plant.likeness import FEWEST_FACES, FEWEST_GAUSSIANS, VISIBLE, doubt_cloud, doubt_mesh
 from dynamictree.plant.place import Conventions, axis_doubts, mesh_to_z_up, size_doubts, sized
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.still_mesh import find_still_parts
@@ -33,7 +33,7 @@ def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> 
     parts, still = find_still_parts(upright)
     mesh = replace(upright, parts=replace(upright.parts, still=parts), still_faces=still)
     doubts: tuple[SourceWarning, ...] = ()
-    if reading.up_axis is None and file.up_axis is not None:
+    if reading.up_axis is None and file.up_axis is not None and mesh.num_faces >= FEWEST_FACES:
         standing = judge_each_standing(mesh.moving_part) or judge_standing(mesh.moving_part)
         doubts += axis_doubts(standing, mesh.source.up_axis)
     mesh = with_trees(replace(mesh, warnings=mesh.warnings + doubts + doubt_mesh(mesh)))

@@ -22,6 +22,8 @@ from dynamictree.plant.names import LEAF, WOOD
 from dynamictree.plant.sample import face_normals, surface_points
 from dynamictree.plant.still import touching_groups
 
+FEWEST_FACES = 40
+"""Of a mesh that has a shape: fewer, such as a single card, tell nothing."""
 FEWEST_GAUSSIANS = 500
 """Of a splat that can look like a plant."""
 VISIBLE = 0.1
@@ -35,10 +37,9 @@ _CELL, _TOGETHER = 0.03, 0.5  # of the height: what is so near hangs together; l
 
 def doubt_mesh(mesh: TriangleMesh) -> tuple[SourceWarning, ...]:
     """A warning if what moves of a mesh that stands on +Z does not look like a plant."""
-    fewest_faces = 40
     plant = mesh.moving_part
     sampled = surface_points(plant, _POINTS)
-    if sampled is None or plant.num_faces < fewest_faces:
+    if sampled is None or plant.num_faces < FEWEST_FACES:
         return ()
     if sector_difference(sampled[0]) < _TURNED:
         shape = "the same from all sides, as lamps, vases and columns are"

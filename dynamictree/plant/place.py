@@ -16,6 +16,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.axes import transformed
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, TriangleMesh
+from dynamictree.plant.likeness import FEWEST_FACES
 from dynamictree.plant.still import height_of
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.upright import CERTAIN, USUAL, UpAxis, judge_up_axis
@@ -150,7 +151,6 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
 
     Tools that make meshes from pictures scale all that they see to a cube, also in glTF, whose unit is the metre.
     """
-    fewest = 40  # faces of a shape, as in `likeness.py`: fewer are no mesh that a tool made from pictures
     cubes, of_cube = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
     scale, plant = mesh.source.scale, mesh.moving_part
     sides = np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
@@ -164,7 +164,7 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
         names = {unit: name for name, unit in UNIT_NAMES.items()}
         taken = f"taken for {names.get(scale, f'{scale:g} m each')} ({height:.3g} m)"
         what = f"the file does not say its unit; {height / scale:.4g} units were {taken}"
-    elif (not file_unit or mesh.num_faces >= fewest) and any(abs(longest / side - 1) < of_cube for side in cubes):
+    elif (not file_unit or mesh.num_faces >= FEWEST_FACES) and any(abs(longest / side - 1) < of_cube for side in cubes):
         what = f"the longest side is {longest:.3g} units, as of meshes that a tool scaled to a cube, taken for metres"
     else:
         return ()
