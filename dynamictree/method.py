@@ -107,8 +107,8 @@ def generate(
 
     own = wind or Wind()
     spectrum = with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step)
-    known = foliage if foliage is not None or of_cloud else spectrum.foliage
-    return replace(spectrum, source=voxels.source, foliage=known)
+    stated = foliage if foliage is not None or of_cloud else spectrum.foliage
+    return replace(spectrum, source=voxels.source, foliage=stated)
 
 
 def devoxelize(
