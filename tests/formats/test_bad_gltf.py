@@ -1,6 +1,7 @@
 """A glTF or GLB that breaks the rules is refused with what was found and what is allowed."""
 
 import io
+import time
 
 import DracoPy
 import numpy as np
@@ -18,7 +19,6 @@ def read(content: bytes, file_type: str, **companions: bytes) -> TriangleMesh:
     return read_mesh(io.BytesIO(content), file_type=file_type, companions=companions)
 
 
-@pytest.mark.timeout(20)
 @pytest.mark.parametrize("named", [False, True])
 def test_nodes_outside_of_the_scene_may_form_a_circle(named: bool) -> None:
     name = {"name": "a"} if named else {}
@@ -26,12 +26,14 @@ def test_nodes_outside_of_the_scene_may_form_a_circle(named: bool) -> None:
     assert read(gltf_bytes(root, binary), "glb").num_faces == 1
 
 
-@pytest.mark.timeout(20)
 def test_a_long_chain_of_nameless_nodes_is_read_in_linear_time() -> None:
+    """By the processor's time: at 30,000 nodes the square of their number would take minutes."""
     count = 30_000
     nodes = [{"mesh": 0, "name": "leaf"}, *({"children": [index]} for index in range(count))]
     root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": [count]}])
+    begun = time.process_time()
     assert read(gltf_bytes(root, binary), "glb").parts.names == ("leaf",)
+    assert time.process_time() - begun < 20
 
 
 def test_instances_count_against_the_cap() -> None:
