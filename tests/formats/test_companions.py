@@ -59,8 +59,15 @@ def test_a_name_in_another_code_page_is_the_same_name(sent: str, named: str) -> 
 @pytest.mark.parametrize(
     ("name", "added"),
     [
-        *((name, True) for name in ("__MACOSX/tree/._bark.png", "tree/.DS_Store", "._tree.obj", "a/Thumbs.db")),
-        *((name, True) for name in ("photos\\desktop.ini", "@eaDir/p1.jpg/SYNOPHOTO_THUMB_M.jpg")),
+        *((name, True) for name in ("__MACOSX/tree/._bark.png", "tree/.DS_Store", "._tree.obj", "a/._b/tree.obj")),
+        *((name, True) for name in (".AppleDouble/tree.obj", ".Spotlight-V100/store.obj", ".Trashes/501/tree.obj")),
+        *(
+            (name, True)
+            for name in (".fseventsd/0.obj", ".TemporaryItems/tree.obj", "tree/Icon\r", "__macosx/tree.obj")
+        ),
+        *((name, True) for name in ("a/Thumbs.db", "ehthumbs.db", "photos\\desktop.ini", "$RECYCLE.BIN/S-1/tree.obj")),
+        *((name, True) for name in ("a\\THUMBS.DB", ".directory", ".Trash-1000/files/tree.obj", ".nfs0000.obj")),
+        *((name, True) for name in ("@eaDir/p1.jpg/SYNOPHOTO_THUMB_M.jpg",)),
         *((name, False) for name in ("./tree.obj", "../tree.obj", "tree v1.2/tree.obj", "thumbs/db.png")),
     ],
 )
