@@ -42,6 +42,8 @@ READ_EXTENSIONS = frozenset(
 )
 """Extensions that change geometry or textures, and that the readers follow."""
 
+_OF_LIGHT = frozenset({"KHR_lights_punctual", "KHR_xmp_json_ld"})
+"""These and materials' change neither geometry nor base colours."""
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 _MAX_BYTES = 1 << 40
 
@@ -131,7 +133,8 @@ def open_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> GltfDocumen
     version = text_field(object_field(root, "asset"), "version", "none")
     if not version.startswith("2."):
         raise FormatError(f"the file is glTF {version[:20]}; 2.0 is read")
-    refused = sorted(set(text_list(root, "extensionsRequired")) - READ_EXTENSIONS - _without_effect(root))
+    required = {name for name in text_list(root, "extensionsRequired") if not name.startswith("KHR_materials_")}
+    refused = sorted(required - READ_EXTENSIONS - _OF_LIGHT)
     if refused:
         raise FormatError(
             f"the file requires the glTF extension {', '.join(refused)[:200]}, which is not read; "
@@ -198,15 +201,6 @@ def _component_type(accessor: JsonObject) -> np.dtype[np.generic]:
     if number not in COMPONENTS:
         raise FormatError(f"a componentType is {number}; {', '.join(map(str, COMPONENTS))} are defined")
     return COMPONENTS[number]
-
-
-def _without_effect(root: JsonObject) -> set[str]:
-    """Names of required extensions that only change shading or lighting, and so can be ignored."""
-    return {
-        name
-        for name in text_list(root, "extensionsRequired")
-        if name.startswith("KHR_materials_") or name in ("KHR_lights_punctual", "KHR_xmp_json_ld")
-    }
 
 
 def _split_glb(content: bytes) -> tuple[bytes, bytes | None]:

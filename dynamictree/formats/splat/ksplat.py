@@ -5,7 +5,7 @@ Level 0 of compression is floats, level 1 halves with 16-bit steps, level 2 the 
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -26,20 +26,26 @@ _PLACE_BYTES = {0: ("<f4", "<f4", "<f4"), 1: ("<u2", "<f2", "<f2"), 2: ("<u2", "
 _FARTHEST = 1e6  # of a bucket's size and of what harmonics of 8 bits may be
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Section:
-    """One section's header, and where its parts begin in the file [bytes]."""
+class _Section(NamedTuple):
+    """One section's header, in the file's order."""
 
     count: int
+    room: int  # Gaussians that the file has bytes for
     per_bucket: int
     num_buckets: int
+    block_m: float
+    bucket_bytes: int
+    steps: int
     num_full: int
     num_partial: int
-    block_m: float
-    steps: int
     degree: int
-    buckets_at: int  # behind the sizes of the buckets that are not full
-    rows_at: int
+
+
+class _Place(NamedTuple):
+    """Where the parts of a section begin in the file [bytes]."""
+
+    buckets: int  # behind the sizes of the buckets that are not full
+    rows: int
 
 
 def read_ksplat(stream: SeekableReader) -> GaussianCloud:
@@ -62,48 +68,35 @@ def read_ksplat(stream: SeekableReader) -> GaussianCloud:
     check_count(count)
     if _HEADER_BYTES + num_sections * _SECTION_BYTES > len(content):
         raise FormatError(f"the .ksplat file names {num_sections:,} sections, more than fit into it; it is truncated")
-    sections = [section for section in _sections(content, num_sections, level) if section.count]
-    if sum(section.count for section in sections) != count:
-        present = sum(section.count for section in sections)
+    sections = [(section, place) for section, place in _sections(content, num_sections, level) if section.count]
+    present = sum(section.count for section, _ in sections)
+    if present != count:
         raise FormatError(f"the .ksplat file says {count:,} Gaussians, its sections have {present:,}")
     bounds = (least or -range, most or range)
     if not max(map(abs, bounds)) <= _FARTHEST:
         raise FormatError(
             f"harmonics of the .ksplat file lie between {bounds[0]:g} and {bounds[1]:g}, which is no range"
         )
-    return joined([_read_section(content, section, level, bounds) for section in sections])
+    return joined([_read_section(content, section, place, level, bounds) for section, place in sections])
 
 
-def _sections(content: bytes, num_sections: int, level: int) -> Iterator[_Section]:
-    usual_steps = 32_767  # to either side of a bucket's middle, where the section does not say
-    place = _HEADER_BYTES + num_sections * _SECTION_BYTES
+def _sections(content: bytes, num_sections: int, level: int) -> Iterator[tuple[_Section, _Place]]:
+    end = _HEADER_BYTES + num_sections * _SECTION_BYTES
     for number in range(num_sections):
-        header = _SECTION.unpack_from(content, _HEADER_BYTES + number * _SECTION_BYTES)
-        count, room, per_bucket, num_buckets, block_m, bucket_bytes, steps, num_full, num_partial, degree = header
-        contradicts = degree > 2 or count > room or num_full + num_partial > num_buckets
-        if contradicts or (num_buckets and bucket_bytes < 12) or not 0 <= block_m <= _FARTHEST:
+        one = _Section._make(_SECTION.unpack_from(content, _HEADER_BYTES + number * _SECTION_BYTES))
+        contradicts = one.degree > 2 or one.count > one.room or one.num_full + one.num_partial > one.num_buckets
+        if contradicts or (one.num_buckets and one.bucket_bytes < 12) or not 0 <= one.block_m <= _FARTHEST:
             raise FormatError(
-                f"section {number} of the .ksplat file contradicts itself: {count:,} Gaussians in room for {room:,}, "
-                f"{num_full:,} full and {num_partial:,} other of {num_buckets:,} buckets of "
-                f"{block_m:g}, harmonics of degree {degree}"
+                f"section {number} of the .ksplat file contradicts itself: {one.count:,} Gaussians in room for "
+                f"{one.room:,}, {one.num_full:,} full and {one.num_partial:,} other of {one.num_buckets:,} buckets of "
+                f"{one.block_m:g}, harmonics of degree {one.degree}"
             )
-        buckets_at = place + 4 * num_partial
-        rows_at = buckets_at + bucket_bytes * num_buckets
-        place = rows_at + room * _row(level, degree).itemsize
-        if place > len(content):
-            raise FormatError(f"section {number} of the .ksplat file ends at {place:,} of {len(content):,} bytes")
-        yield _Section(
-            count=count,
-            per_bucket=per_bucket,
-            num_buckets=num_buckets,
-            num_full=num_full,
-            num_partial=num_partial,
-            block_m=block_m,
-            steps=steps or usual_steps,
-            degree=degree,
-            buckets_at=buckets_at,
-            rows_at=rows_at,
-        )
+        buckets = end + 4 * one.num_partial
+        rows = buckets + one.bucket_bytes * one.num_buckets
+        end = rows + one.room * _row(level, one.degree).itemsize
+        if end > len(content):
+            raise FormatError(f"section {number} of the .ksplat file ends at {end:,} of {len(content):,} bytes")
+        yield one, _Place(buckets, rows)
 
 
 def _row(level: int, degree: int) -> np.dtype[np.void]:
@@ -113,12 +106,15 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
     return np.dtype([*fields, ("rest", harmonic, num_rest)])
 
 
-def _read_section(content: bytes, section: _Section, level: int, bounds: tuple[float, float]) -> GaussianCloud:
-    rows = np.frombuffer(content, _row(level, section.degree), section.count, section.rows_at)
+def _read_section(
+    content: bytes, section: _Section, place: _Place, level: int, bounds: tuple[float, float]
+) -> GaussianCloud:
+    usual_steps = 32_767  # to either side of a bucket's middle, where the section does not say
+    rows = np.frombuffer(content, _row(level, section.degree), section.count, place.rows)
     means = rows["mean"].astype(np.float32)
     if level:
-        step = np.float32(section.block_m / 2 / section.steps)
-        means = (means - section.steps) * step + _bucket_middles(content, section)
+        steps = section.steps or usual_steps
+        means = (means - steps) * np.float32(section.block_m / 2 / steps) + _bucket_middles(content, section, place)
     rest = rows["rest"].astype(np.float32)
     if level == 2:
         rest = bounds[0] + rest / np.float32(255) * (bounds[1] - bounds[0])
@@ -136,15 +132,15 @@ def _read_section(content: bytes, section: _Section, level: int, bounds: tuple[f
     )
 
 
-def _bucket_middles(content: bytes, section: _Section) -> Float32[np.ndarray, "G 3"]:
+def _bucket_middles(content: bytes, section: _Section, place: _Place) -> Float32[np.ndarray, "G 3"]:
     """The middle of the bucket of each Gaussian: first the full buckets, then the others with their own sizes."""
-    partial = np.frombuffer(content, "<u4", section.num_partial, section.buckets_at - 4 * section.num_partial)
+    partial = np.frombuffer(content, "<u4", section.num_partial, place.buckets - 4 * section.num_partial)
     sizes = np.concatenate([np.full(section.num_full, section.per_bucket), partial.astype(np.int64)])
     if sizes.sum() != section.count:
         raise FormatError(
             f"the buckets of a .ksplat section hold {int(sizes.sum()):,} Gaussians; {section.count:,} are there"
         )
-    width = (section.rows_at - section.buckets_at) // section.num_buckets
-    middles = np.frombuffer(content, np.dtype((np.void, width)), section.num_buckets, section.buckets_at)
+    width = section.bucket_bytes
+    middles = np.frombuffer(content, np.dtype((np.void, width)), section.num_buckets, place.buckets)
     places = np.ascontiguousarray(middles.view(np.uint8).reshape(-1, width)[:, :12]).view("<f4")
     return places[np.repeat(np.arange(len(sizes)), sizes)[: section.count]].astype(np.float32)
