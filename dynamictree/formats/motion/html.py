@@ -17,7 +17,9 @@ from web.vendor import FOLDER, LIBRARIES
 
 MAX_SPLAT_BYTES = 256 * 1024**2
 """Of the splat inside a page: in base64 it has to stay below the longest text that browsers allow, 512 MiB."""
-_THREE, _SPARK = (next(one for one in LIBRARIES if one.name == name) for name in ("three", "@sparkjsdev/spark"))
+_THREE, _SPARK, _FFLATE = (
+    next(one for one in LIBRARIES if one.name == name) for name in ("three", "@sparkjsdev/spark", "fflate")
+)
 _CORE = {
     "three-core": f"vendor/{_THREE.target('three.core.js')}",
     "three": f"vendor/{_THREE.target('three.module.js')}",
@@ -34,14 +36,18 @@ _SPLAT = {
     "tensors": "motion/tensors.js",
     "vectors": "motion/vectors.js",
     "modes": "motion/modes.js",
+    "swing": "motion/swing.js",
     "pass": "draw/pass.js",
     "gust": "draw/gust.js",
     "field": "draw/field.js",
     "splat-shader": "draw/splat_shader.js",
     "splat": "draw/splat.js",
 }
-_LICENCES = {"three.js": _THREE.target("LICENSE"), "Spark": _SPARK.target("LICENSE")}
-_LICENCES |= {"fflate": f"{_SPARK.target('LICENSE')}.fflate"}
+_LICENCES = {
+    "three.js": _THREE.target("LICENSE"),
+    "Spark": _SPARK.target("LICENSE"),
+    "fflate": _FFLATE.target("LICENSE"),
+}
 _PLAYERS = {
     "player_mesh.js": (_CORE | _MESH, ("three.js",)),
     "player_splat.js": (_CORE | _SPLAT, tuple(_LICENCES)),
