@@ -29,7 +29,7 @@ _FARTHEST = 1e6  # of a bucket's size and of what harmonics of 8 bits may be
 class _Section(NamedTuple):
     """One section's header, in the file's order."""
 
-    count: int
+    num_rows: int
     room: int  # Gaussians that the file has bytes for
     per_bucket: int
     num_buckets: int
@@ -68,8 +68,8 @@ def read_ksplat(stream: SeekableReader) -> GaussianCloud:
     check_count(count)
     if _HEADER_BYTES + num_sections * _SECTION_BYTES > len(content):
         raise FormatError(f"the .ksplat file names {num_sections:,} sections, more than fit into it; it is truncated")
-    sections = [(section, place) for section, place in _sections(content, num_sections, level) if section.count]
-    present = sum(section.count for section, _ in sections)
+    sections = [(section, place) for section, place in _sections(content, num_sections, level) if section.num_rows]
+    present = sum(section.num_rows for section, _ in sections)
     if present != count:
         raise FormatError(f"the .ksplat file says {count:,} Gaussians, its sections have {present:,}")
     bounds = (least or -range, most or range)
@@ -84,10 +84,10 @@ def _sections(content: bytes, num_sections: int, level: int) -> Iterator[tuple[_
     end = _HEADER_BYTES + num_sections * _SECTION_BYTES
     for number in range(num_sections):
         one = _Section._make(_SECTION.unpack_from(content, _HEADER_BYTES + number * _SECTION_BYTES))
-        contradicts = one.degree > 2 or one.count > one.room or one.num_full + one.num_partial > one.num_buckets
+        contradicts = one.degree > 2 or one.num_rows > one.room or one.num_full + one.num_partial > one.num_buckets
         if contradicts or (one.num_buckets and one.bucket_bytes < 12) or not 0 <= one.block_m <= _FARTHEST:
             raise FormatError(
-                f"section {number} of the .ksplat file contradicts itself: {one.count:,} Gaussians in room for "
+                f"section {number} of the .ksplat file contradicts itself: {one.num_rows:,} Gaussians in room for "
                 f"{one.room:,}, {one.num_full:,} full and {one.num_partial:,} other of {one.num_buckets:,} buckets of "
                 f"{one.block_m:g}, harmonics of degree {one.degree}"
             )
@@ -110,7 +110,7 @@ def _read_section(
     content: bytes, section: _Section, place: _Place, level: int, bounds: tuple[float, float]
 ) -> GaussianCloud:
     usual_steps = 32_767  # to either side of a bucket's middle, where the section does not say
-    rows = np.frombuffer(content, _row(level, section.degree), section.count, place.rows)
+    rows = np.frombuffer(content, _row(level, section.degree), section.num_rows, place.rows)
     means = rows["mean"].astype(np.float32)
     if level:
         steps = section.steps or usual_steps
@@ -118,11 +118,11 @@ def _read_section(
     rest = rows["rest"].astype(np.float32)
     if level == 2:
         rest = bounds[0] + rest / np.float32(255) * (bounds[1] - bounds[0])
-    sh = np.zeros((section.count, (section.degree + 1) ** 2, 3), np.float32)
+    sh = np.zeros((section.num_rows, (section.degree + 1) ** 2, 3), np.float32)
     sh[:, 0] = harmonic_from_color(rows["rgba"][:, :3] / np.float32(255))
     for band in range(1, section.degree + 1):  # a band after another, in each all of red, then green, then blue
         own = rest[:, 3 * (band**2 - 1) : 3 * ((band + 1) ** 2 - 1)]
-        sh[:, band**2 : (band + 1) ** 2] = own.reshape(section.count, 3, -1).transpose(0, 2, 1)
+        sh[:, band**2 : (band + 1) ** 2] = own.reshape(section.num_rows, 3, -1).transpose(0, 2, 1)
     return GaussianCloud(
         means=means.astype(np.float32),
         quaternions=unit_quaternions(rows["rotation"].astype(np.float32)),
@@ -136,11 +136,11 @@ def _bucket_middles(content: bytes, section: _Section, place: _Place) -> Float32
     """The middle of the bucket of each Gaussian: first the full buckets, then the others with their own sizes."""
     partial = np.frombuffer(content, "<u4", section.num_partial, place.buckets - 4 * section.num_partial)
     sizes = np.concatenate([np.full(section.num_full, section.per_bucket), partial.astype(np.int64)])
-    if sizes.sum() != section.count:
+    if sizes.sum() != section.num_rows:
         raise FormatError(
-            f"the buckets of a .ksplat section hold {int(sizes.sum()):,} Gaussians; {section.count:,} are there"
+            f"the buckets of a .ksplat section hold {int(sizes.sum()):,} Gaussians; {section.num_rows:,} are there"
         )
     width = section.bucket_bytes
     middles = np.frombuffer(content, np.dtype((np.void, width)), section.num_buckets, place.buckets)
     places = np.ascontiguousarray(middles.view(np.uint8).reshape(-1, width)[:, :12]).view("<f4")
-    return places[np.repeat(np.arange(len(sizes)), sizes)[: section.count]].astype(np.float32)
+    return places[np.repeat(np.arange(len(sizes)), sizes)[: section.num_rows]].astype(np.float32)
