@@ -54,6 +54,13 @@ def test_exact_step_is_the_matrix_exponential(spectrum, zeta):
         np.testing.assert_allclose(step.B[:, k], expected[:2, 2], atol=1e-9)
 
 
+def test_symplectic_euler_moves_the_coordinate_by_the_new_rate(spectrum, rng):
+    system = modal_system(spectrum, damping_ratio=0.1)
+    begin = some_state(system, rng)
+    _, end = run(symplectic_euler_step(system, 0.01), begin, some_force(system, rng, 1))
+    np.testing.assert_allclose(end.q - begin.q, 0.01 * end.q_dot, atol=1e-12)
+
+
 @pytest.mark.parametrize("zeta", [0.02, 1.3])
 def test_exact_step_agrees_with_scipys_integrator(spectrum, rng, zeta):
     system = modal_system(spectrum, damping_ratio=zeta)
