@@ -46,14 +46,12 @@ class JobNotifier:
                 versions = await run_in_threadpool(self.store.job_versions, list(self._waiting))
             except sa.exc.SQLAlchemyError as error:
                 logger.warning("changes cannot be looked for: %s", error)
-                versions = {}
             else:
                 self._wake(versions)
             await asyncio.sleep(LOOK_S)
 
-    def _wake(self, versions: dict[str, tuple[int, bool]]) -> None:
+    def _wake(self, versions: dict[str, int]) -> None:
         for job_id, waiters in self._waiting.items():
-            now = versions.get(job_id)
             for waiter, version in waiters.items():
-                if (now is None or now[0] != version) and not waiter.done():
+                if versions.get(job_id) != version and not waiter.done():
                     waiter.set_result(None)

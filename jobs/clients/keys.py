@@ -76,15 +76,17 @@ def digest_of(key: str) -> str:
 
 def find_key(store: Store, digest: str) -> KeyRecord | None:
     """Find the key with a hash, valid or not."""
-    with store.reading() as connection:
-        row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.digest == digest)).one_or_none()
-    return None if row is None else _key(row)
+    return _key_where(store, t.api_keys.c.digest == digest)
 
 
 def key_of_id(store: Store, key_id: str) -> KeyRecord | None:
     """Find the key with an id, valid or not."""
+    return _key_where(store, t.api_keys.c.id == key_id)
+
+
+def _key_where(store: Store, this: sa.ColumnElement[bool]) -> KeyRecord | None:
     with store.reading() as connection:
-        row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.id == key_id)).one_or_none()
+        row = connection.execute(sa.select(t.api_keys).where(this)).one_or_none()
     return None if row is None else _key(row)
 
 

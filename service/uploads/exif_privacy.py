@@ -8,10 +8,9 @@ import struct
 import zlib
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from hashlib import sha256
 
 from dynamictree.formats.photo import is_heif
-from jobs.storage.artifacts import hash_file
 from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
 
@@ -38,72 +37,56 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
     Raises:
         ProblemError: it is a BigTIFF, whose directories have another form.
     """
-    with file.path.open("rb") as stream:
-        head = stream.read(12)
-    if head.startswith(b"\xff\xd8"):
-        changed = _blank_jpeg(file.path)
-    elif head.startswith(b"\x89PNG\r\n\x1a\n"):
-        changed = _blank_chunks(file.path, start=8, is_png=True)
-    elif head.startswith(b"RIFF") and head.endswith(b"WEBP"):
-        changed = _blank_chunks(file.path, start=12, is_png=False)
-    elif head[:4] in (b"II*\0", b"MM\0*"):
-        changed = _blank_tiff_file(file.path)
-    elif is_heif(file.path):
-        changed = _blank_heif(file.path)
-    elif head[:4] in (b"II+\0", b"MM\0+"):
-        raise ProblemError("unsupported-format", f"photo {file.name!r} is a BigTIFF; save it as TIFF, JPEG or PNG")
-    else:
-        changed = False
-    if not changed:
-        return file
-    digest, _ = hash_file(file.path)
-    return replace(file, sha256=digest)
-
-
-def _blank_jpeg(path: Path) -> bool:
-    """Blank EXIF, XMP and IPTC wherever they stand, and what follows the picture: other pictures, films, notes."""
-    content = bytearray(path.read_bytes())
+    content = bytearray(file.path.read_bytes())
     before = bytes(content)
+    if before.startswith(b"\xff\xd8"):
+        _blank_jpeg(content)
+    elif before.startswith(b"\x89PNG\r\n\x1a\n"):
+        _blank_chunks(content, at=8, is_png=True)
+    elif before.startswith(b"RIFF") and before[8:12] == b"WEBP":
+        _blank_chunks(content, at=12, is_png=False)
+    elif _TIFF_HEAD.match(before):
+        _blank_tiff(content)
+    elif is_heif(file.path):
+        _blank_heif(content)
+    elif before[:4] in (b"II+\0", b"MM\0+"):
+        raise ProblemError("unsupported-format", f"photo {file.name!r} is a BigTIFF; save it as TIFF, JPEG or PNG")
+    if content == before:
+        return file
+    file.path.write_bytes(content)
+    return replace(file, sha256=sha256(content).hexdigest())
+
+
+def _blank_jpeg(content: bytearray) -> None:
+    """Blank EXIF, XMP and IPTC wherever they stand, and what follows the picture: other pictures, films, notes."""
     at = 2
     while marker := _MARKER.search(content, at):
         at, kind = marker.end(), content[marker.end() - 1]
         if kind == _END:
             content[at:] = bytes(len(content) - at)
-            break
+            return
         if kind in _BARE:
             continue
         end = at + max(int.from_bytes(content[at : at + 2], "big"), 2)
         if kind in (_APP1, _APP13):
             content[at + 2 : end] = _blanked(kind, bytes(content[at + 2 : end]))
         at = end
-    if content == before:
-        return False
-    path.write_bytes(content)
-    return True
 
 
-def _blank_chunks(path: Path, *, start: int, is_png: bool) -> bool:
+def _blank_chunks(content: bytearray, *, at: int, is_png: bool) -> None:
     """Blank EXIF, XMP and text in the chunks of a PNG (length, name, data, CRC) or a WebP (name, length, data)."""
-    changed = False
-    with path.open("r+b") as stream:
-        stream.seek(start)
-        for _ in range(MAX_CHUNKS):
-            head = stream.read(8)
-            if len(head) < 8:
-                break
-            name = head[4:] if is_png else head[:4]
-            length = int.from_bytes(head[:4], "big") if is_png else int.from_bytes(head[4:], "little")
-            at = stream.tell()
-            content = stream.read(length) if name in _EXIF_CHUNKS or name in _TEXT_CHUNKS else b""
-            blank = _blanked_chunk(name, content)
-            if blank != content:
-                stream.seek(at)
-                stream.write(blank)
-                if is_png:
-                    stream.write(zlib.crc32(blank, zlib.crc32(name)).to_bytes(4, "big"))
-                changed = True
-            stream.seek(at + length + (4 if is_png else length % 2))
-    return changed
+    for _ in range(MAX_CHUNKS):
+        first, second, at = bytes(content[at : at + 4]), bytes(content[at + 4 : at + 8]), at + 8
+        name, length = (second, int.from_bytes(first, "big")) if is_png else (first, int.from_bytes(second, "little"))
+        if at > len(content):
+            return
+        chunk = bytes(content[at : at + length]) if name in _EXIF_CHUNKS or name in _TEXT_CHUNKS else b""
+        blank = _blanked_chunk(name, chunk)
+        if blank != chunk:
+            content[at : at + len(blank)] = blank
+            if is_png:
+                content[at + length : at + length + 4] = zlib.crc32(blank, zlib.crc32(name)).to_bytes(4, "big")
+        at += length + (4 if is_png else length % 2)
 
 
 def _blanked_chunk(name: bytes, content: bytes) -> bytes:
@@ -116,9 +99,8 @@ def _blanked_chunk(name: bytes, content: bytes) -> bytes:
     return content
 
 
-def _blank_heif(path: Path) -> bool:
+def _blank_heif(content: bytearray) -> None:
     """Blank the GPS of EXIF, which lies in a HEIC file as a TIFF does, and XMP; wherever they stand."""
-    content = bytearray(path.read_bytes())
     before = bytes(content)
     for match in _TIFF_HEAD.finditer(before):
         tiff = bytearray(before[match.start() : match.start() + MAX_EXIF_BYTES])
@@ -127,23 +109,13 @@ def _blank_heif(path: Path) -> bool:
             content[match.start() : match.start() + len(tiff)] = tiff
     for match in _XMP_PACKET.finditer(before):
         _zero(content, match.start(), match.end() - match.start())
-    if content == before:
-        return False
-    path.write_bytes(content)
-    return True
 
 
-def _blank_tiff_file(path: Path) -> bool:
-    content = path.read_bytes()
+def _blank_tiff(content: bytearray) -> None:
     tiff = bytearray(content)
-    try:
+    with suppress(struct.error, KeyError):  # no decoder reads it either
         _blank_gps(tiff, also=_TIFF_TEXT)
-    except (struct.error, KeyError):
-        return False  # no decoder reads it either
-    if tiff == content:
-        return False
-    path.write_bytes(tiff)
-    return True
+        content[:] = tiff
 
 
 def _blanked(marker: int, content: bytes) -> bytes:
