@@ -4,7 +4,7 @@ import errno
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -184,6 +184,20 @@ def hash_file(path: Path) -> tuple[str, int]:
             digest.update(chunk)
             size += len(chunk)
     return digest.hexdigest(), size
+
+
+def hash_stored(
+    artifacts: ArtifactStore, digest: str, on_chunk: Callable[[bytes], object] = lambda chunk: None
+) -> str | None:
+    """The sha256 of bytes as they are stored now, which `on_chunk` gets in pieces; None where there are none."""
+    checksum = sha256()
+    try:
+        for chunk in artifacts.read(digest):
+            checksum.update(chunk)
+            on_chunk(chunk)
+    except FileNotFoundError:
+        return None
+    return checksum.hexdigest()
 
 
 def is_full(error: OSError) -> bool:

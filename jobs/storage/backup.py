@@ -8,10 +8,8 @@ bytes while a backup holds its lease. SQLite and PostgreSQL restore into one ano
 import gzip
 import json
 import os
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ import sqlalchemy as sa
 from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError
 from jobs.lifecycle.maintenance import hold_lease, release_lease
-from jobs.storage.artifacts import ArtifactStore, hash_file
+from jobs.storage.artifacts import ArtifactStore, hash_file, hash_stored
 from jobs.storage.references import referenced
 from jobs.store import Store, new_id
 
@@ -138,26 +136,18 @@ def _read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
     """Copy bytes and verify their hash; return whether they are stored and correct."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    checksum = sha256()
-    with tempfile.NamedTemporaryFile(dir=target.parent, prefix=".part-", delete=False) as stream:
-        part = Path(stream.name)
-        try:
-            for chunk in artifacts.read(digest):
-                checksum.update(chunk)
-                stream.write(chunk)
+    part = target.with_name(f".part-{digest}")
+    try:
+        part.touch(mode=0o600)
+        with part.open("wb") as stream:
+            stored = hash_stored(artifacts, digest, stream.write)
             stream.flush()
             os.fsync(stream.fileno())
-        except FileNotFoundError:
-            part.unlink()
-            return False
-        except BaseException:
-            part.unlink()
-            raise
-    if checksum.hexdigest() != digest:
-        part.unlink()
-        return False
-    part.replace(target)
-    return True
+        if stored == digest:
+            part.replace(target)
+        return stored == digest
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _blob(folder: Path, digest: str) -> Path:

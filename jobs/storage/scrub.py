@@ -1,13 +1,11 @@
 """Read all stored bytes again and compare them with their hashes."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from hashlib import sha256
 
 import sqlalchemy as sa
 
 from jobs.database import tables as t
-from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.artifacts import ArtifactStore, hash_stored
 from jobs.storage.references import is_referenced, referenced
 from jobs.store import Store
 
@@ -22,27 +20,19 @@ class ScrubReport:
     different: tuple[str, ...]
 
 
-def scrub(
-    store: Store, artifacts: ArtifactStore, *, on_blob: Callable[[int, int], None] = lambda done, total: None
-) -> ScrubReport:
-    """Read every blob that a row refers to; `on_blob` gets how many were read, of how many."""
+def scrub(store: Store, artifacts: ArtifactStore) -> ScrubReport:
+    """Read every blob that a row refers to."""
     with store.reading() as connection:
         digests = referenced(connection, store.clock())
-    size, missing, different = 0, [], []
-    for number, digest in enumerate(digests, 1):
-        checksum = sha256()
-        try:
-            for chunk in artifacts.read(digest):
-                checksum.update(chunk)
-                size += len(chunk)
-        except FileNotFoundError:
-            if _is_referenced(store, digest):  # else retention has deleted it meanwhile
-                missing.append(digest)
-        else:
-            if checksum.hexdigest() != digest:
-                different.append(digest)
-        on_blob(number, len(digests))
-    return ScrubReport(blobs=len(digests), bytes=size, missing=tuple(missing), different=tuple(different))
+    sizes: list[int] = []
+    missing, different = [], []
+    for digest in digests:
+        stored = hash_stored(artifacts, digest, lambda chunk: sizes.append(len(chunk)))
+        if stored is None and _is_referenced(store, digest):  # else retention has deleted it meanwhile
+            missing.append(digest)
+        elif stored not in (None, digest):
+            different.append(digest)
+    return ScrubReport(blobs=len(digests), bytes=sum(sizes), missing=tuple(missing), different=tuple(different))
 
 
 def _is_referenced(store: Store, digest: str) -> bool:

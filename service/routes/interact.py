@@ -325,21 +325,16 @@ def _gaussians(
 
 def _refuse_costly(answer: Answer, num_points: int, bytes_a_point: int) -> None:
     num_frames, num_groups = answer.q.shape[:2]
-    if num_frames * num_groups * num_points > MAX_WORK:
-        fits = MAX_WORK // (max(num_groups, 1) * num_points)
-        raise ProblemError(
-            "validation-failed",
-            f"{num_frames} frames of {num_points:,} points moved by {num_groups} groups take too long; ask for "
-            f"{fits} frames at a time, or for modal",
-        )
     wanted = bytes_a_point * num_frames * num_points
-    if wanted > MAX_DISPLACEMENT_BYTES:
+    if num_frames * num_groups * num_points > MAX_WORK:
+        fits, costs = MAX_WORK // (max(num_groups, 1) * num_points), f"moved by {num_groups} groups take too long"
+    elif wanted > MAX_DISPLACEMENT_BYTES:
         fits = MAX_DISPLACEMENT_BYTES // (bytes_a_point * num_points)
-        raise ProblemError(
-            "validation-failed",
-            f"{num_frames} frames of {num_points:,} points are {wanted:,} bytes; "
-            f"{MAX_DISPLACEMENT_BYTES:,} are allowed: ask for {fits} frames at a time, or for modal",
-        )
+        costs = f"are {wanted:,} bytes, {MAX_DISPLACEMENT_BYTES:,} are allowed"
+    else:
+        return
+    detail = f"{num_frames} frames of {num_points:,} points {costs}; ask for {fits} frames at a time, or for modal"
+    raise ProblemError("validation-failed", detail)
 
 
 def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
