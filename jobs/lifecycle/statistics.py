@@ -67,19 +67,18 @@ def census(connection: sa.Connection, now: float) -> Census:
     )
 
 
-def stage_seconds(store: Store, stage: JobType, *, limit: int = 50) -> list[float]:
+def stage_seconds(store: Store, stage: JobType) -> list[float]:
     """Recent durations of a stage, cached runs excluded [s]."""
     ran = (t.stages.c.name == stage) & (t.stages.c.state == "succeeded") & t.stages.c.cached.is_(False)
-    columns = (t.stages.c.started_at, t.stages.c.finished_at)
-    query = sa.select(*columns).where(ran).order_by(t.stages.c.finished_at.desc()).limit(limit)
-    with store.reading() as connection:
-        return [row.finished_at - row.started_at for row in connection.execute(query)]
+    return _recent_seconds(store, t.stages, ran)
 
 
-def run_seconds(store: Store, *, limit: int = 50) -> list[float]:
+def run_seconds(store: Store) -> list[float]:
     """Recent run times of jobs, from start to end [s]."""
-    ran = (t.jobs.c.state == JobState.SUCCEEDED) & t.jobs.c.started_at.is_not(None)
-    columns = (t.jobs.c.started_at, t.jobs.c.finished_at)
-    query = sa.select(*columns).where(ran).order_by(t.jobs.c.finished_at.desc()).limit(limit)
+    return _recent_seconds(store, t.jobs, (t.jobs.c.state == JobState.SUCCEEDED) & t.jobs.c.started_at.is_not(None))
+
+
+def _recent_seconds(store: Store, table: sa.Table, ran: sa.ColumnElement[bool], *, limit: int = 50) -> list[float]:
+    query = sa.select(table.c.started_at, table.c.finished_at).where(ran).order_by(table.c.finished_at.desc())
     with store.reading() as connection:
-        return [row.finished_at - row.started_at for row in connection.execute(query)]
+        return [row.finished_at - row.started_at for row in connection.execute(query.limit(limit))]
