@@ -183,8 +183,9 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     """
     settings = owned.services.settings
     assert upload.source_url is not None
-    await run_in_threadpool(owned.services.upload_parts.delete, upload.id)
-    writer = await run_in_threadpool(owned.services.upload_parts.writer, upload.id, 0)
+    parts = owned.services.upload_parts
+    await run_in_threadpool(parts.delete, upload.id)
+    writer = await run_in_threadpool(lambda: parts.writer(upload.id, 0))
 
     def write(batch: list[bytes]) -> None:
         _require_place(owned, sum(map(len, batch)))
