@@ -53,6 +53,9 @@ def played_skin(content: bytes) -> np.ndarray:
     world = world_matrices(document)
     matrices = np.stack([world[node] for node in skin.joints], axis=1) @ inverse  # [T + 1, B, 4, 4]
     homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+    first = np.eye(4)  # joint 0 at rest
+    first[:3, 3] = document.nodes[skin.joints[0]].translation
+    rest = homogeneous @ (first @ inverse[0])[:3].T
     moved = [
         np.einsum("nj,njik,nk->ni", weights, frame[joints], homogeneous, optimize=True)[:, :3] for frame in matrices
     ]

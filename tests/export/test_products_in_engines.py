@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from alembic3d import Abc, AbcGeom
 from pxr import Usd, UsdGeom
+from scipy.spatial.transform import Rotation
 
 from benchmarks._played import (
     accessor,
@@ -29,9 +30,11 @@ from dynamictree import method
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.alembic import write_motion_alembic
 from dynamictree.formats.tensors.motion import read_motion
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.rig.rig import rig_of
 from dynamictree.rig.skin import skin_of
@@ -193,6 +196,35 @@ def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(
     assert errors_m(played_skin(path.read_bytes()), truth)[1] < 2e-5 * tree[0].height_m
     rest = len(trimesh.Trimesh(tree[0].vertices, tree[0].faces, process=False).export(file_type="glb"))
     assert path.stat().st_size < 1.3 * rest + 1e6
+
+
+def test_a_skin_stays_in_the_document_of_its_source(
+    tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path: Path
+) -> None:
+    """Nodes that turn, shrink and move the mesh, and a material of which we read a part."""
+    stream = io.BytesIO()
+    write_glb(replace(tree[0], look=MeshLook(materials=(Material(name="bark"),))), stream)
+    document = pygltflib.GLTF2().load_from_bytes(stream.getvalue())
+    turned = Rotation.from_euler("y", 30, degrees=True).as_quat().tolist()
+    document.nodes = [
+        pygltflib.Node(name="above", children=[1], translation=[3, 0, 1], rotation=turned, scale=[0.5, 0.5, 0.5]),
+        pygltflib.Node(name="oak", mesh=0, translation=[0, 0.2, 0]),
+    ]
+    document.materials[0].extensions = {"KHR_materials_sheen": {"sheenRoughnessFactor": 0.3}}
+    document.extensionsUsed = ["KHR_materials_sheen"]
+    mesh = read_mesh(io.BytesIO(b"".join(document.save_to_bytes())), file_type="glb")
+    grid = method.voxelize(mesh, resolution=64).grid
+    coefficients = np.zeros((len(grid), 3, 3), np.complex64)
+    coefficients[:, 1, 0] = coefficients[:, 2, 1] = 0.05 * (grid.centres_m[:, 2] / grid.centres_m[:, 2].max()) ** 2
+    spectrum = SparseVoxelSpectrum(grid=grid, coefficients=coefficients)
+    path = write_products(mesh, spectrum, ExportParams(formats=("glb-skinned",)), tmp_path)["glb-skinned"]
+    content = path.read_bytes()
+    truth = np.stack(list(method.move(spectrum, mesh)))
+    assert np.linalg.norm(truth, axis=2).max() > 0.05
+    assert errors_m(played_skin(content), truth)[1] < 5e-5 * mesh.height_m
+    written = pygltflib.GLTF2().load_from_bytes(content)
+    assert written.materials[0].extensions == document.materials[0].extensions
+    assert [node.name for node in written.nodes[:2]] == ["above", "oak"]
 
 
 def test_a_rig_has_wind_groups_for_its_joints(products: Products, truth: np.ndarray) -> None:

@@ -92,12 +92,13 @@ def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[i
         index, above = waiting.pop()
         if index in world:
             raise FormatError(f"node {index} is reached twice, from two parents or from below itself; nodes are a tree")
-        world[index] = above @ _local_transform(nodes[index])
+        world[index] = above @ local_transform(nodes[index])
         waiting += [(child, world[index]) for child in reversed(index_list(nodes[index], "children", nodes))]
     return world
 
 
-def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
+def local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
+    """A node's own matrix."""
     if "matrix" in node:
         return np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4, order="F")  # stored by columns
     if not node.keys() & {"translation", "rotation", "scale"}:

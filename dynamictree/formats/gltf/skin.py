@@ -7,16 +7,15 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
-from jaxtyping import Int32
+from jaxtyping import Float64, Int32
 
 from dynamictree.byte_stream import ByteWriter
+from dynamictree.formats.gltf.template import add_mesh_joints, can_carry_joints, open_template
 from dynamictree.formats.gltf.webp import webp_textures
-from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.writer import GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.skin import Skin, SkinSummary
 from dynamictree.up_axis import up_rotation
-
-_FIRST = 2  # node of joint 0: after the mesh and the skeleton
 
 
 def write_skinned_glb(
@@ -24,26 +23,30 @@ def write_skinned_glb(
 ) -> None:
     """Write one period with linear keys, the last equal to the first.
 
+    A mesh that was read from glTF stays in its document, unless that places it by a skin or by instances of its own.
     `as_webp` writes textures as WebP where that is smaller.
     """
-    writer = GlbWriter(extras=asdict(summary))
-    used = skin.weights > 0
-    attributes = {
-        "JOINTS_0": writer.add_accessor(
-            np.where(used, skin.rows, 0).astype(np.uint8 if len(skin.parent) <= 256 else np.uint16),
-            target=VERTEX_BUFFER,
-        ),
-        "WEIGHTS_0": writer.add_accessor(
-            np.rint(255 * skin.weights).astype(np.uint8), target=VERTEX_BUFFER, normalized=True
-        ),
-    }
-    add_mesh(writer, mesh, more_attributes=attributes)
-    writer.append("nodes", {"mesh": 0, "skin": 0, "name": "tree"})
-    rest = _rest(skin)
-    _add_joints(writer, skin.parent, rest)
-    _add_skin(writer, rest)
-    writer.append("scenes", {"nodes": [0, 1]})
-    _add_sway(writer, skin, fps)
+    if mesh.gltf is not None and can_carry_joints(mesh.gltf):
+        template = open_template(mesh)
+        writer = template.writer
+        source = mesh.source
+        shift = source.scale * up_rotation(source.up_axis) @ np.array(source.offset)  # to the document's own origin
+        rest = (skin.joint_m + shift) @ up_rotation("+Y")
+        skeleton, first = _add_joints(writer, skin.parent, rest)
+        nodes = template.attach_joints(skin, lambda placed: _add_skin(writer, rest, first, placed))
+        scene = writer.root["scenes"][writer.root.get("scene", 0)]
+        scene["nodes"] = [*scene["nodes"], *nodes, skeleton]
+    else:
+        writer = GlbWriter()
+        attributes = add_mesh_joints(writer, skin)
+        add_mesh(writer, mesh, more_attributes=attributes)
+        writer.append("nodes", {"mesh": 0, "skin": 0, "name": "tree"})
+        rest = _rest(skin)
+        skeleton, first = _add_joints(writer, skin.parent, rest)
+        _add_skin(writer, rest, first, np.eye(4))
+        writer.append("scenes", {"nodes": [0, skeleton]})
+    _add_sway(writer, skin, fps, first)
+    writer.extras = asdict(summary)
     if as_webp:
         webp_textures(writer)
     writer.finish(stream)
@@ -54,15 +57,13 @@ def write_joint_meshes_glb(
 ) -> None:
     """Write meshes that joints carry, each as a node `NAME_joint_n` below its joint, with the motion of the joints."""
     writer = GlbWriter()
-    writer.append("nodes", {"name": "tree"})
-    rest = _rest(skin)
-    _add_joints(writer, skin.parent, rest)
+    skeleton, first = _add_joints(writer, skin.parent, _rest(skin))
     for joint, mesh in parts.items():
         add_mesh(writer, mesh.with_vertices(mesh.vertices - skin.joint_m[joint]))
         node = writer.append("nodes", {"mesh": len(writer.root["meshes"]) - 1, "name": f"{name}_joint_{joint}"})
-        writer.root["nodes"][_FIRST + joint].setdefault("children", []).append(node)
-    writer.append("scenes", {"nodes": [1]})
-    _add_sway(writer, skin, fps)
+        writer.root["nodes"][first + joint].setdefault("children", []).append(node)
+    writer.append("scenes", {"nodes": [skeleton]})
+    _add_sway(writer, skin, fps, first)
     writer.finish(stream)
 
 
@@ -76,7 +77,7 @@ def _rest(skin: Skin) -> np.ndarray:
     return np.asarray(skin.joint_m.astype(np.float64) @ up_rotation("+Y"))
 
 
-def _add_sway(writer: GlbWriter, skin: Skin, fps: float) -> None:
+def _add_sway(writer: GlbWriter, skin: Skin, fps: float, first: int) -> None:
     w, x, y, z = np.moveaxis(skin.turns, 2, 0)
     turns = np.rint(32767 * np.stack([x, z, -y, w], axis=2)).astype(np.int16)  # of the file's axes, in its order
     looped = np.concatenate([turns, turns[:1]])
@@ -88,27 +89,32 @@ def _add_sway(writer: GlbWriter, skin: Skin, fps: float) -> None:
     for number, joint in enumerate(moving):
         output = writer.append("accessors", keys | {"byteOffset": 8 * len(looped) * number})
         samplers.append({"input": clock, "output": output})
-        channels.append({"sampler": number, "target": {"node": _FIRST + joint, "path": "rotation"}})
-    writer.append("animations", {"name": "sway", "samplers": samplers, "channels": channels})
+        channels.append({"sampler": number, "target": {"node": first + joint, "path": "rotation"}})
+    others = writer.root.get("animations", [])
+    writer.root["animations"] = [{"name": "sway", "samplers": samplers, "channels": channels}, *others]
 
 
-def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.ndarray) -> None:
-    """A node per joint under one that holds them all."""
+def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.ndarray) -> tuple[int, int]:
+    """A node per joint under one that holds them all; gives the numbers of this one and of joint 0."""
+    first = len(writer.root.get("nodes", [])) + 1
     children: list[list[int]] = [[] for _ in parent]
     for joint, above in enumerate(parent.tolist()):
         if above >= 0:
-            children[above].append(_FIRST + joint)
-    roots = [_FIRST + joint for joint in np.flatnonzero(parent < 0).tolist()]
-    writer.append("nodes", {"name": "skeleton", "children": roots})
+            children[above].append(first + joint)
+    roots = [first + joint for joint in np.flatnonzero(parent < 0).tolist()]
+    skeleton = writer.append("nodes", {"name": "skeleton", "children": roots})
     offset = rest - np.where(parent[:, None] >= 0, rest[parent], 0)
     for joint, below in enumerate(children):
         node: dict[str, object] = {"name": joint_name(joint), "translation": offset[joint].round(7).tolist()}
         writer.append("nodes", node | ({"children": below} if below else {}))
+    return skeleton, first
 
 
-def _add_skin(writer: GlbWriter, rest: np.ndarray) -> None:
-    inverse = np.tile(np.eye(4, dtype=np.float32), (len(rest), 1, 1))
-    inverse[:, 3, :3] = -rest  # column-major, as glTF has it
-    matrices = writer.add_accessor(inverse.reshape(-1, 16))
-    joints = list(range(_FIRST, _FIRST + len(rest)))
-    writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": 1})
+def _add_skin(writer: GlbWriter, rest: np.ndarray, first: int, placed: Float64[np.ndarray, "4 4"]) -> int:
+    """A skin for meshes that a matrix places at rest; gives its number."""
+    inverse = np.tile(placed, (len(rest), 1, 1))
+    inverse[:, :3, 3] -= rest
+    columns = inverse.swapaxes(1, 2).reshape(-1, 16)  # as glTF has it
+    matrices = writer.add_accessor(columns.astype(np.float32))
+    joints = list(range(first, first + len(rest)))
+    return writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": first - 1})

@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from dynamictree.formats.gltf.normals import NormalError, angles_rad, turn_normals
+from dynamictree.formats.gltf.scene import local_transform
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import SourceGltf, TriangleMesh
+from dynamictree.skin import Skin
 from dynamictree.up_axis import up_rotation
 
 _Matrices = Float64[np.ndarray, "3 3"] | Float64[np.ndarray, "n 3 3"]
@@ -98,6 +100,32 @@ class Template:
                 primitive["targets"] = [*primitive.get("targets", []), *added]
             self._extend_weights(node, mesh, len(targets))
         return nodes, places
+
+    def attach_joints(self, skin: Skin, skin_for: Callable[[Float64[np.ndarray, "4 4"]], int]) -> list[int]:
+        """Attach joints and weights to what moves; gives the nodes that show it, which belong to the scene itself.
+
+        `skin_for` adds a skin for meshes that a matrix places in the scene, and gives its number.
+        """
+        root, world = self.writer.root, _placed(self.writer.root)
+        by_node: dict[int, dict[int, MorphSlot]] = {}
+        for slot in self.slots:
+            by_node.setdefault(slot.node, {})[slot.primitive] = slot
+        skins: dict[bytes, int] = {}
+        nodes = list[int]()
+        for node, slots in by_node.items():
+            if not any((skin.rows[slot.rows] * skin.weights[slot.rows]).any() for slot in slots.values()):
+                continue
+            for number, primitive in enumerate(self._own_mesh(node)["primitives"]):
+                count = root["accessors"][primitive["attributes"]["POSITION"]]["count"]
+                rows = slots[number].rows if number in slots else None
+                primitive["attributes"] |= add_mesh_joints(self.writer, skin, rows, count)
+            key = world[node].tobytes()
+            if key not in skins:
+                skins[key] = skin_for(world[node])
+            entry = root["nodes"][node]
+            fields = {name: entry.pop(name) for name in ("mesh", "weights") if name in entry}
+            nodes.append(self.writer.append("nodes", {"name": "tree", "skin": skins[key], **fields}))
+        return nodes
 
     def attach_texture_coordinates(self, places: Float32[np.ndarray, "N 2"]) -> str:
         """Attach a set of texture coordinates after those that the primitives have; gives its name."""
@@ -218,6 +246,39 @@ class Template:
         others = [_without_weights(entry, set(nodes)) for entry in self.writer.root.get("animations", [])]
         self.writer.root["animations"] = [sway, *(entry for entry in others if entry["channels"])]
         return sway
+
+
+def add_mesh_joints(writer: GlbWriter, skin: Skin, rows: slice | None = slice(None), count: int = 0) -> dict[str, int]:
+    """Attributes of some vertices; without rows, of `count` vertices that joint 0 carries, which never moves."""
+    if rows is None:
+        joints, weights = np.zeros((count, 4), np.int32), np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+    else:
+        weights = skin.weights[rows]
+        joints = np.where(weights > 0, skin.rows[rows], 0)
+    small = np.uint8 if len(skin.parent) <= np.iinfo(np.uint8).max + 1 else np.uint16
+    shares = np.rint(255 * weights).astype(np.uint8)
+    return {
+        "JOINTS_0": writer.add_accessor(joints.astype(small), target=VERTEX_BUFFER),
+        "WEIGHTS_0": writer.add_accessor(shares, target=VERTEX_BUFFER, normalized=True),
+    }
+
+
+def can_carry_joints(source: SourceGltf) -> bool:
+    """Whether a document's nodes place each of its meshes once, and none by a skin."""
+    root = json.loads(source.document)
+    instanced = any("EXT_mesh_gpu_instancing" in node.get("extensions", {}) for node in root["nodes"])
+    return source.to_vertex is None and not instanced and bool(root.get("scenes"))
+
+
+def _placed(root: dict[str, Any]) -> dict[int, Float64[np.ndarray, "4 4"]]:
+    """Where each node of the scene is."""
+    waiting = [(node, np.eye(4)) for node in root["scenes"][root.get("scene", 0)]["nodes"]]
+    placed: dict[int, Float64[np.ndarray, "4 4"]] = {}
+    while waiting:
+        node, above = waiting.pop()
+        placed[node] = above @ local_transform(root["nodes"][node])
+        waiting += [(child, placed[node]) for child in root["nodes"][node].get("children", [])]
+    return placed
 
 
 def open_template(mesh: TriangleMesh) -> Template:
