@@ -15,8 +15,9 @@ BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
 MEASURED_FROM_M = 12.0
 FITTED_HEIGHTS_M = (2.0, 56.0)
 """A plant of 1 m has the frequency of one of 2 m, 1.4 Hz: twice as much is above what 16 frequencies in 4.17 s show."""
-LEARNED_AT_1M_HZ = 24 / (8 * np.pi)
-"""0.955 Hz, times 1 / √L: stems of versions 1 to 4 of the data set, which the shipped weights learned from."""
+LEARNED_TO_M = 8.0
+"""Height below which trees of version 5 of the data set, which the shipped weights learned from, get faster as 1 / √L
+only: 16 frequencies in 4.17 s end at 3.6 Hz."""
 MAX_QUICKENING = 2.5
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
 LEAST_BINS = 2
@@ -38,8 +39,8 @@ def natural_frequency_hz(height_m: float, foliage: float | None) -> float:
 
 
 def learned_law_hz(length_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
-    """Frequency of a stem in leaf by its length, as the shipped weights learned it: Sapling's law, b = 1 / (4 √L)."""
-    return np.asarray(LEARNED_AT_1M_HZ / np.sqrt(length_m))
+    """Frequency of a stem of up to LEARNED_TO_M by its length, as the shipped weights learned it."""
+    return np.asarray(height_law_hz(LEARNED_TO_M) * np.sqrt(LEARNED_TO_M / length_m))
 
 
 def quickening(height_m: float) -> float:

@@ -17,12 +17,9 @@ import numpy as np
 from jaxtyping import Complex128, Float, Float32, Float64
 from scipy.fft import irfft, rfft
 
-from dynamictree.modal.real_trees import LEAF_SLOWING, height_law_hz
+from dynamictree.modal.real_trees import LEAF_SLOWING, LEARNED_TO_M, height_law_hz, learned_law_hz
 from dynamictree.spectrum import FPS
 
-SMALL_M = 8.0
-"""Shorter stems get faster as 1 / √L only, Sapling's law: 16 frequencies in 4.17 s end at 3.6 Hz. How fast small trees
-are is left to `modal.real_trees.quickening`."""
 REFERENCE_SPEED_M_S = 5.0
 FOLDING_SPEED_M_S, VOGEL_EXPONENT = 4.0, -0.6
 """Drag grows as U² in light air and as U^1.4 in a storm; measured Vogel exponents of trees are -0.5 to -0.8."""
@@ -144,8 +141,11 @@ def in_leaf_hz(
 
 
 def simulated_law_hz(length_m: Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
-    """Frequency of a stem of REFERENCE_SLENDERNESS by its length: of real trees as high, and below SMALL_M 1 / √L."""
-    return np.asarray(height_law_hz(np.maximum(length_m, SMALL_M)) * np.sqrt(np.maximum(SMALL_M / length_m, 1)))
+    """Frequency of a stem of REFERENCE_SLENDERNESS by its length: of real trees as high, of small ones 1 / √L.
+
+    How fast small trees are is left to `modal.real_trees.quickening`.
+    """
+    return np.asarray(np.where(length_m < LEARNED_TO_M, learned_law_hz(length_m), height_law_hz(length_m)))
 
 
 def drag(passing: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:

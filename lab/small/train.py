@@ -3,8 +3,8 @@
 Each part has its checkpoint and can be gone on with; the amplitude network's rows lie beside them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
@@ -31,20 +31,13 @@ from lab.small.training_steps import (
 from lab.small.whitening import MEASURED, NUM_MEASURED, measure, white_example
 from lab.training.checkpoints import load_part
 from lab.training.distributed import num_processes, process_rank, wait_for_all
+from lab.training.progress import OnStep
 from lab.training.schedules import LearningRateSchedule
 from lab.training.trainer import Trainer, TrainerOptions
 
-OnTrainingStep = Callable[[str, int, int, float], None]
-"""Called with the part, the step, the steps in all, and the loss."""
 TREES_A_FILE = 25
-GOING_ON_RATE = 0.1
-"""Of the learning rate, where the amplitude network goes on from weights: the faster it goes, the more it forgets of
-unseen species (docs/decisions/diffusion.md)."""
-SHARE_BEFORE = 0.5
-"""Of the weights it went on from, in the mean with what it became (Wortsman et al. 2022, arXiv:2109.01903): that knows
-as much of what was learnt now, and forgets less."""
-SATURATING = ("saturation", "second_order")
-"""Layers that tell where a motion saturates, which stay as learnt."""
+GOING_ON_RATE = 0.5
+"""Of the learning rate, where a network goes on from weights (docs/decisions/diffusion.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +75,7 @@ class SmallTraining:
 
 
 def train_small(
-    plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnTrainingStep | None = None
+    plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnStep | None = None
 ) -> SmallNetwork:
     """Train into a folder: `rows/`, a checkpoint a part, `small.safetensors`. What is there is not done again.
 
@@ -108,7 +101,7 @@ def _train_foliage(
     plan: SmallTraining,
     shards: Sequence[str],
     checkpoint: Path,
-    on_step: OnTrainingStep | None,
+    on_step: OnStep | None,
 ) -> None:
     if plan.foliage_from is not None:
         load_part(network.foliage, load_file(plan.foliage_from), "foliage")
@@ -132,7 +125,7 @@ def _train_foliage(
 
 
 def _rows(
-    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnTrainingStep | None
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnStep | None
 ) -> AmplitudeRows:
     """Training rows of the amplitude network: written by the first process, read by all."""
     paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
@@ -151,32 +144,20 @@ def _rows(
 
 
 def _train_amplitude(
-    network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnTrainingStep | None
+    network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnStep | None
 ) -> None:
     options = plan.amplitude
     if plan.amplitude_from is not None:
         load_part(network.amplitude, load_file(plan.amplitude_from), "amplitude")
-        rate = GOING_ON_RATE * options.schedule.learning_rate
-        options = replace(options, schedule=replace(options.schedule, learning_rate=rate))
+        options = options.slowed(GOING_ON_RATE)
     else:
         standardise(network.amplitude, rows)
     trainer = Trainer(network.amplitude, options)
     trainer.resume(checkpoint)
     for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
         _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
-    learnt = trainer.average.state_dict()
-    if plan.amplitude_from is not None:
-        learnt = mean_with_before(learnt, load_file(plan.amplitude_from))
-    network.amplitude.load_state_dict(learnt)
+    network.amplitude.load_state_dict(trainer.average.state_dict())
     network.amplitude.requires_grad_(False)
-
-
-def mean_with_before(learnt: Mapping[str, Tensor], before: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """SHARE_BEFORE of the weights before and the rest of those learnt; `before` has the names of a whole network."""
-    return {
-        name: now if name.startswith(SATURATING) else now.lerp(before[f"amplitude.{name}"].to(now), SHARE_BEFORE)
-        for name, now in learnt.items()
-    }
 
 
 def _train_denoiser(
@@ -184,7 +165,7 @@ def _train_denoiser(
     plan: SmallTraining,
     shards: Sequence[str],
     checkpoint: Path,
-    on_step: OnTrainingStep | None,
+    on_step: OnStep | None,
 ) -> None:
     if plan.denoiser_from is not None and plan.denoiser.schedule.num_steps == 0:
         before = load_file(plan.denoiser_from)
@@ -194,20 +175,22 @@ def _train_denoiser(
         return
     first = plan.foliage_trees + plan.amplitude_trees
     measured = map(example_of, iter_training(shards, first=first, count=min(NUM_MEASURED, plan.denoiser_trees)))
-    measure(network, measured, np.random.default_rng(plan.denoiser.seed))
+    deviation = measure(network, measured, np.random.default_rng(plan.denoiser.seed))
+    options = plan.denoiser
     if plan.denoiser_from is not None:
         load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
-    trainer = Trainer(network.denoiser, plan.denoiser)
+        options = options.slowed(GOING_ON_RATE)
+    trainer = Trainer(network.denoiser, options)
     trainer.resume(checkpoint)
     if not trainer.finished:
         trees = iter_training(shards, first=first, count=plan.denoiser_trees)
         own = islice(trees, process_rank(), None, num_processes())
-        white = [white_example(network, example_of(tree)) for tree in own]
+        white = [white_example(network, example_of(tree), deviation) for tree in own]
         for step, loss in trainer.run(lambda rng: denoising_step(network, white, rng), checkpoint):
             _tell(on_step, "denoiser", step, plan.denoiser.schedule.num_steps, loss)
     network.denoiser.load_state_dict(trainer.average.state_dict())
 
 
-def _tell(on_step: OnTrainingStep | None, part: str, done: int, total: int, loss: float) -> None:
+def _tell(on_step: OnStep | None, part: str, done: int, total: int, loss: float) -> None:
     if on_step is not None:
         on_step(part, done, total, loss)

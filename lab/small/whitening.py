@@ -1,19 +1,22 @@
 """Whitening: divide spectra by the predicted amplitude, average on the nodes, and measure the statistics."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Complex64, Float32, Float64
 from scipy.optimize import nnls
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from dynamictree.models.small.amplitude import moving
-from dynamictree.models.small.correlated_noise import NoiseBasis, field_matrices, noise_basis
+from dynamictree.models.small.correlated_noise import NoiseBasis, field_matrices, leaf_noise, noise_basis
 from dynamictree.models.small.features import NUM_WIND, TreeFeatures, coarsen_features, wind_vector
+from dynamictree.models.small.leaf_swing import bases_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
+from dynamictree.sparse.level import Pair
 from dynamictree.sparse.matrices import raise_matrix, sparse_rows
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
@@ -21,8 +24,6 @@ from lab.small.examples import Example
 
 WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
-RESIDUAL_SHARE = 0.1
-"""Of the variance that nodes do not hold: all of it as noise makes mesh edges 1.6 times too rough, none 0.7 times."""
 MEASURED = ("node_scale", "residual_share", "noise_shares", "energy_gain")
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
@@ -48,29 +49,44 @@ def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "
 
 
 @torch.no_grad()
-def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> None:
-    """Set the network's node scale, residual share, noise shares and energy gain."""
+def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> Float32[Tensor, "J 3"]:
+    """Set the network's node scale, residual share, noise shares and energy gain; medians over trees.
+
+    Returns:
+        Deviation of whitened spectra on the nodes, real and imaginary part each: what the denoiser's are divided by.
+    """
     top = network.preset.top
-    nodes, trees, power, energy = [], [], [], []
+    nodes, trees, deviations, shares, energy = [], [], [], [], []
     for example in examples:
         field, log_amplitude = whiten(network, example)
+        grids = example.tree.grids
         wind = wind_vector([example.wind])[:, :NUM_WIND]
         energy.append(_energy_shares(example.spectrum, moving(log_amplitude, wind)))
-        pooled = pool_to(field, example.tree.grids, top)
-        lift = sparse_rows(raise_matrix(example.tree.grids, top, 0))
+        pooled = pool_to(field, grids, top)
+        lift = sparse_rows(raise_matrix(grids, top, 0))
         lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
-        power.append(torch.stack([one.abs().square().mean(dim=0) for one in (lifted, pooled)]))
+        bases = bases_of(grids.levels[0].coords.numpy(), network.foliage(example.tree))
+        residual = _variance_left(field - lifted, grids.levels[0].pairs, leaf_noise(grids, bases, top))
+        whole = _power(lifted) + residual
+        shares.append(torch.stack([_power(pooled) / 2, residual]) / whole)
+        deviations.append((_power(pooled) / 2).sqrt())
         nodes.append(pooled)
         trees.append(coarsen_features(example.tree, top))
     true, guessed = torch.stack(energy).mean(dim=0)
     network.energy_gain.copy_((true / guessed.clamp_min(torch.finfo(torch.float32).tiny) * guessed.sum()).sqrt())
-    share, pooled_power = torch.stack(power).mean(dim=0)
-    network.node_scale.copy_((pooled_power / 2).sqrt())  # real and imaginary part of variance one each
-    network.residual_share.copy_(RESIDUAL_SHARE * (1 - share).clamp(0, 1))
-    unit = [(pooled / network.node_scale).numpy() for pooled in nodes]
-    fitted = torch.from_numpy(fit_shares(unit, trees, rng)) * (1 - WHITE_SHARE)
+    node_power, residual_share = torch.stack(shares).median(dim=0).values
+    network.node_scale.copy_(node_power.sqrt())
+    network.residual_share.copy_(residual_share)
+    deviation = torch.stack(deviations).median(dim=0).values
+    fitted = torch.from_numpy(fit_shares([(one / deviation).numpy() for one in nodes], trees, rng)) * (1 - WHITE_SHARE)
     fitted[:, 0] += WHITE_SHARE
     network.noise_shares.copy_(fitted)
+    return deviation
+
+
+def _power(field: Complex64[Tensor, "V J 3"]) -> Float32[Tensor, "J 3"]:
+    mean: Tensor = field.abs().square().mean(dim=0)
+    return mean
 
 
 def _energy_shares(
@@ -81,16 +97,25 @@ def _energy_shares(
     return energies / energies[0].sum()
 
 
+def _variance_left(
+    residual: Complex64[Tensor, "V J 3"], pairs: Sequence[Pair], noise: csr_array
+) -> Float32[Tensor, "J 3"]:
+    """Variance of the noise that differs between touching voxels as much as what the nodes do not hold."""
+    first, second = (torch.cat([pair[side] for pair in pairs]) for side in (0, 1))
+    alike = noise[first.numpy()].multiply(noise[second.numpy()]).sum(axis=1).mean()
+    return _power(residual[first] - residual[second]) / (2 - 2 * float(alike))
+
+
 @torch.no_grad()
-def white_example(network: SmallNetwork, example: Example) -> WhiteExample:
-    """One tree for the denoiser's training."""
+def white_example(network: SmallNetwork, example: Example, deviation: Float32[Tensor, "J 3"]) -> WhiteExample:
+    """One tree for the denoiser's training; `deviation` as `measure` gives it."""
     field, log_amplitude = whiten(network, example)
     grids, top = example.tree.grids, network.preset.top
     nodes = coarsen_features(example.tree, top)
     return WhiteExample(
         nodes=nodes,
         wind=example.wind,
-        whitened=pool_to(field, grids, top) / network.node_scale,
+        whitened=pool_to(field, grids, top) / deviation,
         log_amplitude=pool_to(log_amplitude, grids, top),
         noise=noise_basis(nodes.grids, nodes.links),
         neighbourhood=neighbourhood(nodes),

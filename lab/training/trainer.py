@@ -37,6 +37,11 @@ class TrainerOptions:
         """The same options for another number of steps."""
         return replace(self, schedule=replace(self.schedule, num_steps=num_steps))
 
+    def slowed(self, share: float) -> "TrainerOptions":
+        """The same options with a share of the learning rate."""
+        rate = share * self.schedule.learning_rate
+        return replace(self, schedule=replace(self.schedule, learning_rate=rate))
+
 
 class Trainer:
     """A network in training. Under `torch.distributed`, processes draw their own batches and average gradients."""

@@ -2,9 +2,9 @@
 
 The network gives, in the wind's frame and as a share of the tree's height, the mean displacement c_0 and the size A of
 every other coefficient. What is left, u = c / A, is what the diffusion model learns. Both grow with the drag d = U^1.6
-as tanh(s d) / s, as a stem's lean does in the simulator, and the second with the gusts too: the network does not see
-the speed, it tells where each size saturates, so that no tree can answer a rising wind in another way. Of the vertical,
-what is sway times lean grows with d².
+as tanh(s d) / s, as a stem's lean does in the simulator, and the second with the gusts too; the network tells where
+each size saturates. Of the vertical, what is sway times lean grows with d². The network sees the speed as well, since
+it changes the shape of a motion: flutter sets in, and the gusts' spectrum moves to higher frequencies.
 """
 
 import math
@@ -36,7 +36,7 @@ CONTEXT = (2, 4)  # levels of the pyramid
 NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_FOLIAGE_VALUES - 3 + 2 * CHAIN * (3 + 1)
 NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
-NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + 1  # and the gust
+NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
 BAND = 2048
 """Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""
@@ -119,8 +119,8 @@ def amplitude_inputs(
     tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> Float32[Tensor, "V I"]:
     """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
-    it, their means over its ancestors two and four levels up and over the tree, and the gust. Neither the speed nor
-    the grid's own axes enter.
+    it, their means over its ancestors two and four levels up and over the tree, ln speed, and the gust. The grid's own
+    axes do not enter.
     """
     bearers = foliage_values[:, STEM][tree.chain].flatten(1)
     described = replace(
@@ -147,14 +147,14 @@ def amplitude_inputs(
         columns.append(raised)
     sample = tree.grids.levels[0].sample_of_row
     whole = torch.stack([own[rows].mean(dim=0) for rows in tree.grids.levels[0].sample_slices])
-    return torch.cat([*columns, whole[sample], wind[sample, 1:NUM_WIND]], dim=1)
+    return torch.cat([*columns, whole[sample], wind[sample, :NUM_WIND]], dim=1)
 
 
 def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
     """What `amplitude_inputs` gives of the mirrored tree: crosswind components change their sign."""
     signs = torch.ones(NUM_OWN)
     signs[NUM_OWN_SCALARS + NUM_OWN_VECTORS : NUM_OWN_SCALARS + 2 * NUM_OWN_VECTORS] = -1
-    return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(1)])
+    return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
 
 
 def moving(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]) -> Float32[Tensor, "V J 3"]:

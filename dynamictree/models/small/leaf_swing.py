@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Int64
+from jaxtyping import Complex64, Float32, Int, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -42,8 +42,6 @@ def leaves_of(
     grid: VoxelGrid,
     foliage_values: Float32[Tensor, "V O"],
     free: Float32[Tensor, " V"],
-    *,
-    height_m: float,
     axes: Float32[np.ndarray, "3 3"],
 ) -> Leaves:
     """Build the leaves from the foliage network's output.
@@ -52,19 +50,29 @@ def leaves_of(
         grid: of the tree.
         foliage_values: output of the foliage network.
         free: 0 where the ground fixes a voxel, 1 elsewhere.
-        height_m: of the tree.
         axes: the frame that spectra are in.
     """
-    arm = foliage_values[:, ARM].numpy() * (height_m / ARM_SCALE)
-    base = np.asarray(cKDTree(grid.centres_m).query(grid.centres_m - arm)[1], np.int64)
+    arm = arms_of(grid.coords, foliage_values)
     length = np.linalg.norm(arm, axis=1)
     outward = arm @ axes.T / np.maximum(length, np.finfo(np.float32).tiny)[:, None]
-    out = (length / grid.voxel_size_m - BASE_VOXELS).clip(0, 1)
+    out = (length - BASE_VOXELS).clip(0, 1)
     return Leaves(
-        base=torch.from_numpy(base),
+        base=torch.from_numpy(bases_of(grid.coords, foliage_values)),
         outward=torch.from_numpy(outward.astype(np.float32)),
         share=free * foliage_values[:, 0].clamp(0, 1) * torch.from_numpy(out.astype(np.float32)),
     )
+
+
+def arms_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O"]) -> Float32[np.ndarray, "V 3"]:
+    """From the base of each voxel's leaf to the voxel, in voxels; on wood about zero."""
+    arm: Float32[np.ndarray, "V 3"] = foliage_values[:, ARM].numpy() * ((int(np.ptp(coords[:, 2])) + 1) / ARM_SCALE)
+    return arm
+
+
+def bases_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O"]) -> Int64[np.ndarray, " V"]:
+    """The voxel that each voxel's leaf grows from; a voxel of wood is its own."""
+    tree = cKDTree(coords)
+    return np.asarray(tree.query(coords - arms_of(coords, foliage_values))[1], np.int64)
 
 
 def _size(vectors: Complex64[Tensor, "V K 3"]) -> Float32[Tensor, "V K"]:

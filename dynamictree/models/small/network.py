@@ -2,7 +2,7 @@
 
 A spectrum over the height is c = g A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of
 the pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n
-the smooth noise that stands for what is smaller than a node, ρ² its share. ln A is a mean of logarithms, which lacks
+noise of each leaf that stands for what is smaller than a node, ρ² its share. ln A is a mean of logarithms, which lacks
 energy, the more the less sure it is: g gives each frequency and axis its share of the whole again.
 """
 
@@ -40,7 +40,7 @@ class SmallPreset:
 class SmallNetwork(StorableNetwork):
     """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "6", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "7", SmallPreset
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dynamictree.diffusion.channels import unpack_channels
 from dynamictree.models.small.amplitude import moving
-from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
+from dynamictree.models.small.correlated_noise import NoiseBasis, leaf_noise, noise_basis
 from dynamictree.models.small.features import (
     NUM_WIND,
     ROOT_DISTANCE,
@@ -25,7 +25,7 @@ from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
-from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
+from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -59,7 +59,7 @@ class PreparedTree:
     amplitude: Float32[Tensor, "V J 3"]  # g A over the height
     leaves: Leaves
     lift: SparseRows  # [V, W]
-    local: SparseRows  # [V, L], rows of unit length: noise finer than a node
+    local: SparseRows  # [V, L], see `leaf_noise`
     node_scale: Float32[Tensor, "J 3"]
     residual_share: Float32[Tensor, "J 3"]
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up
@@ -116,6 +116,7 @@ def prepare_tree(
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
     nodes = coarsen_features(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / FIXED_SHARE).square()).exp()  # [V]
+    leaves = leaves_of(coarse.grid, foliage_values, free, axes)
     smooth = sparse_rows(touching(tree.grids.levels[0]))
     return PreparedTree(
         voxels=coarse,
@@ -126,9 +127,9 @@ def prepare_tree(
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
         amplitude=moving(log_amplitude, air[:, :NUM_WIND]) * network.energy_gain * free[:, None, None],
-        leaves=leaves_of(coarse.grid, foliage_values, free, height_m=height_m, axes=axes),
+        leaves=leaves,
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
-        local=sparse_rows(unit_rows(raise_matrix(tree.grids, top - 1, 0))),
+        local=sparse_rows(leaf_noise(tree.grids, leaves.base.numpy(), top)),
         node_scale=network.node_scale,
         residual_share=network.residual_share,
         axes=axes,

@@ -8,7 +8,6 @@ from dynamictree.models.small.foliage import ARM, ARM_SCALE, NUM_FOLIAGE_VALUES
 from dynamictree.models.small.leaf_swing import MAX_GAIN, Leaves, leaves_of
 from dynamictree.voxel.grid import VoxelGrid
 
-HEIGHT_M = 3.0
 AXES = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]], np.float32)
 TWIG, FIRST, SECOND = 0, slice(2, 4), slice(5, 7)  # of each leaf the voxels that are not half the base
 
@@ -35,8 +34,8 @@ def leaves(grid: VoxelGrid, order: torch.Tensor) -> Leaves:
     foliage_values = torch.zeros(7, NUM_FOLIAGE_VALUES)
     foliage_values[order[1:], 0] = 1
     arm = torch.from_numpy(grid.centres_m - grid.centres_m[order[TWIG]])
-    foliage_values[:, ARM] = arm.float() * ARM_SCALE / HEIGHT_M
-    return leaves_of(grid, foliage_values, torch.ones(7), height_m=HEIGHT_M, axes=AXES)
+    foliage_values[:, ARM] = arm.float() * ARM_SCALE / grid.height_m
+    return leaves_of(grid, foliage_values, torch.ones(7), AXES)
 
 
 def motion_of(order: torch.Tensor, twig: torch.Tensor, beyond: torch.Tensor) -> torch.Tensor:
@@ -84,9 +83,9 @@ def test_what_the_ground_holds_does_not_swing(grid: VoxelGrid, leaves: Leaves, o
     foliage_values = torch.zeros(7, NUM_FOLIAGE_VALUES)
     foliage_values[:, 0] = 1
     foliage_values[:, ARM] = (
-        torch.from_numpy(grid.centres_m - grid.centres_m[order[TWIG]]).float() * ARM_SCALE / HEIGHT_M
+        torch.from_numpy(grid.centres_m - grid.centres_m[order[TWIG]]).float() * ARM_SCALE / grid.height_m
     )
-    fixed_leaves = leaves_of(grid, foliage_values, torch.zeros(7), height_m=HEIGHT_M, axes=AXES)
+    fixed_leaves = leaves_of(grid, foliage_values, torch.zeros(7), AXES)
     spectrum = torch.randn(7, 3, 3, dtype=torch.complex64)
     assert (fixed_leaves.swing(spectrum) == spectrum).all()
     assert (leaves.swing(spectrum) != spectrum).any()
