@@ -44,9 +44,9 @@ MAX_STEPS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """How one motion is drawn: where its noise comes from, steps, first bin, and who hears of it."""
+    """How one motion is drawn: the seed of its noise, steps, first bin, and who hears of it."""
 
-    generator: torch.Generator
+    seed: int
     num_steps: int
     lowest_bin: int
     on_step: OnStep | None
@@ -102,9 +102,8 @@ class MotionModel(ABC):
         from dynamictree.models.threads import one_thread
 
         _check_request(wind, num_steps)
-        generator = torch.Generator().manual_seed(seed)
         sampling = Sampling(
-            generator=generator, num_steps=num_steps or self.default_steps, lowest_bin=lowest_bin, on_step=on_step
+            seed=seed, num_steps=num_steps or self.default_steps, lowest_bin=lowest_bin, on_step=on_step
         )
         with torch.no_grad(), one_thread():
             grid, coefficients, foliage = self._coefficients(voxels, wind, sampling)

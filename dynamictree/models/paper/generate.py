@@ -69,7 +69,8 @@ class PaperModel(MotionModel):
             raise InputError(f"the tree has {count:,} voxels at {preset.resolution}; {allowed}")
         bins = torch.arange(preset.num_frequencies)
         # frequency first, so that the noise of a bin does not depend on the others
-        start = torch.randn(len(bins), count, CHANNELS, generator=sampling.generator).transpose(0, 1)
+        generator = torch.Generator().manual_seed(sampling.seed)
+        start = torch.randn(len(bins), count, CHANNELS, generator=generator).transpose(0, 1)
         unit = _complex_rows(self._sample(inputs, bins, start, sampling))
         height_m = fine.grid.height_m
         sizes = self.network.frequency_sizes.cpu().numpy() * wind_sizes(wind, preset.num_frequencies) * height_m

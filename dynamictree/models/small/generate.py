@@ -1,5 +1,6 @@
 """Generate a spectrum with the small model: amplitudes from shape and wind, phases by the sampler."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -17,6 +18,7 @@ from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import MAX_NETWORK_VOXELS, PreparedTree, prepare_tree
 from dynamictree.models.threads import run_on_cores
 from dynamictree.models.voxel_resolution import halvings_between
+from dynamictree.models.wind import MIN_SPEED
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -26,6 +28,22 @@ BAND = 2
 """Frequencies that one thread denoises together: few enough that their hidden layers stay in a core's cache."""
 MAX_VOXELS = 2_400_000
 """Of the spectrum's grid, which takes 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
+
+
+def gusts_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
+    """The noise of a seed at a speed, which turns into independent noise within an octave of the speed.
+
+    Turbulence is carried past the tree as it is (Taylor): what drives the frequency f is the eddies of wave number
+    f / U, so that at another speed others do.
+    """
+    octave = math.log2(max(speed_m_s, MIN_SPEED))
+    low = math.floor(octave)
+    below, above = (
+        draw(torch.Generator().manual_seed(int(np.random.SeedSequence([seed, one % 2**32]).generate_state(1)[0])))
+        for one in (low, low + 1)
+    )
+    turn = math.pi / 2 * (octave - low)
+    return tuple(math.cos(turn) * one + math.sin(turn) * other for one, other in zip(below, above, strict=True))
 
 
 class SmallModel(MotionModel):
@@ -52,10 +70,15 @@ class SmallModel(MotionModel):
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], float | None]:
         self._check(voxels.grid)
         prepared = self.prepare(voxels, wind)
-        start = prepared.noise.draw(self.network.noise_shares, sampling.generator, channels=CHANNELS)
+        start, residual = gusts_at(wind.speed_m_s, sampling.seed, partial(self._draw, prepared))
         whitened = self._denoise(prepared, start, sampling)
-        coefficients = prepared.to_metres(prepared.assemble(whitened, sampling.generator))
+        coefficients = prepared.to_metres(prepared.assemble(whitened, residual))
         return voxels.grid, coefficients, prepared.foliage
+
+    def _draw(self, prepared: PreparedTree, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Noise on the nodes, which the sampler starts from, and below them."""
+        start = prepared.noise.draw(self.network.noise_shares, generator, channels=CHANNELS)
+        return start, prepared.residual_noise(generator)
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
         """Deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""

@@ -9,7 +9,7 @@ from jaxtyping import Complex64, Float32
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from dynamictree.diffusion.channels import unpack_channels
+from dynamictree.diffusion.channels import CHANNELS, unpack_channels
 from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, leaf_noise, noise_basis
 from dynamictree.models.small.features import (
@@ -67,9 +67,14 @@ class PreparedTree:
     foliage: float | None  # 0 is bare, 1 in leaf; None where the shape does not tell
     finer: csr_array | None  # from the network's grid to the asked one, where that is finer
 
-    def assemble(self, whitened: Float32[Tensor, "W J 6"], generator: torch.Generator) -> Complex64[Tensor, "V K 3"]:
+    def residual_noise(self, generator: torch.Generator) -> Float32[Tensor, "L J 6"]:
+        """Real and imaginary parts of noise of unit variance, for what the nodes do not hold."""
+        return torch.randn(self.local.num_columns, len(self.node_scale), CHANNELS, generator=generator) / math.sqrt(2)
+
+    def assemble(
+        self, whitened: Float32[Tensor, "W J 6"], white: Float32[Tensor, "L J 6"]
+    ) -> Complex64[Tensor, "V K 3"]:
         """Lean, and g A · soften(lift(s u) + ρ n), leaves swinging: over the height, in the wind's frame."""
-        white = torch.randn(self.local.num_columns, *whitened.shape[1:], generator=generator) / math.sqrt(2)
         scaled = whitened * self.node_scale.repeat(1, 2)
         field = self.lift.apply(scaled) + self.local.apply(white * self.residual_share.sqrt().repeat(1, 2))
         return self.moved(soften(unpack_channels(field)))
