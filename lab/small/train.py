@@ -157,7 +157,7 @@ def _train_amplitude(
     for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
         _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
     network.amplitude.load_state_dict(trainer.average.state_dict())
-    network.amplitude.requires_grad_(False)
+    network.amplitude.eval().requires_grad_(False)
 
 
 def _train_denoiser(

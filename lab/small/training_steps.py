@@ -92,6 +92,7 @@ def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.rando
     if rng.random() < 0.5:
         inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
     wind = rows.wind[chosen]
+    torch.manual_seed(int(rng.integers(2**62)))  # of the dropout
     lean, log_amplitude = network(inputs, wind)
     return amplitude_losses(lean.float(), log_amplitude.float(), spectrum, wind).total()
 

@@ -38,6 +38,8 @@ NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
+DROPOUT = 0.3
+"""In training. A tree's gusts are random, and features of the whole tree would let the network learn them by heart."""
 BAND = 2048
 """Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""
 LEAN = 0.5
@@ -66,7 +68,12 @@ class AmplitudeNetwork(nn.Module):
         self.num_frequencies = num_frequencies
         self.enter = nn.Linear(NUM_INPUTS, width)
         self.blocks = nn.ModuleList(
-            nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.SiLU(), nn.Linear(2 * width, width))
+            nn.Sequential(
+                nn.LayerNorm(width),
+                nn.Linear(width, 2 * width),
+                nn.Sequential(nn.SiLU(), nn.Dropout(DROPOUT)),
+                nn.Linear(2 * width, width),
+            )
             for _ in range(depth)
         )
         self.head = nn.Sequential(nn.LayerNorm(width), nn.SiLU())
