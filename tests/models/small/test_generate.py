@@ -14,7 +14,7 @@ from dynamictree.errors import Cancelled, CheckpointError, InputError
 from dynamictree.models import MotionModel, load_model
 from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS, moving
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.generate import MAX_VOXELS, SmallModel
+from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, gusts_at
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.prepared import soften
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
@@ -38,7 +38,7 @@ def tiny_network() -> SmallNetwork:
     network = SmallNetwork(preset)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.05)
-    return network
+    return network.eval()
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +64,23 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: Sma
     assert (first.coefficients[:, 0].imag == 0).all()
     # the lean is decided by shape and wind, not by chance
     np.testing.assert_array_equal(first.coefficients[:, 0], other.coefficients[:, 0])
+
+
+def test_the_gusts_of_a_seed_change_with_the_speed_and_little_with_little() -> None:
+    def gusts(speed_m_s: float, seed: int = 3) -> torch.Tensor:
+        (drawn,) = gusts_at(speed_m_s, seed, lambda generator: (torch.randn(20_000, generator=generator),))
+        return drawn
+
+    def alike(one: torch.Tensor, other: torch.Tensor) -> float:
+        return float(torch.corrcoef(torch.stack([one, other]))[0, 1])
+
+    assert torch.equal(gusts(5.0), gusts(5.0))
+    assert alike(gusts(5.0), gusts(5.0, seed=4)) == pytest.approx(0, abs=0.03)
+    assert alike(gusts(3.0), gusts(8.0)) == pytest.approx(0, abs=0.03)
+    assert alike(gusts(0.0), gusts(0.05)) == pytest.approx(1)  # a calm
+    for speed_m_s in (0.3, 3.99, 4.0, 25.0):
+        assert alike(gusts(speed_m_s), gusts(1.05 * speed_m_s)) > 0.99
+        assert gusts(speed_m_s).square().mean() == pytest.approx(1, abs=0.05)
 
 
 @pytest.mark.parametrize("lowest_bin", [4, 7, NUM_FREQUENCIES])
