@@ -90,9 +90,7 @@ def _power(field: Complex64[Tensor, "V J 3"]) -> Float32[Tensor, "J 3"]:
     return mean
 
 
-def _energy_ratio(
-    spectrum: Complex64[Tensor, "V K 3"], amplitude: Float32[Tensor, "V J 3"]
-) -> Float32[Tensor, "J 3"]:
+def _energy_ratio(spectrum: Complex64[Tensor, "V K 3"], amplitude: Float32[Tensor, "V J 3"]) -> Float32[Tensor, "J 3"]:
     """Energy of a tree at each frequency and axis, over that of its prediction."""
     true, guessed = (one.square().sum(dim=0) for one in (spectrum[:, 1:].abs(), amplitude))
     ratio: Tensor = true / guessed.clamp_min(torch.finfo(torch.float32).tiny)
