@@ -186,7 +186,7 @@ def test_the_size_of_a_sequence_is_stated_before_it_is_made(client: TestClient, 
     estimate = client.post("/v1/jobs?validate_only=true", json=body).json()
     header = len(ply_of(post_cloud(200)).split(b"end_header\n")[0]) + len(b"end_header\n")
     assert estimate["format_bytes"]["splat-ply"] == pytest.approx(10 * (200 * 68 + header), rel=0.02)
-    assert estimate["format_bytes"]["usd-splat"] == 10 * 200 * 26
+    assert estimate["format_bytes"]["usd-splat"] == 10 * 200 * (12 + 8)
 
 
 def test_what_does_not_fit_is_refused_when_asked(
