@@ -3,7 +3,7 @@
     python -m recipes.welcome_tree
 
 Runs a service of its own on one of the page's examples, with the shipped model. The files are thinned for a download:
-every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by two pixels left out,
+every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by a pixel left out,
 and the modes of the bones of a push, which the page bends by itself; places to 2 mm, and turns in fewer steps, which
 gzip packs.
 """
@@ -27,8 +27,8 @@ STEP = 1024
 """Of the 16 bits of a bone's turn: 32 steps either way stay."""
 PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "bone_reach_m": 2**-9}
 """Steps of places [m] and directions, of which float32 then has zeros at its end."""
-BINS = 10
-"""Bins that stay, 0 to 1.08 Hz: on a screen the tree is 600 pixels high, and the last moves no point by 1.5."""
+BINS = 16
+"""Bins that stay, 0 to 1.8 Hz: on a screen the tree is 600 pixels high, and none of the others moves a point by one."""
 SHAPES = {"bone_shapes", "turn_shapes"}
 PER_BIN = {"scale_m", "turn_scale_rad", "frequencies_hz"}
 PER_VOXEL = ("coords", "bone_of_voxel")
