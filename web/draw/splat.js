@@ -10,11 +10,14 @@ const SAME_PLACE = 1e-6; // of the tree's size: a camera that has moved less sta
 
 /** The body of a `.animated-splat.safetensors`; its harmonics stay the half floats that a texture takes. */
 export function readSplat(buffer) {
-  const { tensors, shape } = readTensors(buffer, { halves: ["sh"] });
+  const { tensors, shape, metadata } = readTensors(buffer, { halves: ["sh"] });
   return {
     .../** @type {any} */ (tensors),
     G: shape.means[0],
+    K: shape.coefficients[1],
     harmonics: shape.sh[1],
+    frames: Number(metadata.num_frames),
+    fps: Number(metadata.fps),
   };
 }
 

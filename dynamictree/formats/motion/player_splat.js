@@ -1,7 +1,8 @@
 // The scene of a page that plays the loop of an animated splat: +Z up, metres.
 
+import { texture, WIDTH, zeroTexture } from "field";
 import { windCoordinates } from "modes";
-import { ownRide, readSplat, SplatView } from "splat";
+import { readSplat, SplatView } from "splat";
 import * as THREE from "three";
 
 const TAIL = 0.01; // of the Gaussians, on each side: floaters do not decide what the camera looks at
@@ -10,13 +11,34 @@ export async function show(content, { scene, renderer, camera }) {
   const splat = readSplat(content);
   const box = boxOf(splat);
   const stage = { scene, renderer, camera, radius: box.getSize(new THREE.Vector3()).length() / 2 };
-  const none = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
-  none.needsUpdate = true;
-  const uniforms = { poses: { value: none }, bent: { value: 0 } };
-  const view = await SplatView.make(stage, splat, ownRide(splat, new Float32Array(8 * splat.N)), uniforms);
+  const N = splat.vertices.length / 3;
+  const texels = new Float32Array(4 * WIDTH * Math.ceil(N / WIDTH));
+  const uniforms = { moved: { value: texture(texels) }, poses: { value: zeroTexture() }, bent: { value: 0 } };
+  const [bone_rows, bone_weights] = [new Uint16Array(4 * N), new Uint8Array(4 * N)]; // nothing is pushed here
+  const surface = { N, vertices: splat.vertices, bone_rows, bone_weights };
+  const view = await SplatView.make(stage, splat, surface, uniforms);
   const period = splat.frames / splat.fps;
-  const seek = (seconds) => view.evaluate(renderer, windCoordinates(splat.K, (seconds / period) % 1), 0);
+  const seek = (seconds) => {
+    const q = windCoordinates(splat.K, (seconds / period) % 1);
+    displace(splat, q, texels);
+    uniforms.moved.value.needsUpdate = true;
+    view.evaluate(q, 0);
+  };
   return { box, view: new THREE.Vector3(0.38, -0.9, 0.2), up: new THREE.Vector3(0, 0, 1), seek, splat, gaussians: view };
+}
+
+/** Displacement of each vertex into four numbers of `texels`: Σ w_k Re(c_k q_k), w_k = 1 for the mean and k = T/2, else 2. */
+function displace({ coefficients, vertices, K, frames }, q, texels) {
+  const weighted = q.map((value, i) => (i < 2 || i >> 1 === frames / 2 ? value : 2 * value));
+  for (let v = 0, at = 0; v < vertices.length / 3; v++) {
+    const sum = [0, 0, 0];
+    for (let k = 0; k < K; k++) {
+      for (let c = 0; c < 3; c++, at += 2) {
+        sum[c] += coefficients[at] * weighted[2 * k] - coefficients[at + 1] * weighted[2 * k + 1];
+      }
+    }
+    texels.set(sum, 4 * v);
+  }
 }
 
 /** Of the Gaussians that move, of all where none do. */
