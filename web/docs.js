@@ -16,6 +16,9 @@ function mend(page) {
   for (const select of page.querySelectorAll("select:not([aria-label])")) {
     select.ariaLabel = select.closest("tr")?.dataset.paramName ?? (select.id || "media type");
   }
+  for (const table of page.querySelectorAll(".responses-table[role=region]:not([aria-label])")) {
+    table.ariaLabel = `Responses of ${table.id.replace("_responses", "")}`;
+  }
   for (const link of page.querySelectorAll(".opblock-summary-control a[href]")) link.removeAttribute("href"); // in a button
   for (const code of page.querySelectorAll("pre.microlight:not([tabindex])")) code.tabIndex = 0; // it scrolls
 }
