@@ -30,11 +30,12 @@ export class ViewPanel {
     const { player, stage } = this;
     const { tree } = player;
     player.alone = null;
-    if (!tree?.moves || this.view !== "modes") return;
+    if (!tree?.moves) return;
     const k = Number($("mode").value);
     $("mode").max = tree.modes.K - 1;
-    const largest = tree.showBin(k);
     describe($("mode"), $("mode-out"), `${k}: ${number(tree.modes.frequencies_hz[k], 2)} Hz`);
+    if (this.view !== "modes") return;
+    const largest = tree.showBin(k);
     const times = $("mode-alone").checked ? player.setAlone(k, largest, stage.height) : 1;
     const words = [length(largest)];
     if (times > 1.05) words.push(text("mode.times", { n: number(times, times < 10 ? 1 : 0) }));
