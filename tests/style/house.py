@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 35_400,
-    "lines in lab": 6_400,
+    "lines in dynamictree": 34_710,
+    "lines in lab": 6_350,
     "lines in service, jobs and worker": 15_265,
-    "lines in tests": 41_350,
-    "names bound to numbers in dynamictree": 910,
-    "functions of dynamictree with more than 6 arguments": 9,
+    "lines in tests": 40_690,
+    "names bound to numbers in dynamictree": 873,
+    "functions of dynamictree with more than 6 arguments": 7,
     "modules of dynamictree with TYPE_CHECKING": 4,
 }
 _MOST_ARGUMENTS = 6
