@@ -5,11 +5,12 @@ textures; a grown tree's is its GLB at rest. Errors are those that the files tel
 """
 
 import io
-import os
 import tempfile
 from pathlib import Path
 
 from benchmarks._machine import machine
+from benchmarks.golden_motion import MESHES as GOLDEN_MESHES
+from benchmarks.golden_motion import SAMPLES
 from dynamictree import method
 from dynamictree.commands.input_files import load_mesh
 from dynamictree.export.write import write_products
@@ -18,17 +19,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams, Reading
 from lab.dataset.sample import make_sample
 
-SAMPLES = Path(os.environ.get("DYNAMICTREE_SAMPLES", "../shared/data"))
-MESHES = (
-    "mesh/tree-lime.glb",
-    "mesh/quaternius_common_tree/CommonTree_2.obj",
-    "../foreign/mesh/pcu_tree.ply",
-    "../foreign/mesh/maple_pack_obj/tree.obj",
-    "../foreign/mesh/bevy_palm_scene/PalmTree.gltf",
-    "../foreign/mesh/godot_tree/scene.gltf",
-    "../cases/bevy_forest_tree.glb",
-    "../cases/potted.glb",
-)
+MESHES = (*GOLDEN_MESHES, "../foreign/mesh/bevy_palm_scene/PalmTree.gltf", "../foreign/mesh/godot_tree/scene.gltf")
 GROWN = ((7, "round-broadleaf"), (6, "conical-conifer"))
 
 

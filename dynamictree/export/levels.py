@@ -4,15 +4,14 @@ Wood is simplified; its vertices are vertices of the source, with their texture 
 thinned, and those that stay grow about their attachment by as much as keeps the area of all; they move as before.
 """
 
-import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
-from PIL import Image
 
+from dynamictree.export.cards import CARD_VIEWS_DEG, MOST_SAMPLES, cards_of
 from dynamictree.export.moving_tree import Report
-from dynamictree.mesh import Material, MeshLook, TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.mesh import MeshLook, TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.render.appearance import foliage_faces, is_leafy
 from dynamictree.spectrum import iter_motion
@@ -27,12 +26,7 @@ _LONGEST_RIM = 24  # edges around the open end of a branch
 _SPLITS = 4  # vertices at one place that are tried for a face, at seams of the texture
 _FEWEST_LEAVES = 16  # fewer small pieces are no foliage: a pot, a trunk of a few faces
 _SAMPLES_PER_FACE = 16  # points at which a level's motion is compared, besides its vertices
-_MOST_SAMPLES = 200_000
 _SILHOUETTE_PX = 192
-_CARD_PX = 512  # height of the picture on a card
-_CARD_ROWS, _CARD_COLUMNS = 6, 4  # faces of a card
-_CARD_VIEWS_DEG = (0.0, 90.0)
-_FAR = 40.0  # distance of the card's camera over the tree's height: nearly parallel rays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +65,12 @@ def levels_of(
     for number, share in enumerate(SHARES[1:]):
         on_progress(number / (2 * len(SHARES)))
         meshes.append(_reduced(mesh, coefficients, leaves, share))
-    meshes.append(_cards(mesh, coefficients))
-    views = [_silhouette(mesh, azimuth, mesh) for azimuth in _CARD_VIEWS_DEG]
+    meshes.append(cards_of(mesh, coefficients))
+    views = [_silhouette(mesh, azimuth, mesh) for azimuth in CARD_VIEWS_DEG]
     levels = []
     for number, (level, motion) in enumerate(meshes):
         on_progress((1 + number / len(meshes)) / 2)
-        own = [_silhouette(level, azimuth, mesh) for azimuth in _CARD_VIEWS_DEG]
+        own = [_silhouette(level, azimuth, mesh) for azimuth in CARD_VIEWS_DEG]
         both = sum(int((a & b).sum()) for a, b in zip(views, own, strict=True))
         either = sum(int((a | b).sum()) for a, b in zip(views, own, strict=True))
         relative, rms, largest = motion_error(mesh, coefficients, level, motion, num_frames)
@@ -108,7 +102,7 @@ def motion_error(
     if level is mesh:
         return 0.0, 0.0, 0.0
     rng = np.random.default_rng(0)
-    count = min(_SAMPLES_PER_FACE * level.num_faces, _MOST_SAMPLES)
+    count = min(_SAMPLES_PER_FACE * level.num_faces, MOST_SAMPLES)
     face = np.concatenate([np.arange(level.num_faces), rng.integers(level.num_faces, size=count)])
     weights = rng.dirichlet((1, 1, 1), len(face)).astype(np.float32)
     corners = np.concatenate([level.faces[face], np.repeat(np.arange(level.num_vertices)[:, None], 3, axis=1)])
@@ -226,8 +220,8 @@ def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: floa
     thick = _thickest(places, corners, round(_BRANCH_SHARE * target))
     target = max(target, round(len(thick) / _BRANCH_SHARE) if len(thick) < len(corners) else 0)
     points, fewer = fast_simplification.simplify(*_capped(places, thick), target_count=target)
-    fewer = _without_degenerate(np.asarray(cKDTree(places).query(points)[1])[fewer].reshape(-1, 3))
-    return _corners_at(mesh, own, place.ravel(), fewer)
+    a, b, c = np.asarray(cKDTree(places).query(points)[1])[fewer].reshape(-1, 3).T
+    return _corners_at(mesh, own, place.ravel(), np.column_stack([a, b, c])[(a != b) & (b != c) & (c != a)])
 
 
 def _thickest(
@@ -244,11 +238,6 @@ def _thickest(
     order = np.argsort(-thickness[part], kind="stable")
     last = part[order[min(count, len(order)) - 1]]
     return np.asarray(faces[thickness[part] >= thickness[last]])
-
-
-def _without_degenerate(faces: Int64[np.ndarray, "F 3"]) -> Int64[np.ndarray, "S 3"]:
-    a, b, c = faces.T
-    return np.asarray(faces[(a != b) & (b != c) & (c != a)])
 
 
 def _capped(
@@ -296,9 +285,7 @@ def _corners_at(
 
 
 def _grown(
-    mesh: TriangleMesh,
-    leaves: Int64[np.ndarray, " F"],
-    stays: Bool[np.ndarray, " F"],
+    mesh: TriangleMesh, leaves: Int64[np.ndarray, " F"], stays: Bool[np.ndarray, " F"]
 ) -> Float32[np.ndarray, "N 3"]:
     """Vertices, remaining leaves grown about the vertex that is nearest to the wood."""
     from scipy.spatial import cKDTree
@@ -326,77 +313,3 @@ def _silhouette(mesh: TriangleMesh, azimuth_deg: float, whole: TriangleMesh) -> 
     camera = Camera.orbit(whole.vertices, azimuth_deg=azimuth_deg, elevation_deg=0.0)
     look = Look(width=_SILHOUETTE_PX, height=_SILHOUETTE_PX, ground=False, shadows=False)
     return np.asarray(Renderer(mesh, look).buffers(camera).face >= 0)
-
-
-def _cards(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
-) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
-    """Upright cards that cross at the tree's axis, one per view, with the motion of what they show."""
-    low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
-    middle, height = (low + high) / 2, float(high[2] - low[2])
-    half = float(np.abs(mesh.vertices[:, :2] - middle[:2]).max())
-    vertices, uv, faces = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
-    lines = np.meshgrid(np.linspace(0, 1, _CARD_COLUMNS + 1), np.linspace(0, 1, _CARD_ROWS + 1))
-    column, row = lines[0].ravel(), lines[1].ravel()
-    corner = np.arange(_CARD_ROWS * (_CARD_COLUMNS + 1)).reshape(_CARD_ROWS, -1)[:, :-1].ravel()
-    above = corner + _CARD_COLUMNS + 1
-    quads = np.concatenate([np.stack([corner, corner + 1, above + 1], 1), np.stack([corner, above + 1, above], 1)])
-    for number, azimuth in enumerate(np.radians(_CARD_VIEWS_DEG)):
-        across = np.array([np.cos(azimuth), np.sin(azimuth)])
-        place = middle[:2] + np.outer((2 * column - 1) * half, across)
-        vertices.append(np.column_stack([place, low[2] + row * height]))
-        uv.append(np.column_stack([(number + column) / len(_CARD_VIEWS_DEG), 1 - row]))
-        faces.append(quads + number * len(column))
-    picture = Material(
-        name="impostor",
-        base_color=(1.0, 1.0, 1.0, 1.0),
-        texture_png=_card_picture(mesh, middle, half, height),
-        alpha_cutoff=0.5,
-        double_sided=True,
-    )
-    places = np.concatenate(vertices)
-    cards = TriangleMesh(
-        vertices=places.astype(np.float32),
-        faces=np.concatenate(faces).astype(np.int32),
-        look=MeshLook(
-            uv=np.concatenate(uv).astype(np.float32),
-            face_material=np.zeros(len(quads) * len(_CARD_VIEWS_DEG), np.int32),
-            materials=(picture,),
-        ),
-    )
-    return cards, _mean_motion(mesh, coefficients, places, height / _CARD_ROWS)
-
-
-def _mean_motion(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], places: Float64[np.ndarray, "P 3"], reach_m: float
-) -> Complex64[np.ndarray, "P K 3"]:
-    """Mean motion of the vertices around each place, the nearer the more."""
-    from scipy.spatial.distance import cdist
-
-    some = slice(None, None, -(-mesh.num_vertices // _MOST_SAMPLES))
-    coefficients = coefficients[some]
-    distance = cdist(places, mesh.vertices[some].astype(np.float64), "sqeuclidean")  # [P, N]
-    nearest = distance.min(axis=1, keepdims=True)
-    weight = np.exp((nearest - distance) / (2 * (reach_m / 2) ** 2))
-    weight /= weight.sum(axis=1, keepdims=True)
-    flat = weight.astype(np.float32) @ coefficients.reshape(len(coefficients), -1)
-    return np.asarray(flat.reshape(len(places), *coefficients.shape[1:]).astype(np.complex64))
-
-
-def _card_picture(mesh: TriangleMesh, middle: Float64[np.ndarray, "3"], half: float, height: float) -> bytes:
-    """PNG with a view per card side by side, cut out along the tree's outline."""
-    width = max(16, round(_CARD_PX * 2 * half / height / 16) * 16)
-    look = Look(width=min(width, 4 * _CARD_PX), height=_CARD_PX, ground=False)
-    renderer = Renderer(mesh, look)
-    fine = Renderer(mesh, replace(look, width=2 * look.width, height=2 * look.height, shadows=False))
-    views = []
-    for azimuth in np.radians(_CARD_VIEWS_DEG):
-        away = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0]) * _FAR * height
-        angle = float(np.degrees(2 * np.arctan(0.5 / _FAR)))
-        camera = Camera.look_at(middle + away, middle, vertical_fov_deg=angle)
-        covered = (fine.buffers(camera).face >= 0).astype(np.float32)
-        alpha = covered.reshape(look.height, 2, look.width, 2).mean(axis=(1, 3))
-        views.append(np.dstack([renderer.picture(camera=camera), np.round(255 * alpha).astype(np.uint8)]))
-    stream = io.BytesIO()
-    Image.fromarray(np.concatenate(views, axis=1)).save(stream, "PNG")
-    return stream.getvalue()
