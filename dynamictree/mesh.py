@@ -185,6 +185,11 @@ class TriangleMesh(Surface):
             raise MeshError("the scene has no triangles; a mesh with faces is needed, not points or lines")
         return joined(parts)
 
+    @property
+    def material_of_face(self) -> Int32[np.ndarray, " F"]:
+        """Number of the material of each face; 0 where the mesh has none."""
+        return np.zeros(self.num_faces, np.int32) if self.look.face_material is None else self.look.face_material
+
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
         """Give the same mesh with other positions, in the same order [m]."""
         return replace(self, vertices=vertices, look=replace(self.look, normals=None), gltf=None)

@@ -136,10 +136,7 @@ def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     leaf = foliage_faces(surface.faces, surface.num_vertices)
     leafy = np.array([is_leafy(material) for material in mesh.look.materials])
     if leafy.any():
-        face_material = (
-            np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
-        )
-        leaf &= leafy[face_material]
+        leaf &= leafy[mesh.material_of_face]
     if mesh.still_faces is not None:
         leaf &= ~mesh.still_faces
     numbers, own = np.unique(part[leaf], return_inverse=True)
@@ -169,11 +166,10 @@ def _reduced(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], leaves: Int64[np.ndarray, " F"], share: float
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
     """A share of the triangles: wood simplified by material, leaves thinned."""
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     stays = np.isin(leaves, _typical_leaves(mesh, coefficients, leaves, share))
-    faces, materials = [mesh.faces[stays]], [face_material[stays]]
-    for number in np.unique(face_material[leaves < 0]).tolist():
-        faces.append(_simplified(mesh, mesh.faces[(leaves < 0) & (face_material == number)], share))
+    faces, materials = [mesh.faces[stays]], [mesh.material_of_face[stays]]
+    for number in np.unique(mesh.material_of_face[leaves < 0]).tolist():
+        faces.append(_simplified(mesh, mesh.faces[(leaves < 0) & (mesh.material_of_face == number)], share))
         materials.append(np.full(len(faces[-1]), number, np.int32))
     vertices = _grown(mesh, leaves, stays)
     used, corners = np.unique(np.concatenate(faces), return_inverse=True)

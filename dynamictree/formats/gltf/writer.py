@@ -119,10 +119,9 @@ def add_mesh(
     attributes |= more_attributes or {}
     if materials is None:
         materials = [writer.append("materials", _material(writer, material)) for material in mesh.look.materials]
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     primitives = []
-    for number in np.unique(face_material):
-        corners = mesh.faces[face_material == number].reshape(-1, 1).astype(np.uint32)
+    for number in np.unique(mesh.material_of_face):
+        corners = mesh.faces[mesh.material_of_face == number].reshape(-1, 1).astype(np.uint32)
         primitive: dict[str, object] = {
             "attributes": attributes,
             "indices": writer.add_accessor(corners, target=_INDEX_BUFFER),

@@ -40,12 +40,10 @@ def _rows(keyword: str, rows: list[list[float]]) -> list[str]:
 
 def _belongings(mesh: TriangleMesh) -> Iterator[tuple[str, ...]]:
     """The lines that say the group and the material of each face."""
-    nothing = np.zeros(mesh.num_faces, np.int32)
     groups = [f"g {name}".rstrip() for name in mesh.parts.names] if mesh.parts.of_face is not None else [""]
     materials = [f"usemtl {_name(mesh, number)}" for number in range(len(mesh.look.materials))] or [""]
-    group_of = nothing if mesh.parts.of_face is None else mesh.parts.of_face
-    material_of = nothing if mesh.look.face_material is None else mesh.look.face_material
-    for group, material in zip(group_of.tolist(), material_of.tolist(), strict=True):
+    group_of = np.zeros(mesh.num_faces, np.int32) if mesh.parts.of_face is None else mesh.parts.of_face
+    for group, material in zip(group_of.tolist(), mesh.material_of_face.tolist(), strict=True):
         yield tuple(line for line in (groups[group], materials[material]) if line)
 
 

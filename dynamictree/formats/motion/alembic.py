@@ -56,10 +56,9 @@ def _add_face_sets(schema: Any, mesh: TriangleMesh) -> None:
 
     if not mesh.look.materials:
         return
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
     names = face_set_names([material.name for material in mesh.look.materials])
-    for number in np.unique(face_material).tolist():
-        chosen = _integers(np.flatnonzero(face_material == number))
+    for number in np.unique(mesh.material_of_face).tolist():
+        chosen = _integers(np.flatnonzero(mesh.material_of_face == number))
         schema.createFaceSet(names[number]).getSchema().set(AbcGeom.OFaceSetSchemaSample(chosen))
 
 

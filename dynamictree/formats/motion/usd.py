@@ -108,9 +108,8 @@ def _define_mesh(stage: Any, root: str, mesh: TriangleMesh) -> None:
         return
     binding = UsdShade.MaterialBindingAPI.Apply(surface.GetPrim())
     binding.Bind(UsdShade.Material.Define(stage, _looks(root, 0)))
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.look.face_material is None else mesh.look.face_material
-    for number in np.unique(face_material).tolist():
-        chosen = np.flatnonzero(face_material == number).astype(np.int32)
+    for number in np.unique(mesh.material_of_face).tolist():
+        chosen = np.flatnonzero(mesh.material_of_face == number).astype(np.int32)
         part = binding.CreateMaterialBindSubset(f"Part_{number}", Vt.IntArray.FromNumpy(chosen))
         looks = UsdShade.Material.Define(stage, _looks(root, number))
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(looks)
