@@ -137,6 +137,11 @@ class Surface:
         """Extent along +Z [m]."""
         return float(np.ptp(self.vertices[:, 2]))
 
+    @property
+    def height_text(self) -> str:
+        """The height with its unit."""
+        return f"{self.height_m:.3g} m" if self.height_m < 1000 else f"{self.height_m:,.0f} m"
+
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleMesh(Surface):

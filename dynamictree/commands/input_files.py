@@ -72,8 +72,7 @@ def read_source(
 def say_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
     """Print size, axis and unit as they were read, and what the reader left out, to standard error."""
     unit = f"unit {mesh.source.scale:g} m"
-    height = f"{mesh.height_m:.3g}" if mesh.height_m < 1000 else f"{mesh.height_m:,.0f}"
-    typer.echo(f"read as {height} m tall, {mesh.source.up_axis} up, {unit}", err=True)
+    typer.echo(f"read as {mesh.height_text} tall, {mesh.source.up_axis} up, {unit}", err=True)
     for warning in warnings:
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
 

@@ -1,22 +1,17 @@
 """Pictures and films of a moving mesh or splat."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import BinaryIO
-
-import numpy as np
-from jaxtyping import UInt8
 
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.export.splat_scene import SplatScene
 from dynamictree.export.splat_sheet import splat_sheet
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
-from dynamictree.render import Backdrop, Look, Renderer, draw_contact_sheet, write_animation, write_png
-from dynamictree.render.camera import Camera
+from dynamictree.render import Backdrop, Look, Renderer, draw_contact_sheet, write_png
+from dynamictree.render.camera import Camera, in_view
 from dynamictree.render.camera_path import cameras_of
-
-Picture = UInt8[np.ndarray, "H W 3"]
-Film = UInt8[np.ndarray, "M H W 3"]
+from dynamictree.render.video import Picture
 
 
 def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -26,16 +21,6 @@ def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     else:
         sheet = draw_contact_sheet(tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames)
     write_png(sheet, stream)
-
-
-def write_webp(film: Film, stream: BinaryIO, fps: float) -> None:
-    """Animated WebP that loops."""
-    write_animation(iter(film), stream, fps=fps, format="webp")
-
-
-def write_mp4(film: Iterable[Picture], stream: BinaryIO, fps: float) -> None:
-    """MP4 video, written as its pictures come."""
-    write_animation(iter(film), stream, fps=fps, format="mp4")
 
 
 def draw(tree: MovingTree, report: Report) -> Iterator[Picture]:
@@ -49,7 +34,8 @@ def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
     shot = tree.params.shot
     look = Look(width=shot.side_px, height=shot.side_px, ground=shot.ground, grey_still=shot.grey_still)
     renderer = Renderer(tree.mesh, look)
-    cameras = cameras_of(shot, tree.mesh.vertices[~tree.mesh.still_vertices], len(tree.phases))
+    seen = in_view(tree.mesh.vertices, ~tree.mesh.still_vertices)
+    cameras = cameras_of(shot, tree.mesh.vertices[seen], len(tree.phases))
     for frame, camera in zip(tree.frames(report), cameras, strict=True):
         yield renderer.picture(frame, camera=camera)
 

@@ -13,7 +13,7 @@ from dynamictree.gaussian.deform import Pose
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.render import Backdrop
-from dynamictree.render.camera import Camera
+from dynamictree.render.camera import Camera, in_view
 
 PREVIEW_GAUSSIANS = 200_000
 """A larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores."""
@@ -38,7 +38,7 @@ class SplatScene:
             binding = replace(binding, cloud=_grey_where(binding.cloud, ~binding.moving))
         cloud = binding.cloud
         covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
-        bounds = _bounding_points(cloud.subset(binding.moving))
+        bounds = _bounding_points(cloud.subset(in_view(cloud.means, binding.moving)))
         return cls(binding=binding, bounds=bounds, covered_m2=covered, ground=ground)
 
     def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> Backdrop:

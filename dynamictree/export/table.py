@@ -21,8 +21,9 @@ from dynamictree.export.mesh_files import (
     write_vertex_texture,
 )
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.export.pictures import Film, write_mp4, write_sheet, write_webp
+from dynamictree.export.pictures import write_sheet
 from dynamictree.export.splat_files import write_compact_splat, write_splat_page, write_splat_sequence, write_usd_splat
+from dynamictree.render.video import Picture, write_mp4, write_webp
 from dynamictree.requests import Format
 
 MEDIA_TYPES = {
@@ -60,7 +61,7 @@ class Product:
     module: str = ""
     extra: str = ""
     write: Callable[[MovingTree, BinaryIO, Report], Facts | None] | None = None
-    write_film: Callable[[Film, BinaryIO, float], None] | None = None
+    write_film: Callable[[Iterable[Picture], BinaryIO, float], None] | None = None
 
     @property
     def media_type(self) -> str:

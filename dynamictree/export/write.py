@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.export.pictures import draw, write_mp4
+from dynamictree.export.pictures import draw
 from dynamictree.export.size import splat_bytes, turbulent_bytes
 from dynamictree.export.stored_rig import Recall, stored_rig
 from dynamictree.export.table import PRODUCTS, require_available
@@ -119,7 +119,7 @@ def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) ->
 
     A film longer than `MAX_FRAMES` is not stored: the video is written as it is drawn, a sheet gets every n-th frame.
     """
-    from dynamictree.render import spooled
+    from dynamictree.render.video import spooled, write_mp4
 
     stride = -(-len(tree.phases) // MAX_FRAMES)
     if stride > 1 and "mp4" in paths:

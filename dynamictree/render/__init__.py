@@ -5,21 +5,20 @@ from dynamictree.render.camera_path import cameras_of
 from dynamictree.render.contact_sheet import amplitude_colors, draw_contact_sheet, sway_amplitude
 from dynamictree.render.ground import Backdrop
 from dynamictree.render.picture import Buffers, Look, Renderer, write_png
-from dynamictree.render.video import VIDEO_FORMATS, VideoFormat, spooled, write_animation
+from dynamictree.render.video import spooled, write_mp4, write_webp
 
 __all__ = [
-    "VIDEO_FORMATS",
     "Backdrop",
     "Buffers",
     "Camera",
     "Look",
     "Renderer",
-    "VideoFormat",
     "amplitude_colors",
     "cameras_of",
     "draw_contact_sheet",
     "spooled",
     "sway_amplitude",
-    "write_animation",
+    "write_mp4",
     "write_png",
+    "write_webp",
 ]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 
 _MARGIN = 1.06  # of the tightest framing
 
@@ -74,3 +74,13 @@ class Camera:
         in_camera = (points - self.position_m) @ self.world_to_camera.T  # [N, 3]
         in_picture = in_camera @ self.intrinsics_px(width, height).T  # [N, 3], times the depth
         return np.concatenate([in_picture[:, :2] / in_picture[:, 2:], in_picture[:, 2:]], axis=1)
+
+
+def in_view(points: Float[np.ndarray, "N 3"], moving: Bool[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
+    """What a picture must contain: the plant, and of what stands still what is near its foot, such as a pot."""
+    low, high = points[moving].min(axis=0), points[moving].max(axis=0)
+    height = high[2] - low[2]
+    reach = max(float((high - low)[:2].max()), float(height)) / 2
+    beside = np.linalg.norm(points[:, :2] - (low + high)[:2] / 2, axis=1)
+    near = (beside < reach) & (points[:, 2] > low[2] - height) & (points[:, 2] < high[2])
+    return np.asarray(moving | near)

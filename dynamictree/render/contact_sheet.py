@@ -71,7 +71,7 @@ def draw_contact_sheet(
         time_slice=_space_time_slice(still_renderer, coefficients, num_frames, window),
         strip=_frames_in_a_row(still_renderer, coefficients, num_frames),
         line=line,
-        title=f"{mesh.num_vertices:,} vertices, {mesh.num_faces:,} faces, {plant_height(mesh)} high",
+        title=f"{mesh.num_vertices:,} vertices, {mesh.num_faces:,} faces, {mesh.height_text} high",
         most_m=float(amplitude.max()),
         some_stand=bool(stands.any()),
         num_frames=num_frames,
@@ -118,12 +118,6 @@ class ContactSheet:
 
 def _length(length_m: float) -> str:
     return f"{length_m:.2g} m" if length_m >= 1 else f"{100 * length_m:.2g} cm"
-
-
-def plant_height(mesh: TriangleMesh) -> str:
-    """Height of what moves, with its unit."""
-    height_m = float(np.ptp(mesh.vertices[~mesh.still_vertices, 2]))
-    return f"{height_m:.3g} m" if height_m < 1000 else f"{height_m:,.0f} m"
 
 
 def _sway_picture(

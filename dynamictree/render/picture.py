@@ -15,7 +15,7 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
 from dynamictree.parallel import in_bands, on_cores
 from dynamictree.render.appearance import Appearance, appearance_of
-from dynamictree.render.camera import Camera
+from dynamictree.render.camera import Camera, in_view
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
 from dynamictree.render.shade import Scene, View, shade_rows
@@ -70,8 +70,8 @@ class Renderer:
         """
         self.mesh = validate_mesh(mesh)
         self.look = look or Look()
-        visible = mesh.vertices[~mesh.still_vertices]  # the plant, not the plane that it stands on
-        self.camera = Camera.orbit(visible, aspect=self.look.width / self.look.height)
+        self._in_view = mesh.vertices[in_view(mesh.vertices, ~mesh.still_vertices)]
+        self.camera = Camera.orbit(self._in_view, aspect=self.look.width / self.look.height)
         appearance = appearance_of(mesh, grey_still=self.look.grey_still)
         self._surface = _Surface(mesh.vertices, mesh.faces, appearance)
         low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
@@ -86,7 +86,7 @@ class Renderer:
         """Draw the same mesh in the same light in another size of picture."""
         other = copy(self)
         other.look = replace(self.look, width=width, height=height)
-        other.camera = Camera.orbit(self.mesh.vertices[~self.mesh.still_vertices], aspect=width / height)
+        other.camera = Camera.orbit(self._in_view, aspect=width / height)
         return other
 
     def picture(

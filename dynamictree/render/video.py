@@ -1,12 +1,11 @@
-"""Moving pictures: MP4 through ffmpeg, animated WebP and GIF through Pillow."""
+"""Moving pictures: MP4 through ffmpeg, animated WebP through Pillow."""
 
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import chain
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import UInt8
@@ -15,35 +14,11 @@ from PIL import Image, TiffImagePlugin
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import DynamicTreeError, InputError
 
-VideoFormat = Literal["mp4", "webp", "gif"]
-VIDEO_FORMATS: tuple[VideoFormat, ...] = get_args(VideoFormat)
-
-_MAX_FPS = {"mp4": 240.0, "webp": 100.0, "gif": 50.0}  # viewers slow GIFs down whose frames last less than 0.02 s
-
-
-def write_animation(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: ByteWriter, *, fps: float, format: VideoFormat
-) -> None:
-    """Write pictures of one size as a film, one at a time; WebP and GIF repeat for ever.
-
-    Raises:
-        DynamicTreeError: ffmpeg failed; the message holds its own.
-        InputError: no frames, frames of several sizes, or frames a second that the format cannot hold.
-    """
-    if not 0 < fps <= _MAX_FPS[format]:
-        raise InputError(f"fps is {fps}; above 0 and at most {_MAX_FPS[format]:g} are allowed for {format}")
-    first = next(frames, None)
-    if first is None:
-        raise InputError("there are no frames; at least one is needed")
-    same_size = _of_one_size(chain([first], frames), first.shape)
-    if format == "mp4":
-        _write_mp4(same_size, first.shape, stream, fps)
-    else:
-        _write_pillow(same_size, stream, fps, format)
+Picture = UInt8[np.ndarray, "H W 3"]
 
 
 @contextmanager
-def spooled(frames: Iterator[UInt8[np.ndarray, "H W 3"]]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]:
+def spooled(frames: Iterable[Picture]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]:
     """Pictures of one size on disk, for those who go through them more than once; gone at the end.
 
     Raises:
@@ -61,9 +36,18 @@ def spooled(frames: Iterator[UInt8[np.ndarray, "H W 3"]]) -> Iterator[UInt8[np.n
         yield np.memmap(spool, np.uint8, "r", shape=(count, *shape))
 
 
-def _of_one_size(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], shape: tuple[int, ...]
-) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
+def _checked(frames: Iterable[Picture], fps: float, *, most: float) -> tuple[tuple[int, ...], Iterator[Picture]]:
+    """The size of the frames, and the frames, which are compared with it as they come."""
+    if not 0 < fps <= most:
+        raise InputError(f"fps is {fps}; above 0 and at most {most:g} are allowed")
+    rest = iter(frames)
+    first = next(rest, None)
+    if first is None:
+        raise InputError("there are no frames; at least one is needed")
+    return first.shape, _of_one_size(chain([first], rest), first.shape)
+
+
+def _of_one_size(frames: Iterator[Picture], shape: tuple[int, ...]) -> Iterator[Picture]:
     for number, frame in enumerate(frames):
         if frame.shape != shape:
             size = f"frame {number} is {frame.shape[1]} x {frame.shape[0]} pixels"
@@ -71,11 +55,16 @@ def _of_one_size(
         yield frame
 
 
-def _write_mp4(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], shape: tuple[int, ...], stream: ByteWriter, fps: float
-) -> None:
+def write_mp4(frames: Iterable[Picture], stream: ByteWriter, fps: float) -> None:
+    """Write pictures of one size as a film, one at a time.
+
+    Raises:
+        DynamicTreeError: ffmpeg failed; the message holds its own.
+        InputError: no frames, frames of several sizes, or too many a second.
+    """
     import imageio_ffmpeg  # the extra `video`; only this format needs it
 
+    shape, frames = _checked(frames, fps, most=240.0)
     # yuv420p halves the colour's resolution and wants even sides: one pixel of edge is repeated where a side is odd
     even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{shape[1]}x{shape[0]}", "-r", f"{fps:.6f}", "-i", "-"]
@@ -98,9 +87,9 @@ def _write_mp4(
         shutil.copyfileobj(film, stream)
 
 
-def _write_pillow(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: ByteWriter, fps: float, format: VideoFormat
-) -> None:
+def write_webp(frames: Iterable[Picture], stream: ByteWriter, fps: float) -> None:
+    """Write pictures of one size as an animated WebP that repeats for ever; raises as `write_mp4`."""
+    _, frames = _checked(frames, fps, most=100.0)
     # Pillow wants all frames in memory or in one file of many pages; the file keeps memory small
     with tempfile.TemporaryFile() as spool:
         with TiffImagePlugin.AppendingTiffWriter(spool) as pages:
@@ -109,6 +98,6 @@ def _write_pillow(
                 pages.newFrame()
         spool.seek(0)
         with Image.open(spool) as pages, tempfile.TemporaryFile() as film:
-            pages.save(film, format=format.upper(), save_all=True, duration=1000 / fps, loop=0, quality=80, method=3)
+            pages.save(film, format="WEBP", save_all=True, duration=1000 / fps, loop=0, quality=80, method=3)
             film.seek(0)
             shutil.copyfileobj(film, stream)

@@ -58,12 +58,6 @@ def test_a_slash_too_many_sends_nobody_and_no_key_elsewhere(client: TestClient) 
     assert "Location" not in answer.headers
 
 
-def test_a_wrong_method(client: TestClient) -> None:
-    response = client.put("/v1/jobs")
-    assert_problem(response, 405, "method-not-allowed")
-    assert response.headers["Allow"]
-
-
 @pytest.mark.parametrize(
     "path", ["/v1/assets/{}", "/v1/jobs/{}", "/v1/jobs/{}/artifacts", "/v1/artifacts/{}", "/v1/spectra/{}"]
 )

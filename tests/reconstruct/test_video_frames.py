@@ -9,7 +9,7 @@ from PIL import Image
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.reconstruct.video_frames import chosen_frames, write_sharp_frames
-from dynamictree.render.video import write_animation
+from dynamictree.render.video import write_mp4
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 
@@ -30,7 +30,7 @@ def film(rng: np.random.Generator, tmp_path: Path) -> Path:
         frames.append(np.repeat(grey[..., None], 3, axis=2))
     path = tmp_path / "walk.mp4"
     with path.open("wb") as stream:
-        write_animation(iter(frames), stream, fps=24.0, format="mp4")
+        write_mp4(frames, stream, 24.0)
     return path
 
 

@@ -11,6 +11,7 @@ from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.render import shade as light
 from dynamictree.render.appearance import foliage_faces
+from dynamictree.render.camera import in_view
 from tests.render.conftest import facing_card
 from tests.render.test_raster import cast_rays
 
@@ -241,6 +242,17 @@ def test_the_plant_fills_the_picture_whatever_it_stands_on() -> None:
     scene = TriangleMesh(vertices=corners, faces=faces, still_faces=np.array([False, True]))
     far, near = (np.linalg.norm(Renderer(mesh, Look()).camera.position_m) for mesh in (whole, scene))
     assert near < 0.1 * far
+
+
+def test_a_pot_is_in_the_picture_and_the_sky_above_is_not() -> None:
+    points = np.array([[0, 0, 0], [0.2, 0, 1], [-0.3, 0, -0.3], [0.3, 0.1, -0.1], [0, 0, 9], [0.7, 0, 0]])
+    assert in_view(points, np.arange(6) < 2).tolist() == [True, True, True, True, False, False]
+    pot = np.array([False, True])
+    corners = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0, 1], [-0.3, 0, -0.3], [0.3, 0, -0.3], [0, 0.1, 0]], np.float32)
+    mesh = TriangleMesh(vertices=corners, faces=np.arange(6, dtype=np.int32).reshape(2, 3), still_faces=pot)
+    pixels = Renderer(mesh, Look()).camera.project(corners.astype(np.float64), 100, 100)
+    assert ((pixels[:, :2] > 0) & (pixels[:, :2] < 100)).all()
+    assert mesh.height_text == "1.3 m"
 
 
 @pytest.mark.parametrize("kind", ["vertices", "material", "texture"])
