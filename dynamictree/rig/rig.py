@@ -164,7 +164,7 @@ def _together(
         for all_of_them, some, weights in ((vertices, own, rig.vertices), (voxels, grid_rows, rig.voxels)):
             all_of_them.rows[some], all_of_them.shares[some] = moved(weights.rows, first), weights.shares
     rigs = [rig for _, _, rig in every]
-    skeleton, order = _by_depth(
+    skeleton, order = by_depth(
         Skeleton(
             parent=np.concatenate(parent),
             foot_m=_joined(ground.skeleton.foot_m, [rig.skeleton.foot_m for rig in rigs]),
@@ -182,7 +182,8 @@ def _together(
     )
 
 
-def _by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
+def by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
+    """The same bones in the order of their depth, and which each was before."""
     order = np.argsort(skeleton.depths, kind="stable")
     number = np.argsort(order)
     parent = np.where(skeleton.parent < 0, -1, number[skeleton.parent])[order].astype(np.int32)

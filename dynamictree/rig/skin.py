@@ -6,12 +6,10 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.rig.pose import Poses, Skeleton, Weights, carried, poses
-from dynamictree.rig.rig import Rig
+from dynamictree.rig.rig import STEPS, Rig, by_depth
 from dynamictree.rotation import matrix_quaternions, quaternion_matrices
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import bin_weights
-
-STEPS = 32767  # of a normalised short
 
 
 def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> tuple[Skin, SkinSummary]:
@@ -105,14 +103,8 @@ def reduced(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> R
         reach_m=skeleton.reach_m[remaining],
         in_surface=skeleton.in_surface[remaining],
     )
-    order = np.argsort(few.depths, kind="stable")
+    ordered, order = by_depth(few)
     place = np.argsort(order).astype(np.int32)
-    ordered = Skeleton(
-        parent=np.where(parent[order] < 0, -1, place[parent[order]]).astype(np.int32),
-        foot_m=few.foot_m[order],
-        reach_m=few.reach_m[order],
-        in_surface=few.in_surface[order],
-    )
     return replace(
         rig,
         skeleton=ordered,

@@ -25,6 +25,9 @@ SMALLEST_NODE, NEAR_VOXELS = 3, 6.0
 """A node with fewer vertices that is this near to its parent is a part of it."""
 WIDE_VOXELS, PATCH_VOXELS = 8.0, 4.0
 """A node that is wider, as in a crown that is one surface, is cut into patches."""
+THIN = 0.05
+"""A node that is thinner, in lengths of its bone, goes with it whole. Blended, a ring of a twig collapses where bones
+turn far apart; carried whole, edges to the next ring grow with its radius (docs/decisions/modal.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +200,7 @@ def _carriers(
 ) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Bone of each vertex and its parent's share: 1/2 at the foot of a bone, 0 from its middle on.
 
-    Beyond the middle, a vertex belongs to the next bone already, and the share goes from 1 to 1/2.
+    Beyond the middle, a vertex belongs to the next bone already, and the share goes from 1 to 1/2. Thin nodes do not.
     """
 
     def along(bone: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
@@ -224,7 +227,10 @@ def _carriers(
     towards = (after >= 0) & ~beyond & (own > 0.5)
     bone = np.where(beyond | towards, after, node)
     share = np.where(towards, np.clip(1.5 - own, 0.5, 1), np.clip(0.5 - np.where(beyond, share_there, own), 0, 0.5))
-    return bone, share
+    width = np.zeros(len(parent))
+    np.maximum.at(width, node, np.linalg.norm(places - (foot + reach)[node], axis=1))
+    thin = (width < THIN * np.linalg.norm(reach, axis=1))[node]
+    return np.where(thin, node, bone), np.where(thin, 0, share)
 
 
 def _connected(edges: Int32[np.ndarray, "E 2"], count: int) -> Int32[np.ndarray, " n"]:
