@@ -18,7 +18,6 @@ DRAG_EXPONENT = 1.4
 """Of the speed: plants bend out of the way, Vogel 1989. The simulator's U^1.6 and its saturation together are nearest
 to this law from 5 to 30 m/s (docs/decisions/diffusion.md)."""
 SLOWEST_M_S, FASTEST_M_S = 0.1, 30.0
-MAX_BANDS = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +28,10 @@ class WindBands:
     gains: tuple[tuple[float, ...], ...]  # [B][K]
 
     def __post_init__(self) -> None:
+        max_bands = 64
         rising = all(low < high for low, high in zip(self.speeds_m_s, self.speeds_m_s[1:], strict=False))
-        if not 2 <= len(self.speeds_m_s) <= MAX_BANDS or self.speeds_m_s[0] != 0 or not rising:
-            raise InputError(f"speeds of wind bands are {self.speeds_m_s[:8]}; 0 and up to {MAX_BANDS - 1} rising ones")
+        if not 2 <= len(self.speeds_m_s) <= max_bands or self.speeds_m_s[0] != 0 or not rising:
+            raise InputError(f"speeds of wind bands are {self.speeds_m_s[:8]}; 0 and up to {max_bands - 1} rising ones")
         table = np.asarray(self.gains, np.float64)
         if len(table) != len(self.speeds_m_s) or table.ndim != 2 or not (np.isfinite(table) & (table >= 0)).all():
             raise InputError("gains of wind bands are not one row per speed, finite and at least 0")

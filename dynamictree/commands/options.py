@@ -18,7 +18,6 @@ from dynamictree.formats.suffixes import (
 _SHAPE_SUFFIXES = tuple(
     suffix for suffix in dict.fromkeys((*MESH_SUFFIXES, *CLOUD_SUFFIXES)) if suffix not in POINT_SUFFIXES
 )
-_MOST_NAMES = 10  # of a message
 
 
 def shape_file(path: Path) -> Path:
@@ -27,6 +26,7 @@ def shape_file(path: Path) -> Path:
     Raises:
         InputError: none does, or several do.
     """
+    most_names = 10  # of a message
     if not path.is_dir():
         return path
     entries = sorted(entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file())
@@ -37,7 +37,7 @@ def shape_file(path: Path) -> Path:
     if len(shapes) == 1:
         return shapes[0]
     if shapes:
-        names = ", ".join(str(one.relative_to(path)) for one in shapes[:_MOST_NAMES])
+        names = ", ".join(str(one.relative_to(path)) for one in shapes[:most_names])
         raise InputError(f"{path} holds {len(shapes)} shapes: {names}; name one of them")
     if any(entry.suffix.lower() in PHOTO_SUFFIXES for entry in entries):
         raise InputError(f"{path} is a folder of pictures; `dynamictree reconstruct` makes a tree of photos")

@@ -11,20 +11,18 @@ import typer
 from dynamictree.commands.terminal import progress
 from dynamictree.reconstruct.progress import Progress
 
-_EVENT_EVERY_S = 1.0
-_LINE_AT = 0.25  # of a stage: how often a log gets a line
-_LEAST_SHARE = 0.05  # of a stage that must be done before its end can be estimated
-
 Report = Callable[[Progress], None]
 
 
 @contextmanager
 def stage_progress(*, as_json: bool) -> Iterator[Report]:
     """Report on standard error: bars in a terminal, else a line at each quarter of a stage, or JSON events."""
+    line_at = 0.25  # of a stage: how often a log gets a line
+    event_every_s = 1.0
     if as_json:
-        yield _Lines(_event, every_s=_EVENT_EVERY_S)
+        yield _Lines(_event, every_s=event_every_s)
     elif not sys.stderr.isatty():
-        yield _Lines(_line, every_share=_LINE_AT)
+        yield _Lines(_line, every_share=line_at)
     else:
         with progress(quiet=False) as bars:
             yield lambda one: bars(one.stage, one.share, "" if one.psnr_db is None else f"{one.psnr_db:.1f} dB")
@@ -57,7 +55,8 @@ class _Lines:
 
 def remaining_s(share: float, elapsed_s: float) -> float | None:
     """Estimate the remaining time of a stage [s]; None at its beginning."""
-    return elapsed_s * (1 - share) / share if share >= _LEAST_SHARE else None
+    least_share = 0.05  # of a stage that must be done before its end can be estimated
+    return elapsed_s * (1 - share) / share if share >= least_share else None
 
 
 def _event(progress: Progress, eta_s: float | None) -> str:

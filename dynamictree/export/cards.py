@@ -12,23 +12,21 @@ from dynamictree.render import Camera, Look, Renderer
 
 CARD_VIEWS_DEG = (0.0, 90.0)
 MOST_SAMPLES = 200_000  # points of a tree that its motion is compared or averaged at
-_CARD_PX = 512  # height of the picture on a card
-_CARD_ROWS, _CARD_COLUMNS = 6, 4  # faces of a card
-_FAR = 40.0  # distance of the card's camera over the tree's height: nearly parallel rays
 
 
 def cards_of(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
     """Upright cards that cross at the tree's axis, one per view, with the motion of what they show."""
+    card_rows, card_columns = 6, 4  # faces of a card
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     middle, height = (low + high) / 2, float(high[2] - low[2])
     half = float(np.abs(mesh.vertices[:, :2] - middle[:2]).max())
     vertices, uv, faces = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
-    lines = np.meshgrid(np.linspace(0, 1, _CARD_COLUMNS + 1), np.linspace(0, 1, _CARD_ROWS + 1))
+    lines = np.meshgrid(np.linspace(0, 1, card_columns + 1), np.linspace(0, 1, card_rows + 1))
     column, row = lines[0].ravel(), lines[1].ravel()
-    corner = np.arange(_CARD_ROWS * (_CARD_COLUMNS + 1)).reshape(_CARD_ROWS, -1)[:, :-1].ravel()
-    above = corner + _CARD_COLUMNS + 1
+    corner = np.arange(card_rows * (card_columns + 1)).reshape(card_rows, -1)[:, :-1].ravel()
+    above = corner + card_columns + 1
     quads = np.concatenate([np.stack([corner, corner + 1, above + 1], 1), np.stack([corner, above + 1, above], 1)])
     for number, azimuth in enumerate(np.radians(CARD_VIEWS_DEG)):
         across = np.array([np.cos(azimuth), np.sin(azimuth)])
@@ -53,7 +51,7 @@ def cards_of(
             materials=(picture,),
         ),
     )
-    return cards, _mean_motion(mesh, coefficients, places, height / _CARD_ROWS)
+    return cards, _mean_motion(mesh, coefficients, places, height / card_rows)
 
 
 def _mean_motion(
@@ -73,14 +71,16 @@ def _mean_motion(
 
 def _card_picture(mesh: TriangleMesh, middle: Float64[np.ndarray, "3"], half: float, height: float) -> bytes:
     """PNG with a view per card side by side, cut out along the tree's outline."""
-    width = max(16, round(_CARD_PX * 2 * half / height / 16) * 16)
-    look = Look(width=min(width, 4 * _CARD_PX), height=_CARD_PX, ground=False)
+    far = 40.0  # distance of the card's camera over the tree's height: nearly parallel rays
+    card_px = 512  # height of the picture on a card
+    width = max(16, round(card_px * 2 * half / height / 16) * 16)
+    look = Look(width=min(width, 4 * card_px), height=card_px, ground=False)
     renderer = Renderer(mesh, look)
     fine = Renderer(mesh, replace(look, width=2 * look.width, height=2 * look.height, shadows=False))
     views = []
     for azimuth in np.radians(CARD_VIEWS_DEG):
-        away = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0]) * _FAR * height
-        angle = float(np.degrees(2 * np.arctan(0.5 / _FAR)))
+        away = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0]) * far * height
+        angle = float(np.degrees(2 * np.arctan(0.5 / far)))
         camera = Camera.look_at(middle + away, middle, vertical_fov_deg=angle)
         covered = (fine.buffers(camera).face >= 0).astype(np.float32)
         alpha = covered.reshape(look.height, 2, look.width, 2).mean(axis=(1, 3))

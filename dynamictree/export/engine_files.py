@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 COVERAGE = (0.5, 0.25, 0.1, 0.04, 0.0)
 """Share of the screen's height below which the next level is shown."""
-ENGINE_JOINTS = 256
-"""Of the rig for engines that move joints themselves: what Unity, Unreal and Godot take in one skinned mesh."""
 
 
 def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
@@ -63,12 +61,14 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """A skin whose joints lie in the branches, Unreal's wind groups of its joints, and collision capsules."""
+    # of the rig for engines that move joints themselves: what Unity, Unreal and Godot take in one skinned mesh
+    engine_joints = 256
     from dynamictree.export.levels import wood_vertices
     from dynamictree.rig.branch_groups import capsules
     from dynamictree.rig.skin import reduced, skin_of
 
-    few = reduced(tree.rig, tree.mesh.vertices, ENGINE_JOINTS)
-    skin, summary = skin_of(tree.rig, tree.mesh.vertices, ENGINE_JOINTS)
+    few = reduced(tree.rig, tree.mesh.vertices, engine_joints)
+    skin, summary = skin_of(tree.rig, tree.mesh.vertices, engine_joints)
     report(0.5)
     shapes = capsules(few, tree.mesh.vertices, wood_vertices(tree.mesh))
     rig, collision = io.BytesIO(), io.BytesIO()

@@ -41,9 +41,6 @@ SHADERS = (
     "wind-unreal-poses.hlsl",
     "wind-unreal.hlsl",
 )
-_FIXED_PARTS = 3  # foot, direction, parent
-POSE_PARTS = 4
-"""Of the texture that a shader computes each frame: how far feet move, turns, feet, turns of the parents."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +77,11 @@ def iter_engine_wind_zip(
     Raises:
         InputError: no texture holds the bones.
     """
+    fixed_parts = 3  # foot, direction, parent
     skeleton, turns = rig.skeleton, rig.turns
     parts = loop_parts(turns, rig.num_frames).reshape(-1, len(turns), 3)
     texture = BoneTexture(
-        layout=texture_layout(len(turns), len(parts) + _FIXED_PARTS),
+        layout=texture_layout(len(turns), len(parts) + fixed_parts),
         num_bones=len(turns),
         most_ancestors=int(skeleton.depths.max()),
         farthest_m=2 * float(np.linalg.norm(mesh.vertices, axis=1).max()),
@@ -134,6 +132,8 @@ def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: Te
 
 def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
     """Code for one engine with the wind's numbers and the texture's layout inside."""
+    # of the texture that a shader computes each frame: how far feet move, turns, feet, turns of the parents
+    pose_parts = 4
     folder = files(__package__) / "wind_shaders"
     text, core, surface = (
         (folder / part).read_text(encoding="utf-8").rstrip() for part in (name, "core.glsl", "surface.glsl")
@@ -168,7 +168,7 @@ def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
     }
     text = text.replace("CONSTANTS", _defined(numbers | layout)).replace("LAYOUT", _defined(layout))
     text = text.replace("POSES_WIDTH", str(texture.layout.width))
-    text = text.replace("POSES_HEIGHT", str(POSE_PARTS * texture.layout.rows_per_frame))
+    text = text.replace("POSES_HEIGHT", str(pose_parts * texture.layout.rows_per_frame))
     hlsl = name.endswith((".hlsl", ".shader"))
     source = "bones" if "BONE(" in text else "poses"
     text = text.replace("TEXTUREvec2", f"Texture2D {source}, SamplerState point_sampler, vec2" if hlsl else "vec2")

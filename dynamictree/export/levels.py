@@ -18,15 +18,7 @@ from dynamictree.spectrum import iter_motion
 
 SHARES = (1.0, 0.4, 0.15, 0.05)
 """Of the triangles, level by level."""
-LARGEST_GROWTH = 4.0  # of a leaf; a level of very few leaves has less area than the tree
-_FEWEST_FACES = 100  # of wood of one material
-_FEWEST_BRANCHES = 16  # as parts of their own; fewer parts are all simplified, none is left out
-_BRANCH_SHARE = 1.4  # faces of a thin branch over those that quadrics leave of it; fewer, and they take the trunk
-_LONGEST_RIM = 24  # edges around the open end of a branch
 _SPLITS = 4  # vertices at one place that are tried for a face, at seams of the texture
-_FEWEST_LEAVES = 16  # fewer small pieces are no foliage: a pot, a trunk of a few faces
-_SAMPLES_PER_FACE = 16  # points at which a level's motion is compared, besides its vertices
-_SILHOUETTE_PX = 192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,12 +89,13 @@ def motion_error(
 
     Each vertex of the tree is compared with the point of the level's surface that is nearest to it at rest.
     """
+    samples_per_face = 16  # points at which a level's motion is compared, besides its vertices
     from scipy.spatial import cKDTree
 
     if level is mesh:
         return 0.0, 0.0, 0.0
     rng = np.random.default_rng(0)
-    count = min(_SAMPLES_PER_FACE * level.num_faces, MOST_SAMPLES)
+    count = min(samples_per_face * level.num_faces, MOST_SAMPLES)
     face = np.concatenate([np.arange(level.num_faces), rng.integers(level.num_faces, size=count)])
     weights = rng.dirichlet((1, 1, 1), len(face)).astype(np.float32)
     corners = np.concatenate([level.faces[face], np.repeat(np.arange(level.num_vertices)[:, None], 3, axis=1)])
@@ -131,6 +124,7 @@ def wood_vertices(mesh: TriangleMesh) -> Bool[np.ndarray, " N"]:
 
 def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """Number of the leaf that each face belongs to, in an order along a curve through space; -1 for wood."""
+    fewest_leaves = 16  # fewer small pieces are no foliage: a pot, a trunk of a few faces
     surface, _ = weld(mesh)
     part = connected_parts(surface.faces, surface.num_vertices)[surface.faces[:, 0]]
     leaf = foliage_faces(surface.faces, surface.num_vertices)
@@ -140,7 +134,7 @@ def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     if mesh.still_faces is not None:
         leaf &= ~mesh.still_faces
     numbers, own = np.unique(part[leaf], return_inverse=True)
-    if len(numbers) < _FEWEST_LEAVES:
+    if len(numbers) < fewest_leaves:
         return np.full(mesh.num_faces, -1)
     centre = (
         np.stack([np.bincount(own, mesh.vertices[mesh.faces[leaf]].mean(axis=1)[:, axis]) for axis in range(3)], axis=1)
@@ -204,17 +198,19 @@ def _typical_leaves(
 
 def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: float) -> Int32[np.ndarray, "S 3"]:
     """Fewer faces over vertices of the mesh: quadric error, each new vertex replaced by the nearest of the old ones."""
+    branch_share = 1.4  # faces of a thin branch over those that quadrics leave of it; fewer, and they take the trunk
+    fewest_faces = 100  # of wood of one material
     import fast_simplification
     from scipy.spatial import cKDTree
 
     own = np.unique(faces)
     places, place = np.unique(mesh.vertices[own], axis=0, return_inverse=True)
     corners = place.ravel()[np.searchsorted(own, faces)].astype(np.int32)
-    target = max(round(share * len(faces)), _FEWEST_FACES)
+    target = max(round(share * len(faces)), fewest_faces)
     if target >= len(faces):
         return faces
-    thick = _thickest(places, corners, round(_BRANCH_SHARE * target))
-    target = max(target, round(len(thick) / _BRANCH_SHARE) if len(thick) < len(corners) else 0)
+    thick = _thickest(places, corners, round(branch_share * target))
+    target = max(target, round(len(thick) / branch_share) if len(thick) < len(corners) else 0)
     points, fewer = fast_simplification.simplify(*_capped(places, thick), target_count=target)
     a, b, c = np.asarray(cKDTree(places).query(points)[1])[fewer].reshape(-1, 3).T
     return _corners_at(mesh, own, place.ravel(), np.column_stack([a, b, c])[(a != b) & (b != c) & (c != a)])
@@ -224,8 +220,9 @@ def _thickest(
     places: Float32[np.ndarray, "P 3"], faces: Int32[np.ndarray, "F 3"], count: int
 ) -> Int32[np.ndarray, "S 3"]:
     """About as many faces: those of the thickest branches, where most branches are parts of their own."""
+    fewest_branches = 16  # as parts of their own; fewer parts are all simplified, none is left out
     part = connected_parts(faces, len(places))[faces[:, 0]]
-    if len(np.unique(part)) < _FEWEST_BRANCHES:
+    if len(np.unique(part)) < fewest_branches:
         return faces
     corners = places[faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -240,6 +237,7 @@ def _capped(
     places: Float32[np.ndarray, "P 3"], faces: Int32[np.ndarray, "F 3"]
 ) -> tuple[Float32[np.ndarray, "Q 3"], Int32[np.ndarray, "G 3"]]:
     """Close the open ends of branches, whose rims could not be simplified."""
+    longest_rim = 24  # edges around the open end of a branch
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -249,7 +247,7 @@ def _capped(
     shape = (len(places), len(places))
     _, loop = connected_components(coo_array((np.ones(len(rim)), rim.T), shape=shape), directed=False)
     length = np.bincount(loop[rim[:, 0]], minlength=int(loop.max()) + 1)
-    rim = rim[length[loop[rim[:, 0]]] <= _LONGEST_RIM]
+    rim = rim[length[loop[rim[:, 0]]] <= longest_rim]
     ends, end = np.unique(loop[rim[:, 0]], return_inverse=True)
     if not len(ends):
         return places, faces
@@ -284,6 +282,7 @@ def _grown(
     mesh: TriangleMesh, leaves: Int64[np.ndarray, " F"], stays: Bool[np.ndarray, " F"]
 ) -> Float32[np.ndarray, "N 3"]:
     """Vertices, remaining leaves grown about the vertex that is nearest to the wood."""
+    largest_growth = 4.0  # of a leaf; a level of very few leaves has less area than the tree
     from scipy.spatial import cKDTree
 
     vertices = mesh.vertices.copy()
@@ -291,7 +290,7 @@ def _grown(
         return vertices
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    growth = min(float(np.sqrt(area[leaves >= 0].sum() / max(area[stays].sum(), 1e-12))), LARGEST_GROWTH)
+    growth = min(float(np.sqrt(area[leaves >= 0].sum() / max(area[stays].sum(), 1e-12))), largest_growth)
     leaf = np.full(mesh.num_vertices, -1)
     leaf[mesh.faces[stays]] = leaves[stays][:, None]
     own = np.flatnonzero(leaf >= 0)
@@ -306,6 +305,7 @@ def _grown(
 
 def _silhouette(mesh: TriangleMesh, azimuth_deg: float, whole: TriangleMesh) -> Bool[np.ndarray, "H W"]:
     """Which pixels a mesh covers, where a camera sees all of another."""
+    silhouette_px = 192
     camera = Camera.orbit(whole.vertices, azimuth_deg=azimuth_deg, elevation_deg=0.0)
-    look = Look(width=_SILHOUETTE_PX, height=_SILHOUETTE_PX, ground=False, shadows=False)
+    look = Look(width=silhouette_px, height=silhouette_px, ground=False, shadows=False)
     return np.asarray(Renderer(mesh, look).buffers(camera).face >= 0)

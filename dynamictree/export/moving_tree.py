@@ -17,9 +17,6 @@ from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 Report = Callable[[float], None]
 """Gets the share done in [0, 1]; what it raises passes through."""
-MOST_LOST = 1e-4
-"""Of the height: what frequencies above those that a sum of them has may move a vertex by, 1 mm at 10 m."""
-_SAMPLED_VERTICES = 10_000  # that tell how many frequencies are needed
 
 Facts = dict[str, int | float]
 """How far a product is from the motion. Empty where it is exact."""
@@ -72,14 +69,17 @@ class MovingTree:
     @cached_property
     def loop(self) -> Complex64[np.ndarray, "N L 3"]:
         """The vertices' loop as a sum of frequencies [m]: K, 2 K or all, the first of these that lose little."""
+        sampled_vertices = 10_000  # that tell how many frequencies are needed
+        # of the height: what frequencies above those that a sum of them has may move a vertex by, 1 mm at 10 m
+        most_lost = 1e-4
         vertices, weights = self.mesh.vertices, self.rig.vertices
-        some = slice(None, None, -(-len(vertices) // _SAMPLED_VERTICES))
+        some = slice(None, None, -(-len(vertices) // sampled_vertices))
         fewest, most = self.spectrum.num_frequencies, self.spectrum.num_frames // 2
         size = 2 * np.linalg.norm(self.rig.loop(vertices[some], weights[some], most), axis=2)  # [n, most]
         lost = [size[:, enough:].sum(axis=1).max() for enough in (fewest, 2 * fewest)]
-        if lost[0] <= MOST_LOST * self.mesh.height_m:
+        if lost[0] <= most_lost * self.mesh.height_m:
             return self.coefficients
-        enough = 2 * fewest if lost[1] <= MOST_LOST * self.mesh.height_m else most
+        enough = 2 * fewest if lost[1] <= most_lost * self.mesh.height_m else most
         return self.rig.loop(vertices, weights, min(enough, most))
 
     def loop_frames(self) -> Iterator[Float32[np.ndarray, "N 3"]]:

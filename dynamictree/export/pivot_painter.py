@@ -26,23 +26,23 @@ PIVOT_PAINTER: dict[str, str | int] = {
     "x_vector_and_extent": DIRECTION,
     "uv_set": 1,
 }
-_FIRST_INDEX = 1024  # the least half that is not denormal
-_STEP_CM, _MOST_STEPS = 8.0, 256
 
 
 def pivot_painter_files(mesh: TriangleMesh, pivots: BranchPivots) -> dict[str, bytes]:
     """The mesh at rest with the lookup as TEXCOORD_1, and both textures, by file name."""
+    step_cm, most_steps = 8.0, 256
+    first_index = 1024  # the least half that is not denormal
     count = len(pivots.foot_m)
     width = int(np.ceil(np.sqrt(count)))
     height = -(-count // width)
     axis, length_m = branch_axes(mesh, pivots)
     position = np.zeros((height * width, 4), np.float16)
     position[:count, :3] = _unreal(pivots.foot_m) * 100
-    position[:, 3] = np.full(height * width, _FIRST_INDEX, np.uint16).view(np.float16)
-    position[:count, 3] = (pivots.parent + _FIRST_INDEX).astype(np.uint16).view(np.float16)
+    position[:, 3] = np.full(height * width, first_index, np.uint16).view(np.float16)
+    position[:count, 3] = (pivots.parent + first_index).astype(np.uint16).view(np.float16)
     direction = np.zeros((height * width, 4), np.uint8)
-    steps = np.clip(np.ceil(100 * length_m / _STEP_CM), 1, _MOST_STEPS)
-    shares = np.column_stack([(_unreal(axis) + 1) / 2, steps / _MOST_STEPS])
+    steps = np.clip(np.ceil(100 * length_m / step_cm), 1, most_steps)
+    shares = np.column_stack([(_unreal(axis) + 1) / 2, steps / most_steps])
     direction[:count] = np.round(shares * 255)
     exr, png = io.BytesIO(), io.BytesIO()
     write_exr(position.reshape(height, width, 4), exr, channels="RGBA")

@@ -15,11 +15,6 @@ from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.render import Backdrop
 from dynamictree.render.camera import Camera, in_view
 
-PREVIEW_GAUSSIANS = 200_000
-"""A larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores."""
-_MOST = 0.95  # of the Gaussians; a few may be as large as the scene
-_STRAYS = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
-
 
 @dataclass(frozen=True, kw_only=True)
 class SplatScene:
@@ -33,7 +28,9 @@ class SplatScene:
     @classmethod
     def of(cls, binding: Binding, *, ground: bool, grey_still: bool = False) -> "SplatScene":
         """Prepare; a large cloud at a lower level of detail, what stands still in grey if asked."""
-        binding = lighter(binding, share=min(1.0, PREVIEW_GAUSSIANS / binding.cloud.num_gaussians))
+        # a larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores
+        preview_gaussians = 200_000
+        binding = lighter(binding, share=min(1.0, preview_gaussians / binding.cloud.num_gaussians))
         if grey_still:
             binding = replace(binding, cloud=_grey_where(binding.cloud, ~binding.moving))
         cloud = binding.cloud
@@ -43,7 +40,8 @@ class SplatScene:
 
     def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> Backdrop:
         """Sky and floor behind it, for one camera."""
-        floor = float(np.quantile(self.bounds[:, 2], _STRAYS)) if self.ground else -np.inf
+        strays = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
+        floor = float(np.quantile(self.bounds[:, 2], strays)) if self.ground else -np.inf
         centre, radius = _footprint(self.bounds)
         return Backdrop(camera, size_px=size_px, ground_m=floor, centre_m=centre, radius_m=radius)
 
@@ -68,8 +66,9 @@ def _grey_where(cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> Gaussian
 
 def _bounding_points(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:
     """Points that a picture must contain: the centres of the Gaussians, extended by their usual size [m]."""
+    most = 0.95  # of the Gaussians; a few may be as large as the scene
     sigma = cloud.scales.max(axis=1, keepdims=True)
-    reach = np.minimum(sigma, np.quantile(sigma, _MOST).astype(np.float32))
+    reach = np.minimum(sigma, np.quantile(sigma, most).astype(np.float32))
     return np.concatenate([cloud.means - reach, cloud.means + reach])
 
 

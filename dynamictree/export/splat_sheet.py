@@ -25,9 +25,6 @@ from dynamictree.render.contact_sheet import (
     sway_amplitude,
 )
 
-_SLICE_ROWS = 8  # of each picture of the slice, of which the middle one is stacked
-_SIGMAS = 3.0  # so far from its middle a Gaussian is seen
-
 
 def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.ndarray, "A B 3"]:
     """One picture, the amplitude of the sway in colours, a line of pixels stacked over time, frames in a row."""
@@ -91,10 +88,12 @@ def _space_time_slice(
     scene: SplatScene, splat: AnimatedSplat, amplitude: Float32[np.ndarray, " G"], window: Camera
 ) -> UInt8[np.ndarray, "T W 3"]:
     """The middle row of the window over one loop; only Gaussians that may be seen there are moved and drawn."""
+    sigmas = 3.0  # so far from its middle a Gaussian is seen
+    slice_rows = 8  # of each picture of the slice, of which the middle one is stacked
     cloud = scene.binding.cloud
     _, y, depth = window.project(cloud.means.astype(np.float64), SIDE_PX, SIDE_PX).T
-    reach_px = (_SIGMAS * (cloud.scales.max(axis=1) + amplitude)) * window.focal * SIDE_PX / np.maximum(depth, 1e-9)
-    near = (depth > 0) & (np.abs(y - SIDE_PX / 2) < reach_px + _SLICE_ROWS)
+    reach_px = (sigmas * (cloud.scales.max(axis=1) + amplitude)) * window.focal * SIDE_PX / np.maximum(depth, 1e-9)
+    near = (depth > 0) & (np.abs(y - SIDE_PX / 2) < reach_px + slice_rows)
     binding = replace(
         scene.binding,
         cloud=cloud.subset(near),
@@ -102,12 +101,12 @@ def _space_time_slice(
         weights=scene.binding.weights[near],
     )
     few = replace(scene, binding=binding, covered_m2=scene.covered_m2[near[scene.binding.moving]])
-    shrink = SIDE_PX / _SLICE_ROWS
+    shrink = SIDE_PX / slice_rows
     centre = (window.centre[0], (window.centre[1] - 0.5) * shrink + 0.5)
     flat = replace(window, focal=window.focal * shrink, centre=centre)
-    size_px = (SIDE_PX, _SLICE_ROWS)
+    size_px = (SIDE_PX, slice_rows)
     backdrop = scene.backdrop(flat, size_px)
     frames = splat.displacements(slice_phases(splat.num_frames))
     poses = iter_poses(binding, frames)
-    rows = [few.picture(flat, size_px, pose, backdrop, shadow=False)[_SLICE_ROWS // 2] for pose in poses]
+    rows = [few.picture(flat, size_px, pose, backdrop, shadow=False)[slice_rows // 2] for pose in poses]
     return np.stack(rows)

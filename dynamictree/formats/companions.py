@@ -10,8 +10,6 @@ from urllib.parse import unquote
 _SUFFIXES = frozenset(
     [".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".ktx2", ".tga", ".bmp", ".tif", ".tiff", ".dds"]
 )
-_MOST_ENTRIES = 10_000
-"""Files and folders below a model's folder that are looked at: listing them takes 0.1 s."""
 KTX2_MAGIC = b"\xabKTX 20\xbb\r\n\x1a\n"
 _SYSTEM_NAMES = frozenset({"__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "icon\r", "@eadir", "$recycle.bin"})
 """What Finder, Windows and Synology put into folders and zips; hidden files begin with a dot."""
@@ -30,6 +28,7 @@ class Companions(Mapping[str, bytes]):
     @cached_property
     def _paths(self) -> dict[str, Path]:
         """A symbolic link that leads outside is not followed."""
+        most_entries = 10_000  # files and folders below a model's folder that are looked at: listing them takes 0.1 s
         paths: dict[str, Path] = {}
         looked_at = 0
         for folder, folders, names in os.walk(self._folder):
@@ -38,7 +37,7 @@ class Companions(Mapping[str, bytes]):
             for path in (Path(folder, name) for name in sorted(names) if not is_system_file(name)):
                 if path.suffix.lower() in _SUFFIXES and path.resolve().is_relative_to(self._folder):
                     paths[path.relative_to(self._folder).as_posix()] = path
-            if looked_at > _MOST_ENTRIES:
+            if looked_at > most_entries:
                 break
         paths.pop(self._model.name, None)
         return paths

@@ -17,7 +17,6 @@ MAX_FILM_BYTES = 2 * 2**30
 MAX_FILM_S = 300.0  # a walk around a tree takes half a minute to two
 MAX_FILM_FRAMES = 36_000  # MAX_FILM_S at 120 frames per second
 MAX_FILM_PIXELS = 4096 * 2304  # what phones call 4K
-MIN_FILM_SIDE_PX = 240
 
 _DECODERS = "h264,hevc,av1,libdav1d,vp8,vp9,mpeg4,mjpeg"  # what phones, cameras and browsers record
 _DURATION = re.compile(r"Duration: (\d+):(\d\d):(\d\d(?:\.\d+)?)")
@@ -39,11 +38,12 @@ class FilmFacts:
         Raises:
             InputError: the message has the value found and the values allowed.
         """
+        min_film_side_px = 240
         size = f"{name} has {self.width} x {self.height} pixels"
         if self.width * self.height > MAX_FILM_PIXELS:
             raise InputError(f"{size}; at most {MAX_FILM_PIXELS:,} in all (4K) are allowed; film or export it smaller")
-        if min(self.width, self.height) < MIN_FILM_SIDE_PX:
-            raise InputError(f"{size}; at least {MIN_FILM_SIDE_PX} per side are needed")
+        if min(self.width, self.height) < min_film_side_px:
+            raise InputError(f"{size}; at least {min_film_side_px} per side are needed")
         if self.duration_s > MAX_FILM_S or self.num_frames > MAX_FILM_FRAMES:
             long = f"{name} takes {self.duration_s:.0f} s ({self.num_frames:,} frames)"
             raise InputError(f"{long}; at most {MAX_FILM_S:.0f} s and {MAX_FILM_FRAMES:,} frames are allowed; cut it")

@@ -22,7 +22,6 @@ from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 
 SourceKind = Literal["mesh", "cloud"]
-HEAD_BYTES = 64 * 1024
 
 
 def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
@@ -31,11 +30,12 @@ def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
     Raises:
         FormatError: it is neither, or a header breaks its format's rules.
     """
+    head_bytes = 64 * 1024
     ending = name.rpartition(".")[2].lower()
     if ending in SPLAT_TYPES:
         return "cloud", ending
     stream.seek(0)
-    head = stream.read(HEAD_BYTES)
+    head = stream.read(head_bytes)
     stream.seek(0)
     if head.lstrip().startswith(b"{") and all(word in head for word in (b'"means"', b'"quats"', b'"scales"')):
         return "cloud", "sog"

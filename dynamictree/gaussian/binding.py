@@ -15,11 +15,6 @@ from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.mesh import Surface
 
 STILL = -1
-FLOATER_SHARE = 0.06
-"""Farther from the surface than this share of the mesh's extent, a Gaussian is a floater and stays still."""
-_SIGMAS = 2.0  # so far from its middle a Gaussian still has a surface
-_INSIDE_SHARE = 0.5  # of the mesh's extent: no Gaussian within the tree is farther from its surface; the sky is
-_THINNEST = 1e-4  # height of a face over its longest edge; thinner ones have no direction to turn with
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +76,12 @@ def bind(
 
 def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.ndarray, " G"]:
     """How far from a face a Gaussian hangs on it [m]: the surface of a large one is far from its middle."""
-    surface = _SIGMAS * scales.max(axis=1).astype(np.float64)
-    result: Float64[np.ndarray, " G"] = np.clip(surface, FLOATER_SHARE * extent, _INSIDE_SHARE * extent)
+    inside_share = 0.5  # of the mesh's extent: no Gaussian within the tree is farther from its surface; the sky is
+    sigmas = 2.0  # so far from its middle a Gaussian still has a surface
+    # farther from the surface than this share of the mesh's extent, a Gaussian is a floater and stays still
+    floater_share = 0.06
+    surface = sigmas * scales.max(axis=1).astype(np.float64)
+    result: Float64[np.ndarray, " G"] = np.clip(surface, floater_share * extent, inside_share * extent)
     return result
 
 
@@ -120,10 +119,11 @@ def longest_edge_first(
 
 
 def _is_solid(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
+    thinnest = 1e-4  # height of a face over its longest edge; thinner ones have no direction to turn with
     corners = vertices[longest_edge_first(vertices, faces)].astype(np.float64)
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.linalg.norm(np.cross(first, second), axis=1)
-    result: Bool[np.ndarray, " F"] = area > _THINNEST * (first * first).sum(axis=1)
+    result: Bool[np.ndarray, " F"] = area > thinnest * (first * first).sum(axis=1)
     return result
 
 

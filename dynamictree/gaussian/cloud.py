@@ -13,8 +13,6 @@ MAX_GAUSSIANS = 5_000_000
 """What a worker of 8 GB reads and animates; a 5 M cloud of SH degree 3 is 1.2 GB."""
 MAX_SEQUENCE_BYTES = 64 * 1024**3
 """Of an archive of a cloud's motion; a lower degree, fewer Gaussians or frames make it smaller."""
-MIN_OPACITY = 1 / 255
-"""Below, no renderer of 3DGS draws anything: its own threshold (Kerbl et al. 2023, appendix C)."""
 SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # number of harmonics H = (degree + 1)² → degree
 
 
@@ -93,6 +91,8 @@ def validate_cloud(cloud: GaussianCloud) -> GaussianCloud:
     Raises:
         InputError: empty or too many, a value that is not finite, nothing visible, no harmonics of a whole degree.
     """
+    # Below, no renderer of 3DGS draws anything: its own threshold (Kerbl et al. 2023, appendix C).
+    min_opacity = 1 / 255
     check_count(cloud.num_gaussians)
     if cloud.sh.shape[1] not in SH_DEGREES:
         raise InputError(f"a Gaussian has {cloud.sh.shape[1]} harmonics; 1, 4, 9 or 16 are allowed (SH degree 0 to 3)")
@@ -104,7 +104,7 @@ def validate_cloud(cloud: GaussianCloud) -> GaussianCloud:
             raise InputError(f"{name} of {bad} Gaussians are not finite, the first is Gaussian {first}; remove them")
     if cloud.scales.min() < 0:
         raise InputError(f"the smallest scale is {cloud.scales.min():.3g} m; scales must not be negative")
-    if cloud.opacity.max() < MIN_OPACITY:
+    if cloud.opacity.max() < min_opacity:
         raise InputError(
             f"the largest opacity is {cloud.opacity.max():.3g}, so nothing is visible; at least one must reach 1/255"
         )

@@ -27,14 +27,8 @@ LEAST_FACES = 10_000
 """The surface of a cloud of few Gaussians, or of each of several trees, may have so many."""
 FACES_PER_GAUSSIAN = 4
 """More show no more: the detail of a surface is that of its Gaussians, and every vertex costs at devoxelization."""
-CELLS_ALONG_TREE = 160
-"""Of each of several trees, in place of `CELLS_ALONG`."""
-_LEAST_SIGMA = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
 _REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth of the level
-_BORDER = 3  # empty cells around, so that the surface closes
 _BRIDGED = 2  # cells: gaps of up to twice as many in a hollow capture count as closed
-_STRAYS = 0.002  # of Gaussians at each end of an axis, if they lie far out, do not widen the grid
-_FAR_OUT = 0.1  # of the extent of the others
 
 
 def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_faces: int = MAX_FACES) -> TriangleMesh:
@@ -43,6 +37,7 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     Raises:
         InputError: nothing is opaque enough to have a surface.
     """
+    border = 3  # empty cells around, so that the surface closes
     import fast_simplification
     from skimage.measure import marching_cubes
 
@@ -51,8 +46,8 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     cell = float((high - low).max()) / cells_along
     if not cell > 0:
         raise InputError("all Gaussians are points at one place; a surface needs an extent")
-    origin = low - _BORDER * cell
-    shape = np.ceil((high - origin) / cell).astype(np.int64) + _BORDER
+    origin = low - border * cell
+    shape = np.ceil((high - origin) / cell).astype(np.int64) + border
     density = opacity_grid(visible, origin.astype(np.float32), cell, (int(shape[0]), int(shape[1]), int(shape[2])))
     if density.max() <= LEVEL:
         raise InputError(f"the cloud is nowhere denser than {density.max():.2g}; a surface needs more than {LEVEL}")
@@ -79,12 +74,13 @@ def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = N
     Raises:
         InputError: nothing is opaque enough to have a surface.
     """
+    cells_along_tree = 160  # of each of several trees, in place of `CELLS_ALONG`
     if tree is None or len(numbers := np.unique(tree)) == 1:
         most = max(LEAST_FACES, FACES_PER_GAUSSIAN * cloud.num_gaussians)
         return mesh_of_cloud(cloud, max_faces=min(MAX_FACES, most))
     most = max(MAX_FACES // len(numbers), LEAST_FACES)
     parts = [
-        mesh_of_cloud(cloud.subset(tree == number), cells_along=CELLS_ALONG_TREE, max_faces=most) for number in numbers
+        mesh_of_cloud(cloud.subset(tree == number), cells_along=cells_along_tree, max_faces=most) for number in numbers
     ]
     face_tree = np.repeat(np.arange(len(parts), dtype=np.int32), [part.num_faces for part in parts])
     return replace(
@@ -117,8 +113,9 @@ def opacity_grid(
     cloud: GaussianCloud, origin: Float32[np.ndarray, "3"], cell: float, shape: tuple[int, int, int]
 ) -> Float32[np.ndarray, "X Y Z"]:
     """Σ opacity · exp(-½ dᵀ Σ⁻¹ d) at the cells' centres, Gaussians no thinner than half a cell."""
+    least_sigma = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
     axes = quaternion_matrices(cloud.quaternions)
-    sigma = np.maximum(cloud.scales / np.float32(cell), np.float32(_LEAST_SIGMA))  # in cells
+    sigma = np.maximum(cloud.scales / np.float32(cell), np.float32(least_sigma))  # in cells
     precision = (axes / sigma[:, None, :] ** 2) @ axes.transpose(0, 2, 1)  # [G, 3, 3]
     spread = np.sqrt(((axes * sigma[:, None, :]) ** 2).sum(axis=2))  # of each along x, y, z [G, 3]
     centres = (cloud.means - origin) / np.float32(cell) - np.float32(0.5)
@@ -168,11 +165,13 @@ def _splat_slices(first, end, centres, precision, reach, opacity, density):
 
 def _bounds(cloud: GaussianCloud) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
     """Low and high corner of what the grid must hold."""
+    far_out = 0.1  # of the extent of the others
+    strays = 0.002  # of Gaussians at each end of an axis, if they lie far out, do not widen the grid
     reach = np.float32(_REACH) * cloud.scales.max(axis=1, keepdims=True)
     if np.ptp(cloud.means, axis=0).max() < np.median(reach):  # few Gaussians in one another: their own extent counts
         return (cloud.means - reach).min(axis=0), (cloud.means + reach).max(axis=0)
-    low, high = (np.quantile(cloud.means, q, axis=0) for q in (_STRAYS, 1 - _STRAYS))
-    margin = _FAR_OUT * (high - low).max()
+    low, high = (np.quantile(cloud.means, q, axis=0) for q in (strays, 1 - strays))
+    margin = far_out * (high - low).max()
     lowest, highest = cloud.means.min(axis=0), cloud.means.max(axis=0)
     return np.maximum(lowest, low - margin).astype(np.float32), np.minimum(highest, high + margin).astype(np.float32)
 

@@ -8,9 +8,6 @@ from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.parallel import compiled, in_bands
 
-_CELLS_ALONG = 128  # of the largest extent; 1 M points against 100,000 faces are found in seconds
-_NONE = -1
-
 
 @dataclass(frozen=True, kw_only=True)
 class NearestFaces:
@@ -27,14 +24,16 @@ def nearest_faces(
     reach: float | Float64[np.ndarray, " G"],
 ) -> NearestFaces:
     """Search outward from each point's cell, shell by shell, until no nearer face can follow or its reach ends."""
+    none = -1
+    cells_along = 128  # of the largest extent; 1 M points against 100,000 faces are found in seconds
     corners = vertices[faces].astype(np.float64)  # [F, 3, 3]
     low = corners.min(axis=(0, 1))
     extent = corners.max(axis=(0, 1)) - low
     edge = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    cell = max(float(extent.max()) / _CELLS_ALONG, float(np.median(edge)) / 2)
+    cell = max(float(extent.max()) / cells_along, float(np.median(edge)) / 2)
     shape = np.floor(extent / cell).astype(np.int64) + 1
     starts, listed = _list_faces(corners, low, cell, shape)
-    nearest = np.full(len(points), _NONE, np.int32)
+    nearest = np.full(len(points), none, np.int32)
     weights = np.zeros((len(points), 3), np.float32)
     places = points.astype(np.float64)
     limits = np.ascontiguousarray(np.broadcast_to(np.float64(reach), len(points)))

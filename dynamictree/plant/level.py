@@ -22,10 +22,6 @@ _LEAST_DEG, _MOST_DEG = 6.0, 50.0
 """Tilt that is worth a turn; and beyond which another axis is up."""
 _LEAST_SAMPLED, _SAMPLED, _SAMPLED_OF_POT = 2_000, 12_000, 20_000
 _FEWEST = 12  # points on a plane
-_STEP_DEG, _TILTED_DEG = 15.0, 45.0
-"""Between the directions in which a pot is looked for, and the last of them; it is found 15° from upright."""
-_ALONG_RISE, _MOST_TRIED = 0.94, 8
-"""Cosine between such a direction and the way from the foot to the middle; and how many, the best first."""
 
 
 class _Ground(NamedTuple):
@@ -82,11 +78,13 @@ def _rise(points: Points, height: Float64[np.ndarray, " P"]) -> Direction:
 
 def _up_of_pot(points: Points, rng: np.random.Generator) -> Direction | None:
     """The axis of the pot that is found in one of several directions; None without one."""
+    # cosine between such a direction and the way from the foot to the middle; and how many, the best first
+    along_rise, most_tried = 0.94, 8
     directions = _directions()
     along = np.array([_rise(points, points @ up) @ up for up in directions])
-    for row in np.argsort(-along)[:_MOST_TRIED]:
+    for row in np.argsort(-along)[:most_tried]:
         up, axis = directions[row], None
-        if along[row] < _ALONG_RISE:
+        if along[row] < along_rise:
             break
         for _ in range(2):  # nearer to upright, a pot is seen better
             turn = turn_to_z(up)
@@ -103,9 +101,11 @@ def _up_of_pot(points: Points, rng: np.random.Generator) -> Direction | None:
 
 def _directions() -> list[Direction]:
     """Unit vectors spread over the directions that are not far from +Z."""
+    # between the directions in which a pot is looked for, and the last of them; it is found 15° from upright
+    step_deg, tilted_deg = 15.0, 45.0
     spread: list[Direction] = [np.array([0.0, 0.0, 1.0])]
-    for tilt in np.radians(np.arange(_STEP_DEG, _TILTED_DEG + 1, _STEP_DEG)):
-        count = round(2 * np.pi * np.sin(tilt) / np.radians(_STEP_DEG))
+    for tilt in np.radians(np.arange(step_deg, tilted_deg + 1, step_deg)):
+        count = round(2 * np.pi * np.sin(tilt) / np.radians(step_deg))
         turn = np.arange(count) * 2 * np.pi / count
         level = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)], axis=1)
         spread += list(np.column_stack([level, np.full(count, np.cos(tilt))]))

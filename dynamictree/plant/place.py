@@ -23,18 +23,11 @@ from dynamictree.plant.upright import CERTAIN, USUAL, UpAxis, judge_up_axis
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 
-TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
 USUAL_HEIGHT_M = (0.2, 60.0)
-WIDEST_CROWN_M = 30.0
-"""A choice: of the sample trees the widest crown is 20 m, and half as much again is still plausible."""
 DEFAULT_HEIGHT_M = 5.0
 """Of a splat whose file does not say its unit."""
 UNITS_M = (1.0, 0.01, 0.001)
 UNIT_NAMES = {"centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "millimetres": 0.001, "metres": 1.0}
-_PROBABLY = 0.5
-"""Of the axis that is usual in a format this probability is enough: of 224 readings 1 is wrong below `CERTAIN`."""
-_OTHERWISE = 5.0
-"""So many times likelier than a stated axis another must be to be said: of 14 species none, of lying ones all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,12 +110,15 @@ def scale_to(height_m: float | None, height: float) -> float | None:
 
 def guess_unit_m(height: float, units_m: tuple[float, ...] = UNITS_M) -> float:
     """Guess the metres per unit, by the rule above."""
-    return next((unit for unit in units_m if height * unit <= TALLEST_TREE_M), 1.0)
+    tallest_tree_m = 120.0  # Hyperion, the tallest tree known, is 116 m
+    return next((unit for unit in units_m if height * unit <= tallest_tree_m), 1.0)
 
 
 def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...]:
     """Says an up axis that the shape leaves uncertain, or that few files have."""
-    if judged.confidence >= (_PROBABLY if judged.axis == usual else CERTAIN) and judged.axis in (*USUAL, usual):
+    # of the axis that is usual in a format this probability is enough: of 224 readings 1 is wrong below `CERTAIN`
+    probably = 0.5
+    if judged.confidence >= (probably if judged.axis == usual else CERTAIN) and judged.axis in (*USUAL, usual):
         return ()
     message = (
         f"the file does not say which way is up; {judged.axis} was taken with a confidence of "
@@ -133,8 +129,10 @@ def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...
 
 def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
     """A warning if a shape that was turned from `taken` up to +Z up is far likelier to stand along another axis."""
+    # so many times likelier than a stated axis another must be to be said: of 14 species none, of lying ones all
+    otherwise = 5.0
     likely = 0.5  # more than all the others together
-    if judged is None or judged.axis == "+Z" or judged.confidence < max(_OTHERWISE * judged.upright, likely):
+    if judged is None or judged.axis == "+Z" or judged.confidence < max(otherwise * judged.upright, likely):
         return ()
     direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
     column = int(np.argmax(np.abs(direction)))
@@ -151,6 +149,8 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
 
     Tools that make meshes from pictures scale all that they see to a cube, also in glTF, whose unit is the metre.
     """
+    # a choice: of the sample trees the widest crown is 20 m, and half as much again is still plausible
+    widest_crown_m = 30.0
     cubes, of_cube = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
     scale, plant = mesh.source.scale, mesh.moving_part
     sides = np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
@@ -158,7 +158,7 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
     unlikely = height_warnings(height, scale)
     if unlikely:
         return unlikely
-    if max(sides[:2]) > WIDEST_CROWN_M:
+    if max(sides[:2]) > widest_crown_m:
         what = f"the plant is {height:.3g} m tall and {max(sides[:2]):.3g} m wide, and few crowns are so wide"
     elif not file_unit and scale != 1.0:
         names = {unit: name for name, unit in UNIT_NAMES.items()}

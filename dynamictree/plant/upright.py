@@ -29,8 +29,6 @@ from dynamictree.plant.still_mesh import find_still_parts
 CERTAIN = 0.8
 """Below this probability the axis is a guess, and the reader warns of it."""
 
-SURE_OF_POINTS = 0.95
-"""Points alone know less than a surface: those of conifers stand on their tips with 0.91."""
 
 CUES = (
     "foot", "foot-over-top", "trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass",
@@ -130,13 +128,14 @@ def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"
 
 def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis | None:
     """The axis that the points of a splat or scan say for sure, else None; outlying ones do not count."""
+    sure_of_points = 0.95  # points alone know less than a surface: those of conifers stand on their tips with 0.91
     outliers = (0.002, 0.998)  # of the coordinates of splats and scans
     drawn = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]].astype(np.float64)
     low, high = np.quantile(drawn, outliers, axis=0)
     drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
     unknown = np.zeros(len(drawn), np.int64)
     judged = _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), "+Z", any_axis=True)
-    return judged if judged.confidence >= SURE_OF_POINTS else None
+    return judged if judged.confidence >= sure_of_points else None
 
 
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:

@@ -12,13 +12,8 @@ from dynamictree.errors import FormatError
 from dynamictree.mesh import Material, TriangleMesh, connected_parts
 from dynamictree.parallel import compiled
 
-_TEXTURE_SIDE_PX = 1024  # larger textures are reduced: more than a picture of this renderer shows
-_MAX_TEXTURE_PIXELS = 64_000_000
-_NUM_LEVELS = 11  # 1024 down to 1
 _MAX_TEXELS = 64_000_000  # of all textures and levels, 1 GB; more textures are each reduced further
 _WOOD, _LEAF = (0.235, 0.180, 0.135), (0.180, 0.270, 0.095)  # linear: clay for a mesh that has no colours
-_LEAF_FACES = 32  # a separate piece of at most so many faces counts as a leaf
-_LEAF_TRANSMISSION = 0.5  # of the light on a leaf's far side
 
 
 class Appearance(NamedTuple):
@@ -43,6 +38,7 @@ def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance
     Raises:
         FormatError: a texture is not a picture, or too large.
     """
+    leaf_transmission = 0.5  # of the light on a leaf's far side
     has_colors = mesh.look.vertex_colors is not None or any(
         material.texture_png is not None or material.base_color != Material().base_color
         for material in mesh.look.materials
@@ -75,7 +71,7 @@ def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance
         material_rgb=np.ascontiguousarray(base[:, :3]),
         material_alpha=np.ascontiguousarray(base[:, 3]),
         cutoff=cutoff,
-        transmission=np.where(leafy, _LEAF_TRANSMISSION, 0).astype(np.float32),
+        transmission=np.where(leafy, leaf_transmission, 0).astype(np.float32),
         texture_levels=levels,
         texels=texels,
     )
@@ -88,7 +84,8 @@ def _texels(
 
     A texture of several materials is decoded once; grey copies of materials that no face has get none.
     """
-    levels = np.zeros((len(materials), _NUM_LEVELS, 3), np.int32)
+    num_levels = 11  # 1024 down to 1
+    levels = np.zeros((len(materials), num_levels, 3), np.int32)
     texels, num_texels = [np.zeros((1, 4), np.float32)], 1
     rows = [row for row in range(len(materials)) if row < num_colored or row in used]
     textures = [(row, png) for row in rows if (png := materials[row].texture_png) is not None]
@@ -117,9 +114,10 @@ def is_leafy(material: Material) -> bool:
 
 def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np.ndarray, " F"]:
     """Whether each face belongs to a small separate piece, as leaves do."""
+    leaf_faces = 32  # a separate piece of at most so many faces counts as a leaf
     piece = connected_parts(faces, num_vertices)
     size = np.bincount(piece[faces[:, 0]], minlength=int(piece.max(initial=-1)) + 1)
-    small = size <= _LEAF_FACES
+    small = size <= leaf_faces
     if small[size > 0].all():  # nothing but pieces: a mesh without shared vertices tells nothing
         return np.zeros(len(faces), bool)
     leaves: Bool[np.ndarray, " F"] = small[piece[faces[:, 0]]]
@@ -128,18 +126,20 @@ def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np
 
 def _side_px(num_textures: int) -> int:
     """The side to which textures are reduced so that all of them fit into `_MAX_TEXELS`."""
-    side_px = _TEXTURE_SIDE_PX
+    texture_side_px = 1024  # larger textures are reduced: more than a picture of this renderer shows
+    side_px = texture_side_px
     while side_px > 1 and num_textures * side_px**2 * 4 // 3 > _MAX_TEXELS:
         side_px //= 2
     return side_px
 
 
 def _mip_levels(texture: bytes, side_px: int) -> list[Float32[np.ndarray, "H W 4"]]:
+    max_texture_pixels = 64_000_000
     try:
         with Image.open(BytesIO(texture)) as image:
-            if image.width * image.height > _MAX_TEXTURE_PIXELS:
+            if image.width * image.height > max_texture_pixels:
                 size = f"{image.width} x {image.height} pixels"
-                raise FormatError(f"a texture has {size}; at most {_MAX_TEXTURE_PIXELS:,} are allowed; reduce it")
+                raise FormatError(f"a texture has {size}; at most {max_texture_pixels:,} are allowed; reduce it")
             pixels = np.array(image.convert("RGBA"))
     except (OSError, Image.DecompressionBombError) as error:
         raise FormatError(f"a texture of {len(texture):,} bytes is no picture that can be read: {error}") from error

@@ -6,8 +6,6 @@ from jaxtyping import Float, Float64
 from dynamictree.render.camera import Camera
 from dynamictree.requests import Shot
 
-_RIM_POINTS = 48
-
 
 def cameras_of(shot: Shot, points: Float[np.ndarray, "N 3"], num_frames: int) -> list[Camera]:
     """One camera per frame. Each has all points [m] in view; a camera that orbits keeps its distance to them."""
@@ -21,9 +19,10 @@ def cameras_of(shot: Shot, points: Float[np.ndarray, "N 3"], num_frames: int) ->
 
 def _rims(points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, "M 3"]:
     """Points on both rims of the upright cylinder around the points, which looks the same from every side [m]."""
+    rim_points = 48
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
     centre = (low + high) / 2
     radius = float(np.linalg.norm(points[:, :2] - centre[:2], axis=1).max())
-    angle = 2 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
+    angle = 2 * np.pi * np.arange(rim_points) / rim_points
     x, y = centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)
-    return np.concatenate([np.stack([x, y, np.full(_RIM_POINTS, z)], axis=1) for z in (low[2], high[2])])
+    return np.concatenate([np.stack([x, y, np.full(rim_points, z)], axis=1) for z in (low[2], high[2])])

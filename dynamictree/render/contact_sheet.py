@@ -22,11 +22,6 @@ SLICE_TIMES = 100
 _TITLE_PX = 26  # above each part
 HALF_PX = (STILL_PX - _TITLE_PX) // 2
 """Height of the pictures beside the large one."""
-_SLICE_SWAY_PX = 14  # the slice is enlarged until the swaying part moves about so far
-_MAX_ZOOM = 8.0
-_LINE_REACH_PX = 6  # vertices so near above and below count for the line
-_PAPER, _INK = (250, 249, 247), (70, 70, 74)
-_STANDS = (150, 150, 147)  # of what is no plant
 _STILLNESS_TO_SWAY = np.array([[52, 58, 94], [46, 110, 142], [64, 168, 130], [176, 206, 78], [253, 231, 37]])
 
 
@@ -44,12 +39,13 @@ def amplitude_colors(
     amplitude: Float32[np.ndarray, " N"], still: Bool[np.ndarray, " N"] | None = None
 ) -> UInt8[np.ndarray, "N 4"]:
     """From blue, at rest, to yellow, where it sways most; what is `still` because it is no plant is grey."""
+    stands = (150, 150, 147)  # of what is no plant
     top = float(amplitude.max())
     place = amplitude / top * (len(_STILLNESS_TO_SWAY) - 1) if top > 0 else np.zeros_like(amplitude)
     anchors = np.arange(len(_STILLNESS_TO_SWAY))
     rgb = np.stack([np.interp(place, anchors, channel) for channel in _STILLNESS_TO_SWAY.T], axis=1)
     if still is not None:
-        rgb[still] = _STANDS
+        rgb[still] = stands
     return np.concatenate([rgb.round(), np.full((len(rgb), 1), 255)], axis=1).astype(np.uint8)
 
 
@@ -95,7 +91,8 @@ class ContactSheet:
 
     def picture(self) -> UInt8[np.ndarray, "A B 3"]:
         """All of it as one picture."""
-        sheet = Image.new("RGB", (STILL_PX + SIDE_PX, 2 * _TITLE_PX + STILL_PX + STRIP_PX[1]), _PAPER)
+        paper, ink = (250, 249, 247), (70, 70, 74)
+        sheet = Image.new("RGB", (STILL_PX + SIDE_PX, 2 * _TITLE_PX + STILL_PX + STRIP_PX[1]), paper)
         pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
         sheet.paste(Image.fromarray(self.still), (0, _TITLE_PX))
         first, last, row = self.line
@@ -112,7 +109,7 @@ class ContactSheet:
             ((8, 4 + _TITLE_PX + STILL_PX), f"one loop of {self.num_frames} frames"),
         )
         for place, words in titles:
-            pen.text(place, words, fill=_INK, font=font)
+            pen.text(place, words, fill=ink, font=font)
         return np.asarray(sheet)
 
 
@@ -155,17 +152,20 @@ def slice_window(
     points: Float32[np.ndarray, "N 3"], amplitude: Float32[np.ndarray, " N"], camera: Camera
 ) -> tuple[tuple[int, int, int], Camera]:
     """The line through the most swaying place: its first and last column and row in the still; a camera for it."""
+    line_reach_px = 6  # vertices so near above and below count for the line
+    max_zoom = 8.0
+    slice_sway_px = 14  # the slice is enlarged until the swaying part moves about so far
     x, y, depth = camera.project(points.astype(np.float64), STILL_PX, STILL_PX).T
     rows = np.clip(y, 0, STILL_PX - 1).astype(int)
     power = amplitude**2 + 1e-12
-    crowded = np.convolve(np.bincount(rows, power, minlength=STILL_PX), np.ones(2 * _LINE_REACH_PX + 1), mode="same")
+    crowded = np.convolve(np.bincount(rows, power, minlength=STILL_PX), np.ones(2 * line_reach_px + 1), mode="same")
     row = int(crowded.argmax())
-    on_row = np.abs(rows - row) <= _LINE_REACH_PX
+    on_row = np.abs(rows - row) <= line_reach_px
     column = float(np.average(x[on_row], weights=power[on_row]))
     sway_px = float(np.mean(2 * amplitude[on_row] * camera.focal * STILL_PX / depth[on_row]))
     spread_px = 1.5 * float(np.abs(x[on_row] - column).max()) + 1
-    zoom = max(_SLICE_SWAY_PX / max(sway_px, 1e-9), 0.5 * STILL_PX / spread_px)
-    half = 0.5 * STILL_PX / float(np.clip(zoom, 1.0, _MAX_ZOOM))
+    zoom = max(slice_sway_px / max(sway_px, 1e-9), 0.5 * STILL_PX / spread_px)
+    half = 0.5 * STILL_PX / float(np.clip(zoom, 1.0, max_zoom))
     zoom = 0.5 * STILL_PX / half
     column = float(np.clip(column, half, STILL_PX - half))
     centre = ((camera.centre[0] - column / STILL_PX) * zoom + 0.5, (camera.centre[1] - row / STILL_PX) * zoom + 0.5)

@@ -10,13 +10,9 @@ from dynamictree.render.camera import Camera
 _FLOOR = np.array([0.86, 0.86, 0.845], np.float32)
 _HORIZON = np.array([0.906, 0.924, 0.945], np.float32)
 _ZENITH = np.array([0.634, 0.755, 0.895], np.float32)
-_FADE = 3.0  # radii from the middle, over which the floor goes over to the horizon
 _CELLS = 160  # of the shadow's map along each side
 _REACH = 2.2  # half its side, in radii
-_BLUR_CELLS = 1.2
-_DARKEST = 0.5
 _SUN = np.array([-0.40, -0.45, 0.95])  # towards it; as `Look.sun_direction`
-_THICKNESS = 0.7  # of what stands there: share of a shadow that covered area alone would give
 
 
 class Backdrop:
@@ -32,6 +28,7 @@ class Backdrop:
         radius_m: float,
     ) -> None:
         """Look at a level floor; lengths in metres, width and height of the picture in pixels."""
+        fade = 3.0  # radii from the middle, over which the floor goes over to the horizon
         width, height = size_px
         place = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).reshape(-1, 2)  # [P, 2]
         rays = np.concatenate([place, np.ones((len(place), 1))], axis=1)
@@ -43,7 +40,7 @@ class Backdrop:
         drop = camera.position_m[2] - ground_m
         hit = (rays[:, 2] < -1e-6) & (drop > 0)
         ground = camera.position_m[:2] + rays[hit, :2] * (drop / -rays[hit, 2:])
-        away = np.linalg.norm(ground - centre_m, axis=1, keepdims=True) / (_FADE * radius_m)
+        away = np.linalg.norm(ground - centre_m, axis=1, keepdims=True) / (fade * radius_m)
         picture[hit] = _FLOOR + (1 - np.exp(-(away**2))) * (_HORIZON - _FLOOR)
         self._picture = picture.astype(np.float32).reshape(height, width, 3)
         self._hit = hit
@@ -56,10 +53,12 @@ class Backdrop:
         self, points: Float32[np.ndarray, "G 3"] | None = None, covered_m2: Float32[np.ndarray, " G"] | None = None
     ) -> Float32[np.ndarray, "H W 3"]:
         """Sky and floor, with the shadow of points that each keep light from an area."""
+        thickness = 0.7  # of what stands there: share of a shadow that covered area alone would give
+        darkest = 0.5
         picture: Float32[np.ndarray, "H W 3"] = self._picture.copy()
         if points is None or covered_m2 is None or not self._hit.any():
             return picture
-        light = 1 - _DARKEST * (1 - np.exp(-_THICKNESS * self.shadow(points, covered_m2)))
+        light = 1 - darkest * (1 - np.exp(-thickness * self.shadow(points, covered_m2)))
         seen = map_coordinates(light, self._cells, order=1, mode="constant", cval=1.0)
         flat = picture.reshape(-1, 3)
         flat[self._hit] *= seen[:, None].astype(np.float32)
@@ -69,10 +68,11 @@ class Backdrop:
         self, points: Float32[np.ndarray, "G 3"], covered_m2: Float32[np.ndarray, " G"]
     ) -> Float64[np.ndarray, "X Y"]:
         """How many times each cell of the floor is covered, seen from the sun."""
+        blur_cells = 1.2
         along = (points[:, 2:] - self._ground_m) / _SUN[2]
         cell = np.floor((points[:, :2] - along * _SUN[:2] - self._low_m) / self._cell_m).astype(np.int64)
         inside = ((cell >= 0) & (cell < _CELLS)).all(axis=1) & (along[:, 0] >= 0)
         index = cell[inside, 0] * _CELLS + cell[inside, 1]
         covered = np.bincount(index, covered_m2[inside], minlength=_CELLS**2) / self._cell_m**2
-        blurred: Float64[np.ndarray, "X Y"] = gaussian_filter(covered.reshape(_CELLS, _CELLS), _BLUR_CELLS)
+        blurred: Float64[np.ndarray, "X Y"] = gaussian_filter(covered.reshape(_CELLS, _CELLS), blur_cells)
         return blurred

@@ -19,8 +19,6 @@ _PENUMBRA = 2.6  # texels of the sun's map: how far around a point the looks for
 _PHASES = 16
 MAX_LOOKS = 8
 _SKY_CELLS = 44  # along the largest extent
-_SKY_BORDER = 0.35  # of the largest extent, at the sides: the ground's contact shadow reaches so far
-_SKY_DIRECTIONS = ((90.0, 1), (55.0, 5), (25.0, 5))  # elevation in degrees, how many around
 
 
 def _look_patterns() -> Float32[np.ndarray, "P L 2"]:
@@ -79,10 +77,11 @@ def sun_map(
 
 def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> SkyVolume:
     """Follow some directions through the mesh, taken as a cloud of small leaves."""
+    sky_border = 0.35  # of the largest extent, at the sides: the ground's contact shadow reaches so far
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
     extent = float((high - low).max())
     cell_m = extent / _SKY_CELLS
-    border = np.array([_SKY_BORDER * extent, _SKY_BORDER * extent, cell_m])
+    border = np.array([sky_border * extent, sky_border * extent, cell_m])
     low, high = low - border, high + border
     size = np.ceil((high - low) / cell_m).astype(int) + 1
     depth = np.zeros(tuple(size.tolist()), np.float32)
@@ -95,8 +94,9 @@ def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F
 
 
 def _sky_directions() -> tuple[Float64[np.ndarray, "D 3"], Float32[np.ndarray, " D"]]:
+    sky_directions = ((90.0, 1), (55.0, 5), (25.0, 5))  # elevation in degrees, how many around
     directions, weights = [], []
-    for elevation_deg, number in _SKY_DIRECTIONS:
+    for elevation_deg, number in sky_directions:
         elevation = np.radians(elevation_deg)
         for turn in 2 * np.pi * (np.arange(number) + elevation_deg / 90) / number:
             flat = np.cos(elevation)

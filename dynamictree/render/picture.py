@@ -20,9 +20,6 @@ from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
 from dynamictree.render.shade import Scene, View, shade_rows
 
-MAX_SIDE_PX = 4096
-"""Of a picture: 4096² with 2×2 samples is half a gigabyte of z-buffer."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
@@ -37,9 +34,10 @@ class Look:
     sun_direction: tuple[float, float, float] = (-0.40, -0.45, 0.95)  # towards it
 
     def __post_init__(self) -> None:
-        if not (1 <= self.width <= MAX_SIDE_PX and 1 <= self.height <= MAX_SIDE_PX and 1 <= self.supersampling <= 4):
+        max_side_px = 4096  # of a picture: 4096² with 2×2 samples is half a gigabyte of z-buffer
+        if not (1 <= self.width <= max_side_px and 1 <= self.height <= max_side_px and 1 <= self.supersampling <= 4):
             size = f"{self.width} x {self.height} pixels with {self.supersampling}² samples"
-            raise InputError(f"a picture of {size}; 1 to {MAX_SIDE_PX} pixels a side and 1 to 4 are allowed")
+            raise InputError(f"a picture of {size}; 1 to {max_side_px} pixels a side and 1 to 4 are allowed")
 
 
 class Buffers(NamedTuple):

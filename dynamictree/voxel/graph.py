@@ -11,13 +11,8 @@ from dynamictree.voxel.grid import VoxelGrid, distinct
 ROOT_SHARE = 0.02
 """Of the tree's height: voxels this near to the lowest may stand in the ground, see `root_rows`."""
 
-MAX_DETOUR = 1.05
-"""How much further, in the mean, all else may be from another trunk than from the foremost."""
 
 _STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
-
-_FIRST_NEIGHBOURS = 16
-"""Looked at first when a component seeks the nearest voxel of another; doubled until one is found."""
 
 
 def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
@@ -82,6 +77,7 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
     Branches that hang to the ground end there too. From such a tip, the way to all else is longer than from the foot
     that bears it: it leads back up to the trunk.
     """
+    max_detour = 1.05  # how much further, in the mean, all else may be from another trunk than from the foremost
     max_feet = 8  # parts near the ground that are looked at, the largest
     from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -92,7 +88,7 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
         return low
     largest = np.argsort(-np.bincount(part), kind="stable")[:max_feet]
     ways = [dijkstra(graph, directed=False, indices=low[part == one], min_only=True).mean() for one in largest]
-    feet = largest[np.asarray(ways) <= MAX_DETOUR * min(ways)]
+    feet = largest[np.asarray(ways) <= max_detour * min(ways)]
     return low[np.isin(part, feet)]
 
 
@@ -123,12 +119,14 @@ def shortest_gaps(
     points: Shaped[np.ndarray, "V 3"], part: Int64[np.ndarray, " V"]
 ) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
     """From every part but the largest, the pair of points nearest to another part: a round of Borůvka's algorithm."""
+    # looked at first when a component seeks the nearest voxel of another; doubled until one is found
+    first_neighbours = 16
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
     largest = int(np.argmax(np.bincount(part)))
     seeking = np.flatnonzero(part != largest)
-    count = _FIRST_NEIGHBOURS
+    count = first_neighbours
     starts, ends = [], []
     while len(seeking):
         distances, neighbours = tree.query(points[seeking], k=min(count, len(points)))

@@ -22,11 +22,7 @@ SKEW = 0.1
 and Brunet 1996): gusts are shorter and stronger than lulls."""
 ROUGHNESS_M = 0.3
 """Of open country with trees and hedges, EN 1991-1-4."""
-SLOWEST_CARRIER_M_S = 1.0
-"""The field travels no slower, or its phase would wind up in a calm."""
 GUST_M_S, GUST_LENGTH_S = 3.0, 1.0  # of a single gust
-NUM_WAVES = 64
-"""Per bin: the coherence of one draw is off by 1 / √64 rms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,18 +66,20 @@ def turbulent_air(
         times_s: of the frames.
         rng: of amplitudes, phases and wave vectors.
     """
+    num_waves = 64  # per bin: the coherence of one draw is off by 1 / √64 rms
+    slowest_carrier_m_s = 1.0  # the field travels no slower, or its phase would wind up in a calm
     heading = np.deg2rad(wind.direction_deg)
     cosine, sine = np.cos(heading), np.sin(heading)
     axes = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
-    carrier = max(wind.speed_m_s, SLOWEST_CARRIER_M_S)
-    shape = (len(frequency_hz), NUM_WAVES)
+    carrier = max(wind.speed_m_s, slowest_carrier_m_s)
+    shape = (len(frequency_hz), num_waves)
     cauchy = rng.standard_normal((*shape, 3)) / np.abs(rng.standard_normal((*shape, 1)))
     decay = np.array([DECAY_ALONG, DECAY_ACROSS, DECAY_ACROSS]) / carrier * frequency_hz[:, None, None]
     wave = cauchy * decay  # [J, F, 3], in wind axes
     wave[:, :, 0] -= 2 * np.pi * frequency_hz[:, None] / carrier  # later downwind
     chance = rng.standard_normal((*shape, 3, 2)) @ [1, 1j]
     power = von_karman_shares(frequency_hz, turbulence_length_m(height_m) / carrier)
-    spread = np.sqrt(power[:, None] / 4 / NUM_WAVES)[:, :, None] * COMPONENTS * wind.gust * wind.speed_m_s
+    spread = np.sqrt(power[:, None] / 4 / num_waves)[:, :, None] * COMPONENTS * wind.gust * wind.speed_m_s
     turn = 2 * np.pi * np.outer(frequency_hz, times_s)
     return Air(
         wind=wind,

@@ -19,8 +19,6 @@ from dynamictree.formats.json_fields import (
 from dynamictree.rotation import quaternion_matrices
 
 _INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
-MAX_INSTANCES = 200_000
-"""Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +111,7 @@ def local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
 
 def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> None:
     """Check the number of instances by the counts of the accessors, before any is read."""
+    max_instances = 200_000  # Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh.
     total = 0
     for node in nodes:
         extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
@@ -120,8 +119,8 @@ def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> N
         accessors = [index_field(attributes, name, document.accessors, "accessors") for name in _INSTANCE_WIDTHS]
         layouts = [accessor_layout(document.accessors[a], f"accessors[{a}]") for a in accessors if a is not None]
         total += max((count for count, _, _ in layouts), default=0)
-    if total > MAX_INSTANCES:
-        raise FormatError(f"EXT_mesh_gpu_instancing has {total:,} places; at most {MAX_INSTANCES:,} are allowed")
+    if total > max_instances:
+        raise FormatError(f"EXT_mesh_gpu_instancing has {total:,} places; at most {max_instances:,} are allowed")
 
 
 def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"] | None:

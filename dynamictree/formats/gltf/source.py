@@ -23,8 +23,6 @@ from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import object_list, text_field
 from dynamictree.mesh import SourceGltf, SourceWarning
 
-MAX_SOURCE_BYTES = 256 << 20
-"""Of a document with its files: what a job can hold in memory beside the motion."""
 MAX_SOURCE_PRIMITIVES = 4000
 """Primitives with 31 targets each are 30 MB of JSON; players take seconds to parse it."""
 INSTANCING, DRACO, LEVELS = "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression", "MSFT_lod"
@@ -53,11 +51,12 @@ class PlacedPrimitive:
 
 def keep_source(document: GltfDocument, placed: Sequence[PlacedPrimitive]) -> SourceGltf | None:
     """The document for writers; None, with a warning, where it is too large or breaks the specification."""
+    max_source_bytes = 256 << 20  # of a document with its files: what a job can hold in memory beside the motion
     try:
         files = _files(document)
         num_bytes = sum(map(len, document.buffers)) + sum(map(len, files.values()))
-        if len(placed) > MAX_SOURCE_PRIMITIVES or num_bytes > MAX_SOURCE_BYTES:
-            allowed = f"{MAX_SOURCE_PRIMITIVES:,} and {MAX_SOURCE_BYTES:,} are allowed for that"
+        if len(placed) > MAX_SOURCE_PRIMITIVES or num_bytes > max_source_bytes:
+            allowed = f"{MAX_SOURCE_PRIMITIVES:,} and {max_source_bytes:,} are allowed for that"
             why = f"it has {len(placed):,} parts and {num_bytes:,} bytes; {allowed}"
         else:
             return _source(document, placed, files)

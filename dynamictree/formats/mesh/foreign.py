@@ -14,7 +14,6 @@ from dynamictree.formats.companions import find_companion
 from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
-MAX_XML_BYTES = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
 _MODEL = re.compile(rb"<(?:\w+:)?model\b[^>]*\bunit\s*=\s*[\"'](\w+)[\"']")
 _3MF_UNITS_M = {  # 3MF core specification 1.3, section 3.4
     b"micron": 1e-6,
@@ -185,11 +184,12 @@ def _check_off(content: bytes) -> int:
 
 def _check_3mf(content: bytes) -> bytes:
     """Check the archive's sizes; gives the unit of its model."""
+    max_xml_bytes = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
     max_ratio = 100  # of an archive's content to its size
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             declared = sum(entry.file_size for entry in archive.infolist())
-            if declared > min(MAX_XML_BYTES, max_ratio * len(content)):
+            if declared > min(max_xml_bytes, max_ratio * len(content)):
                 raise FormatError(f"the 3MF unpacks to {declared:,} bytes; at most {max_ratio} times its size is read")
             models = [entry for entry in archive.infolist() if entry.filename.lower().endswith(".model")]
             roots = [entry for entry in models if entry.filename.lower().endswith("3d/3dmodel.model")]

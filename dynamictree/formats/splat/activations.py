@@ -8,7 +8,6 @@ from dynamictree.gaussian.harmonics import SH_0
 
 MIN_SCALE = 1e-10
 """Flat axes are written as this, not as zero, whose logarithm is not finite [the file's unit]."""
-MAX_LOG_SCALE = 80.0  # float32 ends at exp(88); more is no length but an overflow
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Components of a quaternion beside its largest one."""
 
@@ -27,7 +26,8 @@ def logit_from_opacity(opacity: Float32[np.ndarray, " G"]) -> Float32[np.ndarray
 
 def scales_from_log(values: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
     """Exponential; what would overflow becomes infinite, which validation refuses."""
-    return np.exp(np.where(values > MAX_LOG_SCALE, np.inf, values)).astype(np.float32)
+    max_log_scale = 80.0  # float32 ends at exp(88); more is no length but an overflow
+    return np.exp(np.where(values > max_log_scale, np.inf, values)).astype(np.float32)
 
 
 def log_from_scales(scales: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:

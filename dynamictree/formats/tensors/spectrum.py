@@ -29,7 +29,6 @@ from dynamictree.wind_bands import WindBands
 
 FORMAT = "sparse-voxel-spectrum"
 VERSION = "1"
-MAX_TEXT_CHARS = 200  # of the model's name
 
 
 def write_spectrum(
@@ -72,6 +71,7 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
     Raises:
         InputError: the file is no spectrum of a known version, or anything in it is out of range.
     """
+    max_text_chars = 200  # of the model's name
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
     grid = read_grid(tensors, metadata)
     parts = take_tensor(tensors, "coefficients", dtypes=("float16", "float32"), shape=(len(grid), None, 3, 2))
@@ -83,7 +83,7 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
         fps=number(metadata, "fps"),
         num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
         rest=_rest(metadata),
-        model=text(metadata, "model", rf"[^\x00-\x1f]{{0,{MAX_TEXT_CHARS}}}"),
+        model=text(metadata, "model", rf"[^\x00-\x1f]{{0,{max_text_chars}}}"),
         seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
         wind=_wind(metadata),
         foliage=number(metadata, "foliage") if "foliage" in metadata else None,

@@ -12,7 +12,6 @@ Rows: TypeAlias = Int64[np.ndarray, " R"]
 
 CELLS_TALL = 200
 """Cells in the height of the tallest tree: 0.1 m of 20 m, so that a stem is two to four cells wide."""
-MAX_CELLS_ALONG = 1500
 _TILE = 5  # cells: the ground's height is judged on tiles so wide
 
 
@@ -36,12 +35,13 @@ class OccupiedCells:
 
 def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     """Put points into cells, in metres and +Z up."""
+    max_cells_along = 1500
     steepest = 1.0  # ground rises at most so much over its length
     afloat = 0.1  # of the height: what is so much higher than such ground hangs above nothing
     ground_cover = 0.4  # of the tiles that hold anything, with something that low: then there is ground
     low = points.min(axis=0)
     extent = points.max(axis=0) - low
-    size = max(float(extent[2]) / CELLS_TALL, float(extent.max()) / MAX_CELLS_ALONG)
+    size = max(float(extent[2]) / CELLS_TALL, float(extent.max()) / max_cells_along)
     coords = np.floor((points - low) / size).astype(np.int64)
     span = coords.max(axis=0) + 1
     keys, cell = np.unique((coords[:, 0] * span[1] + coords[:, 1]) * span[2] + coords[:, 2], return_inverse=True)

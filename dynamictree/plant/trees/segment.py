@@ -15,8 +15,6 @@ from dynamictree.mesh import SourceWarning
 from dynamictree.plant.trees.cells import OccupiedCells, join, occupy
 from dynamictree.plant.trees.stems import Stem, find_stems, join_stems
 
-SHORTEST = 0.3
-"""Of the height of the tallest tree: what is lower is undergrowth."""
 _OWN_TOP = 0.02
 """Of its height, at least, a tree rises above the highest place where its crown touches a neighbour's.
 
@@ -61,6 +59,7 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
 
 def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array") -> list[Stem]:
     """Where each tree begins: its stem, or of what hangs together and shows no stem its lowest cells."""
+    shortest = 0.3  # of the height of the tallest tree: what is lower is undergrowth
     stands_share = 0.1  # of the height: so near to the ground the lowest of a tree begins
     fewest = 0.03  # of the cells of the largest part: less is debris
     from scipy.sparse.csgraph import connected_components
@@ -72,7 +71,7 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
     np.maximum.at(top, part, above)
     np.minimum.at(bottom, part, above)
     tall = float(top.max()) + 1
-    stands = (bottom <= stands_share * tall) & (top - bottom >= SHORTEST * tall) & (count >= fewest * count.max())
+    stands = (bottom <= stands_share * tall) & (top - bottom >= shortest * tall) & (count >= fewest * count.max())
     stems: list[Stem] = []
     for one in np.flatnonzero(stands):
         rows = plant[part == one]

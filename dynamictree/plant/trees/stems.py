@@ -15,16 +15,10 @@ from dynamictree.plant.still import groups_of_cells
 SLICE = (0.03, 0.10)
 """Of the height above the ground: where stems are looked for, and 1 to 2 m of a tree of 20 m."""
 HIGHER = (0.10, 0.17)
-NARROW = 0.07
-"""Of the height: the largest radius of a stem."""
 UPRIGHT = 0.03
 """Of the height: how far a stem leans from the slice to the higher one."""
-THINNEST = 0.3
-"""Of the cells of the most massive stem: thinner ones are twigs that hang to the ground."""
 NEAREST = 0.04
 """Of the height: stems that stand closer are of one tree."""
-FORK = 0.15
-"""Of the height: stems that stand so close and lean apart are of one tree."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +35,7 @@ def find_stems(
     coords: Int64[np.ndarray, "V 3"], above: Float64[np.ndarray, " V"], rows: Int64[np.ndarray, " M"]
 ) -> list[Stem]:
     """The stems among some cells, whose height is their own tallest; stems of one tree are joined."""
+    thinnest = 0.3  # of the cells of the most massive stem: thinner ones are twigs that hang to the ground
     tall = float(above[rows].max()) + 1
     lower = _columns(coords, above, rows, tall, SLICE)
     upper = _columns(coords, above, rows, tall, HIGHER)
@@ -53,7 +48,7 @@ def find_stems(
     if not stems:
         return []
     most = max(len(stem.cells) for stem in stems)
-    return join_stems([stem for stem in stems if len(stem.cells) >= THINNEST * most], tall)
+    return join_stems([stem for stem in stems if len(stem.cells) >= thinnest * most], tall)
 
 
 def _columns(
@@ -64,6 +59,7 @@ def _columns(
     between: tuple[float, float],
 ) -> list[Stem]:
     """Narrow parts of a slice that go through it and stand apart."""
+    narrow = 0.07  # of the height: the largest radius of a stem
     through_share = 0.8  # of the slice's thickness
     low, high = between[0] * tall, between[1] * tall
     inside = rows[(above[rows] >= low) & (above[rows] < high)]
@@ -77,7 +73,7 @@ def _columns(
         away = np.linalg.norm(coords[cells, :2] - middle, axis=1)
         radius = float(np.median(away))
         through = np.ptp(above[cells]) + 1 >= through_share * (high - low)
-        if through and radius <= NARROW * tall and _is_alone(coords, inside, middle, radius):
+        if through and radius <= narrow * tall and _is_alone(coords, inside, middle, radius):
             columns.append(Stem(cells=cells, middle=middle, higher=middle, radius=max(radius, 0.5)))
     return columns
 
@@ -95,6 +91,7 @@ def _is_alone(
 
 def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
     """Stems that stand close, or close enough and lean apart, as one; `tall` in cells."""
+    fork = 0.15  # of the height: stems that stand so close and lean apart are of one tree
     apart_higher = 1.15  # times their distance in the slice, in the higher slice: they grow from one foot
     group = list(range(len(stems)))
     for i, one in enumerate(stems):
@@ -102,7 +99,7 @@ def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
             other = stems[j]
             near = float(np.linalg.norm(one.middle - other.middle))
             forked = float(np.linalg.norm(one.higher - other.higher)) > apart_higher * near
-            if near < NEAREST * tall or (near < FORK * tall and forked):
+            if near < NEAREST * tall or (near < fork * tall and forked):
                 group = [group[j] if number == group[i] else number for number in group]
     joined = []
     for number in sorted(set(group)):
