@@ -14,7 +14,7 @@ from PIL import Image, TiffImagePlugin
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import DynamicTreeError, InputError
 
-Picture = UInt8[np.ndarray, "H W 3"]
+Picture = UInt8[np.ndarray, "_h _w 3"]  # of any size: whether all have one is checked as they come
 
 
 @contextmanager
