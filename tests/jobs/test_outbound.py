@@ -2,17 +2,15 @@
 
 import asyncio
 import socket
-import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
-from typing import ClassVar
 from urllib.parse import urlsplit
 
 import pytest
 
 from jobs.clients.outbound import Outbound, Target, is_public
 from jobs.errors import OutboundError
+from tests.line import Handler, Line, answering
 
 PRIVATE = (
     *(
@@ -145,46 +143,25 @@ def test_one_private_address_among_public_ones_is_enough() -> None:
         asyncio.run(Outbound(look_up=both).check("https://tree.example/"))
 
 
-class Site(BaseHTTPRequestHandler):
-    """Redirects, files, and a server that breaks off."""
-
-    hosts: ClassVar[list[str]] = []
-
-    def do_GET(self) -> None:
-        self.hosts.append(self.headers["Host"])
-        if self.path.startswith("/to/"):
-            self.send_response(302)
-            self.send_header("Location", self.path.removeprefix("/to/"))
-            self.end_headers()
-        elif self.path == "/short":
-            self.send_response(200)
-            self.send_header("Content-Length", "100")
-            self.end_headers()
-            self.wfile.write(b"half")
-        elif self.path == "/file":
-            self.send_response(200)
-            self.send_header("Content-Length", "4")
-            self.end_headers()
-            self.wfile.write(b"tree")
-        else:
-            self.send_error(404)
-
-    def log_message(self, *_: object) -> None:
-        pass
+def answer(_: int, handler: Handler) -> None:
+    """Redirects, a file, and a server that breaks off."""
+    if handler.path.startswith("/to/"):
+        handler.reply(302, b"", Location=handler.path.removeprefix("/to/"))
+    elif handler.path == "/short":
+        handler.break_off(b"half", 100)
+    else:
+        handler.reply(200 if handler.path == "/file" else 404, b"tree")
 
 
 @pytest.fixture(scope="module")
-def site() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"tree.example:{server.server_port}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
+def line() -> Iterator[Line]:
+    with answering(answer) as opened:
+        yield opened
 
 
-async def fetched(site: str, path: str) -> bytes:
+async def fetched(line: Line, path: str) -> bytes:
+    site = line.url.replace("http://127.0.0.1", "tree.example")
+
     async def look_up(host: str, port: int) -> list[str]:
         return ["127.0.0.1" if host == "tree.example" else "10.0.0.1"]
 
@@ -192,10 +169,10 @@ async def fetched(site: str, path: str) -> bytes:
         return b"".join([chunk async for chunk in response.aiter_raw()])
 
 
-def test_a_file_is_fetched_by_its_name_from_the_checked_address(site: str) -> None:
-    assert asyncio.run(fetched(site, "/file")) == b"tree"
-    assert Site.hosts[-1] == site
-    assert asyncio.run(fetched(site, "/to//file")) == b"tree"
+def test_a_file_is_fetched_by_its_name_from_the_checked_address(line: Line) -> None:
+    assert asyncio.run(fetched(line, "/file")) == b"tree"
+    assert line.requests[-1].headers["host"].startswith("tree.example:")
+    assert asyncio.run(fetched(line, "/to//file")) == b"tree"
 
 
 @pytest.mark.parametrize(
@@ -209,9 +186,9 @@ def test_a_file_is_fetched_by_its_name_from_the_checked_address(site: str) -> No
         "/short",
     ],
 )
-def test_a_redirect_is_checked_as_the_first_address_was(site: str, path: str) -> None:
+def test_a_redirect_is_checked_as_the_first_address_was(line: Line, path: str) -> None:
     with pytest.raises(OutboundError):
-        asyncio.run(fetched(site, path))
+        asyncio.run(fetched(line, path))
 
 
 def test_who_does_not_answer_is_reported() -> None:

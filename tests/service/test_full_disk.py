@@ -2,11 +2,8 @@
 
 import io
 import shutil
-import threading
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,48 +12,31 @@ from fastapi.testclient import TestClient
 
 from jobs.settings import Settings
 from service.app import create_app
+from tests.line import Handler, answering
 
 MIB = 1024**2
 TREE = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
 
 
-class Site(BaseHTTPRequestHandler):
+def answer(_: int, handler: Handler) -> None:
     """A tree, and 200 MiB with and without an announced length."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        if self.path == "/announced.obj":
-            self.send_header("Content-Length", str(200 * MIB))
-        self.end_headers()
-        if self.path == "/tree.obj":
-            self.wfile.write(TREE)
-            return
-        try:
-            for _ in range(200):
-                self.wfile.write(bytes(MIB))
-        except OSError:
-            return
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
-@contextmanager
-def _site() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    try:
-        yield f"127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    if handler.path == "/tree.obj":
+        handler.reply(200, TREE)
+        return
+    handler.send_response(200)
+    if handler.path == "/announced.obj":
+        handler.send_header("Content-Length", str(200 * MIB))
+    handler.close_connection = True
+    handler.end_headers()
+    with suppress(OSError):
+        for _ in range(200):
+            handler.wfile.write(bytes(MIB))
 
 
 @pytest.mark.parametrize("path", ["/announced.obj", "/endless.obj"])
 def test_a_fetch_stops_before_the_disk_is_full(small_disk: Path, settings: Settings, path: str) -> None:
-    with _site() as where:
+    with answering(answer) as line:
+        where = line.url.removeprefix("http://")
         own = {"state_dir": small_disk, "min_free_bytes": 16 * MIB, "outbound_hosts": (where,)}
         with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
             sent = client.post("/v1/assets", json={"url": f"http://{where}{path}"})

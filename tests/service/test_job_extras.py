@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from contextlib import ExitStack
 from pathlib import Path
 from unittest.mock import AsyncMock
 
@@ -24,6 +24,7 @@ from service.http.caller import ANYONE
 from service.routes import job_events
 from service.services import Services
 from tests import servers
+from tests.line import answering
 from tests.rows import asset_row, job_row
 from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
@@ -163,20 +164,7 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     assert client.post("/v1/jobs", json=unknown).status_code == 404
 
 
-class Site(BaseHTTPRequestHandler):
-    """Files by address."""
-
-    def do_GET(self) -> None:
-        files = {"/tree.obj": OBJ.replace(b"mtllib tree.mtl\n", b""), "/no.obj": b"hello", "/large.obj": bytes(5000)}
-        if self.path not in files:
-            self.send_error(404)
-            return
-        self.send_response(200)
-        self.end_headers()
-        self.wfile.write(files[self.path])
-
-    def log_message(self, *_: object) -> None:
-        pass
+FILES = {"/tree.obj": PLAIN_OBJ, "/no.obj": b"hello", "/large.obj": bytes(5000)}
 
 
 @pytest.mark.parametrize(
@@ -190,13 +178,13 @@ class Site(BaseHTTPRequestHandler):
     ],
 )
 def test_an_address_becomes_an_asset(settings: Settings, path: str, promised: str | None, code: str | None) -> None:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    where = f"127.0.0.1:{server.server_port}"
-    app = create_app(settings.model_copy(update={"outbound_hosts": (where,), "max_upload_bytes": 4000}))
-    with TestClient(app, "http://localhost") as client:
-        sent = client.post("/v1/assets", json={"url": f"http://{where}{path}", "sha256": promised, "unit_m": 2})
+    with ExitStack() as stack:
+        status, body = 200 if path in FILES else 404, FILES.get(path, b"")
+        line = stack.enter_context(answering(lambda _, handler: handler.reply(status, body)))
+        hosts = (line.url.removeprefix("http://"),)
+        app = create_app(settings.model_copy(update={"outbound_hosts": hosts, "max_upload_bytes": 4000}))
+        client = stack.enter_context(TestClient(app, "http://localhost"))
+        sent = client.post("/v1/assets", json={"url": f"{line.url}{path}", "sha256": promised, "unit_m": 2})
         assert (sent.status_code, sent.json()["state"]) == (202, "fetching")
         upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
         if code is None:
@@ -205,9 +193,6 @@ def test_an_address_becomes_an_asset(settings: Settings, path: str, promised: st
         else:
             assert (upload["state"], upload["error"]["code"]) == ("failed", code)
         assert left_behind(app.state.services) == []
-    server.shutdown()
-    thread.join()
-    server.server_close()
 
 
 def test_an_address_inside_is_not_fetched(client: TestClient) -> None:

@@ -2,9 +2,7 @@
 
 import json
 import logging
-import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 from fastapi.testclient import TestClient
@@ -16,6 +14,7 @@ from jobs.records import AssetRecord
 from jobs.settings import Settings
 from jobs.tracing import span, tracer
 from service.app import create_app
+from tests.line import Handler, answering
 from tests.service.conftest import hold
 
 CLIENT = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01"
@@ -26,21 +25,13 @@ def collector() -> Iterator[tuple[str, list[Span]]]:
     """What a collector gets, over HTTP as it comes."""
     spans: list[Span] = []
 
-    class Receive(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers["Content-Length"]))
-            request = ExportTraceServiceRequest.FromString(body)
-            spans.extend(s for r in request.resource_spans for scope in r.scope_spans for s in scope.spans)
-            self.send_response(200)
-            self.end_headers()
+    def receive(_: int, handler: Handler) -> None:
+        request = ExportTraceServiceRequest.FromString(handler.body)
+        spans.extend(s for r in request.resource_spans for scope in r.scope_spans for s in scope.spans)
+        handler.reply(200, b"")
 
-        def log_message(self, *_: object) -> None:
-            return
-
-    with HTTPServer(("127.0.0.1", 0), Receive) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}", spans
-        server.shutdown()
+    with answering(receive) as line:
+        yield line.url, spans
 
 
 def test_one_trace_from_the_client_over_the_request_to_the_worker(

@@ -13,9 +13,7 @@ import webbrowser
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from html.parser import HTMLParser
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -31,6 +29,7 @@ from jobs.settings import Settings
 from service.app import create_app
 from service.local.serve import Announcer
 from service.routes import pages, surface
+from tests.line import answering
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
@@ -309,33 +308,20 @@ def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum:
     np.testing.assert_array_equal(tensors["lean_m"], spectrum.coefficients[:, 0].real)
 
 
-class Ready(BaseHTTPRequestHandler):
-    """A service that is ready."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.end_headers()
-        self.wfile.write(b'{"workers": "ok", "housekeeper": "ok"}')
-
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
-
 def test_serve_tells_of_the_page_and_opens_it_when_asked(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    with HTTPServer(("127.0.0.1", 0), Ready) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
-        url = f"http://0.0.0.0:{server.server_port}"
+    ready = b'{"workers": "ok", "housekeeper": "ok"}'
+    with answering(lambda _, handler: handler.reply(200, ready)) as line:
+        url = line.url.replace("127.0.0.1", "0.0.0.0")
         Announcer(url, as_json=False).poll()
         assert opened == []
         announcer = Announcer(url, as_json=False, open_page=True)
         announcer.poll()
         announcer.poll()
-        server.shutdown()
-    page = f"http://127.0.0.1:{server.server_port}/"
+    page = f"{line.url}/"
     assert opened == [page]
     assert capsys.readouterr().out.splitlines()[:2] == [f"ready {url}", f"A page to use it from: {page}"]
 

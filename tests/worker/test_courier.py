@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,7 @@ from jobs.settings import Settings, read_settings
 from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.jobs.conftest import FILE, add_job, make_asset
+from tests.line import Handler, answering
 from worker.courier import Courier
 
 PLAIN = SecretBox()
@@ -44,28 +44,16 @@ class Receiver:
 
 @pytest.fixture
 def receiver() -> Iterator[Receiver]:
-    class Listening(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers["Content-Length"]))
-            hook.came.append(({name.lower(): value for name, value in self.headers.items()}, body))
-            time.sleep(hook.wait_s)
-            if self.path == "/tarpit":
-                hook.released.wait(60)
-            self.send_response(hook.answers.pop(0) if hook.answers else 200)
-            self.send_header("Location", "/elsewhere")
-            self.end_headers()
+    def receive(_: int, handler: Handler) -> None:
+        hook.came.append((line.requests[-1].headers, handler.body))
+        time.sleep(hook.wait_s)
+        if handler.path == "/tarpit":
+            hook.released.wait(60)
+        handler.reply(hook.answers.pop(0) if hook.answers else 200, b"", Location="/elsewhere")
 
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Listening)
-    hook = Receiver(f"http://127.0.0.1:{server.server_port}/hook")
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield hook
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with answering(receive) as line:
+        hook = Receiver(f"{line.url}/hook")
+        yield hook
 
 
 @dataclass

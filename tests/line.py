@@ -1,4 +1,4 @@
-"""A real HTTP server on loopback that fails on demand: what a bad line and a busy service look like."""
+"""A real HTTP server on loopback that answers, or fails, as a test wants."""
 
 import json
 import threading
@@ -15,10 +15,11 @@ class ReceivedRequest:
     method: str
     path: str
     headers: dict[str, str]
+    body: bytes
 
 
 @dataclass
-class BrokenLine:
+class Line:
     """Answers come from `answer(number of the request, handler)`; `asked` tells what was asked."""
 
     answer: Callable[[int, "Handler"], None]
@@ -27,14 +28,13 @@ class BrokenLine:
 
 
 class Handler(BaseHTTPRequestHandler):
-    line: BrokenLine
+    line: Line
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
-        self.line.requests.append(
-            ReceivedRequest(self.command, self.path, {k.lower(): v for k, v in self.headers.items()})
-        )
         self.body = self.rfile.read(int(self.headers.get("content-length", 0)))
+        headers = {name.lower(): value for name, value in self.headers.items()}
+        self.line.requests.append(ReceivedRequest(self.command, self.path, headers, self.body))
         self.line.answer(len(self.line.requests), self)
 
     do_POST = do_PATCH = do_HEAD = do_GET  # noqa: N815 - http.server's names
@@ -65,8 +65,8 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def broken_line(answer: Callable[[int, Handler], None]) -> Iterator[BrokenLine]:
-    line = BrokenLine(answer=answer)
+def answering(answer: Callable[[int, Handler], None]) -> Iterator[Line]:
+    line = Line(answer=answer)
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Bound", (Handler,), {"line": line}))
     server.daemon_threads = True
     line.url = f"http://127.0.0.1:{server.server_port}"
