@@ -1,20 +1,5 @@
 """Exceptions of the job store.
 
-    JobsError
-    ├── NotFoundError       no such asset, job or artefact
-    ├── GoneError           there was one; it expired or was deleted
-    ├── ConflictError       the state forbids it
-    ├── ReusedKeyError      the client's key means another request
-    ├── QuotaError          the owner has as many jobs as are allowed
-    ├── BytesQuotaError     the owner has as many bytes as are allowed
-    ├── StorageAwayError    the storage of the bytes does not answer
-    ├── StorageFullError    it has no room
-    ├── FencedError         another attempt owns the job; this one must stop
-    ├── BackupError         a backup is damaged, or of a newer version
-    ├── OutboundError       an address that may not be called, or that does not answer
-    ├── SchemaError         the tables are of an earlier revision
-    └── SettingsError       the settings cannot be used
-
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type.
 """
 
@@ -22,7 +7,7 @@ from typing import ClassVar
 
 
 class JobsError(Exception):
-    """Root of the tree."""
+    """Root of all others."""
 
     code: ClassVar[str] = "jobs-error"
 
@@ -52,7 +37,7 @@ class ReusedKeyError(JobsError):
 
 
 class QuotaError(JobsError):
-    """The owner has as much as is allowed."""
+    """The owner has as many jobs as are allowed."""
 
     code = "too-many-active-jobs"
 

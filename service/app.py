@@ -45,26 +45,9 @@ from service.routes import (
 from service.services import open_services
 from service.uploads.ingest import Ingest
 
-ROUTERS = (
-    uploads.router,
-    assets.router,
-    jobs.router,
-    job_events.router,
-    artifacts.router,
-    links.router,
-    spectra.router,
-    interact.router,
-    interact_stream.router,
-    modes.router,
-    points.router,
-    stills.router,
-    surface.router,
-    pages.router,
-    webhooks.router,
-    catalogue.router,
-    health.router,
-    metrics.router,
-    ops.router,
+ROUTES = (
+    *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream, modes, points, stills),
+    *(surface, pages, webhooks, catalogue, health, metrics, ops),
 )
 """A module a resource; a new one is added here."""
 
@@ -115,8 +98,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     webhooks.describe_events(app)
     app.openapi = partial(described, app)  # type: ignore[method-assign]
     app.state.settings = settings
-    for router in ROUTERS:
-        app.include_router(router)
+    for resource in ROUTES:
+        app.include_router(resource.router)
     problem_handlers.install(app)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=settings)
