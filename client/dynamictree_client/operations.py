@@ -133,20 +133,10 @@ def delete_asset(id: str) -> Call[None]:
 
 
 def create_job(
-    body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
-    *,
-    validate_only: bool | None = None,
-    idempotency_key: str | None = None,
-) -> Call[Job | Estimate]:
+    body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest, *, idempotency_key: str | None = None
+) -> Call[Job]:
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
-    return Call(
-        method="POST",
-        path="/v1/jobs",
-        answer=Job | Estimate,
-        query={"validate_only": validate_only},
-        headers={"idempotency-key": idempotency_key},
-        body=body,
-    )
+    return Call(method="POST", path="/v1/jobs", answer=Job, headers={"idempotency-key": idempotency_key}, body=body)
 
 
 def list_jobs(
@@ -174,6 +164,11 @@ def list_jobs(
             "limit": limit,
         },
     )
+
+
+def estimate_job(body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest) -> Call[Estimate]:
+    """What a job would take, where it would be accepted; nothing is created."""
+    return Call(method="POST", path="/v1/jobs/estimate", answer=Estimate, body=body)
 
 
 def retry_job(id: str) -> Call[Job]:

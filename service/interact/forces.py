@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, WithJsonSchema, model_validator
 
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, Locality, Reached
@@ -26,6 +26,13 @@ MAX_BENDS = 1024  # joints under one place
 Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
 Vector = tuple[Component, Component, Component]
 Complex = Annotated[tuple[Component, Component], Field(description="real, imaginary")]
+_NUMBER = {"type": "number"}
+_EACH = {"anyOf": [_NUMBER, {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}]}
+Winds = Annotated[
+    Vector | Annotated[list[Vector], Field(min_length=1, max_length=MAX_WIND_SAMPLES)],
+    # one array: of two, generators of C# make two methods of one name
+    WithJsonSchema({"type": "array", "items": _EACH, "minItems": 1, "maxItems": MAX_WIND_SAMPLES}),
+]
 Output = Literal["modal", "voxels", "vertices", "gaussians"]
 
 _VECTORS = {
@@ -61,8 +68,8 @@ class ForcePayload(Payload):
     displacement_m: Vector | None = Field(
         default=None, description="[m], of a drag: where the point comes to rest, in the bent shape with warp"
     )
-    wind_m_s: Vector | Annotated[list[Vector], Field(min_length=1, max_length=MAX_WIND_SAMPLES)] | None = Field(
-        default=None, description="[m/s], of wind; several are samples, evenly spaced over the duration"
+    wind_m_s: Winds | None = Field(
+        default=None, description="[m/s], of wind: one vector, or samples evenly spaced over the duration"
     )
     start_s: Finite = Field(default=0.0, ge=-1e6, le=1e6, description="from the first frame of this call [s]")
     duration_s: Finite | None = Field(

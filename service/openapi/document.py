@@ -55,6 +55,8 @@ def described(app: FastAPI) -> Page:
             name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()
         }
         for operation in _operations(page):
+            for parameter in operation.get("parameters", ()):
+                parameter["schema"] = _never_null(parameter["schema"])
             for status, response in operation["responses"].items():
                 _add_headers(str(status), response)
         page["components"]["securitySchemes"] = {"key": KEY}
@@ -72,6 +74,12 @@ def described(app: FastAPI) -> Page:
                 node["items"] = node["prefixItems"][0]
         app.openapi_schema = page
     return app.openapi_schema
+
+
+def _never_null(schema: Page) -> Page:
+    """Drop the null of a parameter that may be left out: no header and no query can hold one."""
+    kinds = [kind for kind in schema.pop("anyOf", ()) if kind.get("type") != "null"]
+    return schema | (kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {})
 
 
 def _add_doors(item: Page) -> None:

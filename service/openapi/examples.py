@@ -37,6 +37,7 @@ _ENDPOINT = {"all": {"summary": "Told of every job", "value": _HOOK}}
 
 REQUESTS: dict[str, dict[str, Any]] = {
     "createJob": _JOB_REQUESTS,
+    "estimateJob": _JOB_REQUESTS,
     "createAsset": {
         "uploads": {"summary": "Of uploads that are whole", "value": {"upload_ids": [_FILE]}},
         "address": {"summary": "From an address", "value": {"url": "https://example.com/tree.glb", "sha256": _SHA}},

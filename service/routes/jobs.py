@@ -38,32 +38,28 @@ _ACCEPTED = {
     "",
     operation_id="createJob",
     status_code=status.HTTP_202_ACCEPTED,
-    response_model=JobPayload,
-    responses=refusals(*_REFUSALS)
-    | {200: {"description": "validate_only: it would be accepted", "model": EstimatePayload}, 202: _ACCEPTED},
+    responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
 )
 def create_job(
     body: JobRequest,
     response: Response,
     owned: OwnedDep,
     origin: Origin,
-    validate_only: Annotated[
-        bool, Query(description="only tell whether it would be accepted, and what it takes")
-    ] = False,
     idempotency_key: Annotated[
         str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
     ] = None,
-) -> JobPayload | Response:
+) -> JobPayload:
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
-    if validate_only:
-        asset, stages = require_possible(owned, body)
-        estimate = EstimatePayload(
-            est_seconds=owned.services.job_durations.stage_seconds(stages),
-            format_bytes=format_bytes(body, asset),
-        )
-        return Response(estimate.model_dump_json(), media_type="application/json")
     key = None if idempotency_key is None else f"post:{idempotency_key}"
     return accept(owned, body, origin, response, key=key)
+
+
+@router.post("/estimate", operation_id="estimateJob", responses=refusals(*_REFUSALS))
+def estimate_job(body: JobRequest, owned: OwnedDep) -> EstimatePayload:
+    """What a job would take, where it would be accepted; nothing is created."""
+    asset, stages = require_possible(owned, body)
+    seconds = owned.services.job_durations.stage_seconds(stages)
+    return EstimatePayload(est_seconds=seconds, format_bytes=format_bytes(body, asset))
 
 
 @router.post(

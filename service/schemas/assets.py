@@ -19,9 +19,7 @@ class PartPayload(Payload):
     bytes: int
 
 
-AssetSummary = dict[
-    str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
-]
+AssetSummary = dict[str, str | int | float | list[float | dict[str, str | int | float]] | None]
 
 
 class AssetPayload(Payload):

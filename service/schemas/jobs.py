@@ -1,7 +1,5 @@
 """Response bodies of jobs and manifests."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from jobs.records import ArtifactRecord, JobRecord
@@ -79,7 +77,6 @@ class JobListPayload(Payload):
 class EstimatePayload(Payload):
     """Estimated duration and size of a valid request."""
 
-    valid: Literal[True] = True
     est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
     format_bytes: dict[str, int] = Field(description="of the products whose size is known before they are made")
 

@@ -46,7 +46,7 @@ def through(client: httpx.Client, path: Path) -> AnimatedSplat:
     assert asset["kind"] == "cloud"
     params = {"formats": ["splat", "splat-ply", "mp4"], "wind": {"speed_m_s": 10}}
     body = {"type": "animate", "asset_id": asset["id"], "params": params}
-    promised = client.post("/v1/jobs?validate_only=true", json=body).raise_for_status().json()["format_bytes"]
+    promised = client.post("/v1/jobs/estimate", json=body).raise_for_status().json()["format_bytes"]
     job = client.post("/v1/jobs", json=body).raise_for_status().json()
     while job["state"] in ("queued", "running"):
         time.sleep(0.5)

@@ -295,14 +295,14 @@ def test_an_ended_job_runs_again_as_a_new_one(client: TestClient, asset: AssetRe
 
 def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, services: Services) -> None:
     body = {"type": "voxelize", "asset_id": asset.id}
-    blank = client.post("/v1/jobs?validate_only=true", json=body)
-    unknown = {"valid": True, "est_seconds": None, "format_bytes": {}}
+    blank = client.post("/v1/jobs/estimate", json=body)
+    unknown = {"est_seconds": None, "format_bytes": {}}
     assert (blank.status_code, blank.json()) == (200, unknown)
     assert client.get("/v1/jobs").json()["data"] == []
-    assert client.post("/v1/jobs?validate_only=true", json=body | {"seed": -1}).status_code == 422
+    assert client.post("/v1/jobs/estimate", json=body | {"seed": -1}).status_code == 422
     lease = hold(services, str(create(client, asset)["id"]))
     publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
-    payload = client.post("/v1/jobs?validate_only=true", json=body).json()
+    payload = client.post("/v1/jobs/estimate", json=body).json()
     assert 0 < payload["est_seconds"] < 10
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 BOUNDS = {
     "lines in dynamictree": 34_710,
     "lines in lab": 6_350,
-    "lines in service, jobs and worker": 15_265,
+    "lines in service, jobs and worker": 15_245,
     "lines in tests": 40_690,
     "names bound to numbers in dynamictree": 785,
     "functions of dynamictree with more than 6 arguments": 7,
