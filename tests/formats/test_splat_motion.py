@@ -2,10 +2,13 @@
 
 import gc
 import io
+import json
+import subprocess
 import tracemalloc
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +24,8 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.mesh import TriangleMesh
 from dynamictree.source import Source
+
+REFERENCE = Path(__file__).parents[2] / "recipes" / "animated_splat.mjs"
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +109,27 @@ def test_the_compact_file_plays_the_same_motion(splat: AnimatedSplat) -> None:
     np.testing.assert_allclose(again.binding.cloud.sh, splat.binding.cloud.sh, atol=2e-3)
 
 
+PLAYER = """import { readFileSync } from "node:fs"; import { AnimatedSplat } from "REFERENCE";
+const file = readFileSync(process.argv[1]);
+const splat = new AnimatedSplat(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
+console.log(JSON.stringify(splat.at(0.31), (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value)));"""
+
+
+def test_the_player_for_other_engines_shows_the_same_pose(splat: AnimatedSplat, tmp_path: Path) -> None:
+    path = tmp_path / "tree.animated-splat.safetensors"
+    with path.open("wb") as stream:
+        write_animated_splat(splat, stream)
+    again = read_animated_splat(io.BytesIO(path.read_bytes()))
+    code = PLAYER.replace("REFERENCE", REFERENCE.as_uri())
+    played = json.loads(subprocess.check_output(["node", "--input-type=module", "-e", code, str(path)], text=True))
+    pose = Deformer(again.binding).pose(again.displacement(0.31))
+    assert np.abs(pose.means - again.binding.cloud.means).max() > 1e-2
+    np.testing.assert_allclose(np.reshape(played["means"], (-1, 3)), pose.means, atol=5e-5)  # weights are halves
+    np.testing.assert_allclose(np.reshape(played["scales"], (-1, 3)), pose.scales, rtol=1e-4)
+    same = np.abs((np.reshape(played["quaternions"], (-1, 4)) * pose.quaternions).sum(axis=1))
+    np.testing.assert_allclose(same, 1, atol=1e-5)
+
+
 def test_what_carries_nothing_is_left_out(splat: AnimatedSplat) -> None:
     compact = without_idle_vertices(splat)
     assert len(compact.coefficients) == len(compact.binding.vertices) == len(np.unique(compact.binding.triangles))
@@ -129,8 +155,6 @@ def changed(splat: AnimatedSplat, name: str, value: np.ndarray | None, **metadat
     content = stream.getvalue()
     tensors = dict(load(content))
     length = int.from_bytes(content[:8], "little")
-    import json
-
     header = json.loads(content[8 : 8 + length])["__metadata__"] | metadata
     if value is None:
         tensors.pop(name, None)

@@ -6,7 +6,6 @@ import { length, text } from "./texts.js";
 /** Metres in what a file may count in. */
 const UNITS_M = { m: 1, cm: 0.01, mm: 0.001, in: 0.0254, ft: 0.3048 };
 const USUAL_M = [0.1, 120]; // of plants
-
 const TIMES = [10, 100, 1000]; // what was made too small was converted once too often
 
 /** Heights of a tree of `height_m` that was read with `scale` metres a unit, were it of other units: `{ unit, height_m }`. */
