@@ -19,7 +19,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.photo_cameras import PhotoCamera
-from dynamictree.reconstruct.plant_proposal import Proposal, propose
+from dynamictree.reconstruct.plant_proposal import Proposal, all_of, propose
 from dynamictree.reconstruct.scribbles import marked
 
 _NEIGHBOURS = 10
@@ -42,10 +42,12 @@ def plant_of(
     views: list[PhotoCamera],
     scribbles: Sequence[Scribble] = (),
     *,
+    masked: bool = False,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Bool[np.ndarray, " G"]:
     """Which Gaussians are the plant: by strokes, and by what the photos circle and the ground is.
 
+    With `masked`, masks have said what the plant is: all that was learned is, where no stroke says otherwise.
     `on_progress` gets the share that is done, between strokes and between rounds of the cut; what it raises passes
     through.
 
@@ -53,7 +55,9 @@ def plant_of(
         InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
     """
     on_progress(0.0)
-    proposal = propose(cloud, views)
+    if masked and not scribbles:
+        return np.ones(cloud.num_gaussians, np.bool_)
+    proposal = all_of(cloud) if masked else propose(cloud, views)
     strokes = marked(cloud, views, scribbles, on_stroke=lambda done: on_progress(0.2 + 0.2 * done / len(scribbles)))
     rows = np.flatnonzero(proposal.near | (strokes != 0))
     some = Proposal(near=proposal.near[rows], background=proposal.background[rows], central=proposal.central[rows])

@@ -13,8 +13,8 @@ from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
+from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
 from dynamictree.reconstruct.cut import of_the_mesh
-from dynamictree.reconstruct.cut_mesh import mesh_of_plant
 from dynamictree.reconstruct.floaters import faint_floaters
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
@@ -90,12 +90,17 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
         return replace(finished, own=of_the_mesh(scene, finished.mesh, radius=radius_m))
     own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene, *choice.box_m)
     if choice.scribbles or choice.only_plant:
+        masked = bool(finished.report.get("held_out_masked_psnr_db"))
         own &= plant_of(
-            scene, finished.cameras, choice.scribbles or (), on_progress=lambda share: on_progress(0.6 * share)
+            scene,
+            finished.cameras,
+            choice.scribbles or (),
+            masked=masked,
+            on_progress=lambda share: on_progress(0.6 * share),
         )
         _require_plant(own)
         on_progress(0.6)
-        if not finished.report.get("held_out_masked_psnr_db"):  # masks leave no fog, but twigs that look like it
+        if not masked:  # masks leave no fog, but twigs that look like it
             own &= ~faint_floaters(scene, own)
         on_progress(0.8)
     mesh = mesh_of_plant(scene, own, finished.mesh, radius_m)

@@ -187,5 +187,14 @@ def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path: Path) -> None
         recut(folder, folder, CutParams(only_plant=True))
         with (folder / "splat.ply").open("rb") as stream:
             left[name] = read_gaussian_ply(stream).num_gaussians
-    assert left["masked"] == plant_of(scene, list(planted.views)).sum()
+    assert left["masked"] == scene.num_gaussians
     assert left["whole"] < left["masked"]
+
+
+def test_of_what_masks_show_a_stroke_takes_the_pot() -> None:
+    planted = potted()
+    held = planted.owner <= 1  # the plant and its pot
+    scene, owner = planted.scene.subset(held), planted.owner[held]
+    own = plant_of(scene, list(planted.views), (stroke_across(planted, 1),), masked=True)
+    assert own[owner == 0].mean() > 0.98
+    assert own[owner == 1].mean() < 0.1

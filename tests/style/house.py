@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 34_710,
+    "lines in dynamictree": 34_331,
     "lines in lab": 6_350,
     "lines in service, jobs and worker": 15_245,
-    "lines in tests": 40_690,
-    "names bound to numbers in dynamictree": 785,
-    "functions of dynamictree with more than 6 arguments": 7,
+    "lines in tests": 40_584,
+    "names bound to numbers in dynamictree": 775,
+    "functions of dynamictree with more than 6 arguments": 6,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
 }
