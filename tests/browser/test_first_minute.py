@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import expect
 
 from dynamictree.formats.mesh.ply_writer import write_ply
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, web_server
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, web_server
 from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -91,10 +91,12 @@ def test_a_doubtful_size_is_mended_by_one_click(view: Open, url: str, tmp_path: 
     expect(page.locator("#doubt")).to_be_hidden()
 
 
-def test_the_model_answers_all_winds_while_the_tree_moves(view: Open, url: str, job_id: str) -> None:
+def test_the_model_answers_all_winds_while_the_tree_moves(view: Open, url: str, tree: Path) -> None:
     viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(url)
+    page, job_id = viewer.page, animated(url, tree, wind={"speed_m_s": 6})
+    with page.expect_response(lambda answer: answer.request.method == "POST" and answer.url.endswith("/v1/jobs")):
+        viewer.open(f"{url}/#job={job_id}")
+    page.locator("#new").click()  # cancels the question, which the next visit asks again
     left: list[str] = []
     page.expose_function("left", lambda state: left.append(str(state)))
     page.goto(f"{url}/#job={job_id}")
@@ -120,7 +122,6 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
     page.goto(f"{url}/#job={job_id}")
     expect(page.locator("#poster")).to_be_visible()
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
-    viewer.picture()
     while not waiting:
         page.wait_for_timeout(100)
     for route in waiting:
@@ -168,5 +169,4 @@ def test_a_kit_for_the_web_stands_on_any_server(view: Open, url: str, job_id: st
         alone.page.goto(f"{origin}/folder/")
         alone.page.wait_for_selector(MOVING, state="attached")
         alone.wait_frames(4)
-        alone.picture()
     assert viewer.complaints == alone.complaints == []

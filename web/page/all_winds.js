@@ -17,6 +17,7 @@ export async function bandsOf(client, { asset_id, preset, seed, params, result }
   const request = { type: "diffuse", asset_id, preset, seed, priority: "low" };
   request.params = { ...Object.fromEntries(given), wind_bands: true };
   let job = await client.createJob(request, { key: `winds-${result.spectrum_id}`, signal });
+  if (job.state === "canceled") job = await client.retry(job.id); // who asked before has left
   signal.addEventListener("abort", () => hasEnded(job) || client.cancel(job.id).catch(() => {}));
   for await (job of client.watch(job.id, { signal }));
   return (await client.spectrum(job.result.spectrum_id)).wind_bands;

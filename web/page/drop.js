@@ -5,9 +5,7 @@ import { $ } from "./dom.js";
 /** `onFiles(files)`: `File`s with `path` where they lie in a folder. `onProblem(error)` where a folder cannot be read. */
 export function watchDrops({ onFiles, onProblem }) {
   let depth = 0;
-  const showVeil = (visible) => {
-    $("veil").hidden = !visible;
-  };
+  const showVeil = (visible) => Object.assign($("veil"), { hidden: !visible });
   addEventListener("dragenter", (event) => {
     event.preventDefault();
     if (event.dataTransfer?.types.includes("Files")) showVeil(++depth > 0);
