@@ -1,20 +1,36 @@
 import sys
-from collections.abc import Callable
 from pathlib import Path
+from subprocess import CompletedProcess
+from typing import Protocol
 
 import pytest
 
 from dynamictree.cli import main
 
 
-@pytest.fixture
-def dynamictree(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """The command line, in this process; gives the exit status."""
+class Run(Protocol):
+    def __call__(self, *arguments: str | float | Path) -> CompletedProcess[str]: ...
 
-    def call(*arguments: str | float | Path) -> int:
-        monkeypatch.setattr(sys, "argv", ["dynamictree", *map(str, arguments)])
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """The command line, in this process."""
+
+    def call(*arguments: str | float | Path) -> CompletedProcess[str]:
+        words = ["dynamictree", *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", words)
         with pytest.raises(SystemExit) as ended:
             main()
-        return int(ended.value.code or 0)
+        return CompletedProcess(words, int(ended.value.code or 0), *capsys.readouterr())
 
     return call
+
+
+def assert_refused(
+    answer: CompletedProcess[str], message: str, leaves: Path | None = None, *, at_once: bool = True
+) -> None:
+    """Exit status 2, nothing left of what was to be written, and one line that says why where nothing had begun."""
+    assert answer.returncode == 2
+    assert message in answer.stderr
+    assert leaves is None or not leaves.exists()
+    assert not at_once or len(answer.stderr.strip().splitlines()) == 1, answer.stderr

@@ -1,8 +1,9 @@
-from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
+
+from tests.commands.conftest import Run, assert_refused
 
 TRIANGLE = b"v 0 0 0\nv 0.02 0 0\nv 0 0 1\nf 1 2 3\n"  # thin: few voxels
 
@@ -14,28 +15,21 @@ def triangle(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_is_described_by_its_bytes(
-    dynamictree: Callable[..., int], triangle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_is_described_by_its_bytes(run: Run, triangle: Path, tmp_path: Path) -> None:
     voxels, spectrum = tmp_path / "a", tmp_path / "b"
-    assert dynamictree("voxelize", triangle, "-o", voxels) == 0
-    assert dynamictree("diffuse", voxels, "-o", spectrum, "--num-steps", 1) == 0
+    assert run("voxelize", triangle, "-o", voxels).returncode == 0
+    assert run("diffuse", voxels, "-o", spectrum, "--num-steps", 1).returncode == 0
     source_line = f"source_sha256: {sha256(TRIANGLE).hexdigest()}"
     for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, source_line)):
-        capsys.readouterr()
-        assert dynamictree("info", path) == 0
-        assert line in capsys.readouterr().out.splitlines()
+        assert line in run("info", path).stdout.splitlines()
 
 
 @pytest.mark.parametrize("name", ["tree.obj", "source/tree.obj"])
-def test_a_folder_stands_for_the_one_shape_in_it(
-    dynamictree: Callable[..., int], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_stands_for_the_one_shape_in_it(run: Run, name: str, tmp_path: Path) -> None:
     for other in ("textures/bark.png", "license.txt", "._tree.obj", "__MACOSX/._tree.obj", name):
         (tmp_path / other).parent.mkdir(exist_ok=True)
         (tmp_path / other).write_bytes(TRIANGLE)
-    assert dynamictree("info", tmp_path) == 0
-    assert "num_faces: 1" in capsys.readouterr().out.splitlines()
+    assert "num_faces: 1" in run("info", tmp_path).stdout.splitlines()
 
 
 @pytest.mark.parametrize(
@@ -47,17 +41,10 @@ def test_a_folder_stands_for_the_one_shape_in_it(
         (("meta.json", "means_l.webp"), "the SOG file is of version 1; 2 is understood"),
     ],
 )
-def test_a_folder_without_one_shape_is_refused(
-    dynamictree: Callable[..., int],
-    names: tuple[str, ...],
-    line: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_folder_without_one_shape_is_refused(run: Run, names: tuple[str, ...], line: str, tmp_path: Path) -> None:
     for name in names:
         (tmp_path / name).write_text('{"means": {}, "quats": {}, "scales": {}}')
-    assert dynamictree("animate", tmp_path, "-o", tmp_path / "out") == 2
-    assert line in capsys.readouterr().err
+    assert_refused(run("animate", tmp_path, "-o", tmp_path / "out"), line, at_once=False)
 
 
 @pytest.mark.parametrize(
@@ -71,15 +58,9 @@ def test_a_folder_without_one_shape_is_refused(
     ],
 )
 def test_what_is_wrong_is_reported(
-    dynamictree: Callable[..., int],
-    triangle: Path,
-    words: str,
-    line: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run: Run, triangle: Path, words: str, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(triangle.parent)
     Path("x.voxels.safetensors").write_bytes(TRIANGLE)
-    assert dynamictree(*words.split()) == 2
-    assert line in capsys.readouterr().err
+    assert_refused(run(*words.split()), line, at_once=False)
     assert sorted(path.name for path in Path().iterdir()) == ["triangle.obj", "x.voxels.safetensors"]

@@ -14,6 +14,7 @@ from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.requests import Reading
 from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.commands.conftest import assert_refused
 
 
 @pytest.fixture(scope="module")
@@ -28,23 +29,17 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def interact(dynamictree, folder):
-    return partial(dynamictree, "interact", folder / "tree.spectrum.safetensors")
+def interact(run, folder):
+    return partial(run, "interact", folder / "tree.spectrum.safetensors")
 
 
 @pytest.mark.parametrize("warp", [[], ["--warp", "--locality", "none"]])
-def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path, folder, warp):
-    code = interact("-o", tmp_path, "--mesh", folder / "tree.obj", "--format", "modal,motion,ply",
+def test_a_push_writes_coordinates_and_a_moving_mesh(interact, tmp_path, folder, warp):
+    answer = interact("-o", tmp_path, "--mesh", folder / "tree.obj", "--format", "modal,motion,ply",
         "--displacement", -0.5, 0, 0, "--up-axis", "+Z", "--held", "--duration", 0.1, "--frames", 12, "--json", *warp,
     )  # fmt: skip
-    facts = json.loads(capsys.readouterr().out)
-    assert code == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "frames-ply.zip",
-        "modal.safetensors",
-        "motion.safetensors",
-    ]
-    assert facts["num_frames"] == 12
+    assert json.loads(answer.stdout)["num_frames"] == 12
+    assert {path.name for path in tmp_path.iterdir()} == {"frames-ply.zip", "modal.safetensors", "motion.safetensors"}
     assert load_file(tmp_path / "modal.safetensors")["q"].shape == (1, 12, 16, 2)
     with (tmp_path / "motion.safetensors").open("rb") as stream:
         motion = read_motion(stream)
@@ -65,27 +60,20 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path,
         ([], "nothing pushes"),
         (["--impulse", 1, 0, 0, "--format", "glb"], "no format 'glb'"),
         (["--impulse", 1, 0, 0, "--format", "motion"], "--mesh"),
-        (
-            ["--impulse", 1, 0, 0, "--integrator", "verlet"],
-            "--integrator is 'verlet': it should be 'exact', 'symp",
-        ),
+        (["--impulse", 1, 0, 0, "--integrator", "verlet"], "--integrator is 'verlet': it should be 'exact'"),
         (["--impulse", 1, 0, 0, "--integrator", "explicit-euler"], "diverges"),
         (["--impulse", 1, 0, 0, "--point", 99, 0, 0], "outside of the tree"),
         (["--impulse", 1, 0, 0, "--point", 0, 0, 0, "--voxel", 3], "given twice"),
         (["--impulse", 1, 0, 0, "--mesh", "nowhere.obj", "--format", "ply"], "cannot be read"),
     ],
 )
-def test_what_cannot_be_done_is_one_line_and_leaves_nothing(interact, capsys, tmp_path, folder, arguments, words):
-    assert interact("-o", tmp_path / "out", *arguments) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(interact, tmp_path, arguments, words):
+    assert_refused(interact("-o", tmp_path / "out", *arguments), words, tmp_path / "out")
 
 
-def test_every_kind_of_push_and_place_is_taken(interact, capsys, tmp_path, folder):
-    code = interact("-o", tmp_path, "--impulse", 1, 0, 0, "--force", 0, 5, 0, "--wind", 4, 0, 0,
+def test_every_kind_of_push_and_place_is_taken(interact, tmp_path):
+    answer = interact("-o", tmp_path, "--impulse", 1, 0, 0, "--force", 0, 5, 0, "--wind", 4, 0, 0,
         "--voxel", 400, "--radius", 1.0, "--frames", 3, "--locality", "none",
     )  # fmt: skip
-    assert code == 0
-    assert "groups: 1" in capsys.readouterr().out
+    assert answer.returncode == 0
+    assert "groups: 1" in answer.stdout

@@ -6,32 +6,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
 import typer
 from safetensors.numpy import load_file
 
-from dynamictree.cli import app, main
-
-
-class Run(Protocol):
-    def __call__(self, *arguments: str | float | Path) -> subprocess.CompletedProcess[str]: ...
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command in this process."""
-
-    def call(*arguments: str | float | Path) -> subprocess.CompletedProcess[str]:
-        words = ["dynamictree", *map(str, arguments)]
-        monkeypatch.setattr(sys, "argv", words)
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return subprocess.CompletedProcess(words, int(ended.value.code or 0), *capsys.readouterr())
-
-    return call
+from dynamictree.cli import app
+from tests.commands.conftest import Run, assert_refused
+from tests.service.test_clouds import BAD_CLOUDS
 
 
 def test_every_command_has_a_name_and_every_option_has_help() -> None:
@@ -91,18 +75,14 @@ def test_voxelize_then_info_tells_what_was_written(run: Run, tree: Path, tmp_pat
         ("tree.obj", b"v 0 0 0\nv 1 0 0\n", "no faces"),
         ("tree.glb", b"glTF\x02\x00\x00\x00\xff\xff\x00\x00", "truncated"),
         ("tree.doc", b"hello", "doc"),
+        *((name, content, message) for name, content, _, message in BAD_CLOUDS.values()),
     ],
 )
-def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
+def test_bad_input_is_one_line_and_leaves_nothing(
     run: Run, tmp_path: Path, name: str, content: bytes, message: str
 ) -> None:
-    source, output = tmp_path / name, tmp_path / "out"
-    source.write_bytes(content)
-    answer = run("animate", source, "-o", output)
-    assert answer.returncode == 2
-    assert len(answer.stderr.strip().splitlines()) == 1
-    assert message in answer.stderr
-    assert not output.exists()
+    (tmp_path / name).write_bytes(content)
+    assert_refused(run("animate", tmp_path / name, "-o", tmp_path / "out"), message, tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -114,23 +94,17 @@ def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
         (["--box", "1,2"], "--box is '1,2': six numbers are needed"),
         (["--resolution", "32"], "--resolution is 32: it should be 128, 256 or 512"),
         (["--up-axis", "up"], "--up-axis is 'up'"),
+        (["--share", "0"], "--share is 0"),
     ],
 )
 def test_a_value_out_of_range_is_one_line_that_names_the_option(run: Run, arguments: list[str], message: str) -> None:
-    answer = run("animate", "no-such.obj", "-o", "no-such-folder", *arguments)
-    assert answer.returncode == 2
-    assert len(answer.stderr.strip().splitlines()) == 1
-    assert message in answer.stderr
+    assert_refused(run("animate", "no-such.obj", "-o", "no-such-folder", *arguments), message)
 
 
 def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(run: Run, tree: Path, tmp_path: Path) -> None:
-    answer = run("animate", tree, "-o", tmp_path / "out", "--frames", "90")
-    assert answer.returncode == 2
-    assert "100" in answer.stderr
-    assert not (tmp_path / "out").exists()
+    answer = run("animate", tree, "-o", tmp_path / "out", "--frames", "90", "--num-steps", "1")
+    assert_refused(answer, "100 frames make a loop", tmp_path / "out", at_once=False)
 
 
 def test_a_missing_file_is_named(run: Run, tmp_path: Path) -> None:
-    answer = run("info", tmp_path / "none.obj")
-    assert answer.returncode == 2
-    assert "none.obj" in answer.stderr
+    assert_refused(run("info", tmp_path / "none.obj"), "none.obj")
