@@ -106,8 +106,7 @@ def in_pot(pot: Pot, points: Points) -> Bool[np.ndarray, " P"]:
     saucer = (share < saucer_size[0]) & (height < pot.low + saucer_size[1] * (pot.soil - pot.low))
     below = (share < outside) & (height < pot.soil)
     rim = (share < outside) & (share > _INSIDE) & (height < pot.rim)
-    inside: Bool[np.ndarray, " P"] = saucer | below | rim
-    return inside
+    return np.asarray(saucer | below | rim)
 
 
 def _polar(

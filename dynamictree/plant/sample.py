@@ -24,8 +24,7 @@ def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, In
     u, v = (np.arange(len(face)) * step % 1 for step in steps)
     root = np.sqrt(u)
     weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-    points: Points = np.einsum("pi,pic->pc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64))
-    return points, face
+    return np.einsum("pi,pic->pc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64)), face
 
 
 def face_normals(mesh: Surface) -> Float64[np.ndarray, "F 3"]:
@@ -36,5 +35,4 @@ def face_normals(mesh: Surface) -> Float64[np.ndarray, "F 3"]:
 
 def face_areas(mesh: Surface) -> Float64[np.ndarray, " F"]:
     """Area of each face [m²]."""
-    areas: Float64[np.ndarray, " F"] = np.linalg.norm(face_normals(mesh), axis=1) / 2
-    return areas
+    return np.asarray(np.linalg.norm(face_normals(mesh), axis=1) / 2)

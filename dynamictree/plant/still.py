@@ -7,8 +7,8 @@ cloud that touch. A thing stands still that
 - lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
 - is a vessel: it stands at the bottom, is wide all the way up, and either holds named soil, or what rises out of it or
   stands on it is narrower there and just above: a trunk below a crown is no pot;
-- is a board or rod among others: tables, fences and lattices are four or more long boxes along the same three axes, or
-  round rods along two that cross at right angles.
+- is a board or rod among others: tables, fences and lattices are four or more long boxes along the same three axes,
+  round rods along two that cross at right angles, or something flat on three or more legs.
 
 What is one thing with the plant is separated from it by its points alone: see `ground.py` and `pot.py`.
 """
@@ -62,8 +62,7 @@ class Scene:
 def height_of(points: Points) -> float:
     """Extent along +Z without strays [m]."""
     strays = 0.002  # of the points at each end
-    low, high = np.quantile(points[:, 2], [strays, 1 - strays])
-    return float(high - low)
+    return float(np.ptp(np.quantile(points[:, 2], [strays, 1 - strays])))
 
 
 def flat_and_wide(scene: Scene, gone: Things) -> Things:
@@ -80,8 +79,7 @@ def flat_and_wide(scene: Scene, gone: Things) -> Things:
     middle = (scene.low[:, 2] + scene.high[:, 2]) / 2 - floor
     beneath = (middle < 0.1 * height) & (narrow > wide * height)
     vast = (middle < 0.5 * height) & (narrow > vast_width * height)
-    detected: Things = flat & (beneath | vast)
-    return detected
+    return np.asarray(flat & (beneath | vast))
 
 
 def low_and_apart(scene: Scene, gone: Things, *, slack_m: float = 0.0) -> Things:
@@ -154,8 +152,7 @@ def _width_at(points: Points, level: float, thickness: float) -> float:
     places = points[np.abs(points[:, 2] - level) < thickness / 2, :2]
     if len(places) == 0:
         return 0.0
-    low, high = np.quantile(places, [0.1, 0.9], axis=0)
-    return float((high - low).max())
+    return float(np.ptp(np.quantile(places, [0.1, 0.9], axis=0), axis=0).max())
 
 
 def _wide_all_the_way(points: Points) -> bool:
@@ -186,6 +183,22 @@ def boards(scene: Scene, gone: Things) -> Things:
         alike = [one for one, other in boxes.items() if (np.abs(own @ other.T).max(axis=1) > _SQUARE).all()]
         if len(alike) >= _FEWEST_BOARDS:
             detected[alike] = True
+    return np.asarray(detected | _on_legs(scene, gone))
+
+
+def _on_legs(scene: Scene, gone: Things) -> Things:
+    """Flat things that lie on three or more legs of one height, and the legs."""
+    fewest, low_top, wide, flatness = 3, 0.6, 0.1, 0.2  # legs; the top is lower, and wider, than so many heights
+    detected = np.zeros_like(gone)
+    floor, height = scene.floor_and_height(gone)
+    low, high, near = scene.low, scene.high, FOOT * height
+    narrow = (high - low)[:, :2].min(axis=1)
+    flat = ~gone & (high[:, 2] - low[:, 2] < flatness * narrow) & (narrow > wide * height)
+    for top in np.flatnonzero(flat & (high[:, 2] < floor + low_top * height)):
+        legs = ~gone & (low[:, 2] < floor + near) & (np.abs(high[:, 2] - low[top, 2]) < near)
+        legs &= ((low < high[top] + near) & (high > low[top] - near))[:, :2].all(axis=1) & (narrow < narrow[top] / 2)
+        if legs.sum() >= fewest:
+            detected[[top, *np.flatnonzero(legs)]] = True
     return detected
 
 

@@ -231,6 +231,15 @@ def on_a_table() -> tuple[trimesh.Trimesh, ...]:
     return plant, pot, trimesh.util.concatenate([box((1.2, 0.9, 0.05), (0, 0, -0.325)), *legs])
 
 
+def on_a_stool() -> tuple[trimesh.Trimesh, ...]:
+    """A plant in a pot on a round stool with three legs that stand aslant: no two boxes or rods along one axis."""
+    plant, pot = potted()
+    way = [(np.cos(angle), np.sin(angle)) for angle in (0, 2.1, 4.2)]
+    legs = [rod((0.2 * x, 0.2 * y, -0.35), (0.25 * x, 0.25 * y, -1.0), 0.02) for x, y in way]
+    seat = trimesh.creation.cylinder(0.3, 0.05).apply_translation((0, 0, -0.35))
+    return plant, pot, trimesh.util.concatenate([seat, *legs])
+
+
 def shrunk(species: str) -> trimesh.Trimesh:
     """In a cube of side 1, as AI tools give meshes."""
     mesh = grown(species).copy()
@@ -336,6 +345,11 @@ KINDS = {
         file_type="glb",
         content=lambda: exported(*on_a_table()),
         is_right=lambda stated: stated["still"] == faces_of(*on_a_table()[1:]),
+    ),
+    "pot on a stool": Kind(
+        file_type="glb",
+        content=lambda: exported(*on_a_stool()),
+        is_right=lambda stated: stated["still"] == faces_of(*on_a_stool()[1:]),
     ),
     "ground disc": Kind(
         file_type="glb",

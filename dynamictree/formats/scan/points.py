@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Float64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.origin import near_origin
 from dynamictree.formats.ply_table import read_elements, read_header
-from dynamictree.formats.scan.shading import shaded_colors
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import harmonic_from_color
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
@@ -137,10 +137,7 @@ def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     distances = np.asarray(KDTree(points).query(points, num_neighbours + 1, workers=-1)[0])  # [G, 1 + neighbours]
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
     typical = np.median(spacing[spacing > 0]) if (spacing > 0).any() else np.ptp(points, axis=0).max()
-    result: Float32[np.ndarray, " G"] = (0.5 * np.clip(spacing, 0.1 * typical, largest_spacing * typical)).astype(
-        np.float32
-    )
-    return result
+    return np.asarray(0.5 * np.clip(spacing, 0.1 * typical, largest_spacing * typical), np.float32)
 
 
 def _byte_color(values: Shaped[np.ndarray, "G 3"]) -> UInt8[np.ndarray, "G 3"]:
@@ -150,5 +147,34 @@ def _byte_color(values: Shaped[np.ndarray, "G 3"]) -> UInt8[np.ndarray, "G 3"]:
         values = values * 255.0
     elif largest > 255:
         values = values / 257.0
-    result: UInt8[np.ndarray, "G 3"] = np.clip(np.nan_to_num(values), 0, 255).astype(np.uint8)
-    return result
+    return np.asarray(np.clip(np.nan_to_num(values), 0, 255), np.uint8)
+
+
+def shaded_colors(points: Float64[np.ndarray, "G 3"], *, spacing: float) -> UInt8[np.ndarray, "G 3"]:
+    """A grey per point, sRGB: facing the sun it is bright; below, behind and inside others it is dark.
+
+    +Z is up; `spacing` is the usual distance of neighbours, in the points' unit.
+    """
+    grey = (150, 162, 128)  # sRGB of a point in full light
+    cells = 160  # along the cloud's longest side
+    most_cells = 6_000_000  # of the grid
+    least_spacings = 2.0  # wide is a cell: the surface then is closed
+    blur = 1.0  # cells
+    sun = np.array([-0.45, -0.55, 0.70])  # from where the previews have it
+    darkest = 0.42
+    deep = 12.0  # cells of points above, that halve the light
+    low = points.min(axis=0)
+    extent = np.ptp(points, axis=0)
+    size = max(float(extent.max()) / cells, least_spacings * spacing)
+    size = max(size, float((np.prod(np.maximum(extent, 1e-12)) / most_cells) ** (1 / 3)))
+    place = np.floor((points - low) / size).astype(np.int64) + 2  # two empty cells at every side
+    shape = tuple(int(side) for side in place.max(axis=0) + 3)
+    key = np.ravel_multi_index(tuple(place.T), shape)
+    filled = np.bincount(key, minlength=int(np.prod(shape))).reshape(shape) > 0
+    density = scipy.ndimage.gaussian_filter(filled.astype(np.float32), blur)
+    outward = -np.stack([side.ravel()[key] for side in np.gradient(density)], axis=1)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
+    facing = 0.5 + 0.5 * outward @ (sun / np.linalg.norm(sun))
+    above = np.cumsum(filled[:, :, ::-1], axis=2, dtype=np.int32)[:, :, ::-1].ravel()[key] - 1
+    light = (darkest + (1 - darkest) * facing) * (0.75 + 0.25 * 0.5 ** (above / deep))
+    return np.asarray(np.round(light[:, None] * grey).clip(0, 255), np.uint8)
