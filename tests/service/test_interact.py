@@ -291,10 +291,11 @@ def test_gaussians_of_a_mesh_are_refused(client: TestClient, spectrum_id: str, p
 def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
     client: TestClient, spectrum_id: str, services: Services, poke: dict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2).status_code == 200
+    few = {"accept": "*/*", "num_frames": 2, "warp": True}
+    assert post(client, spectrum_id, poke, output="vertices", **few).status_code == 200
     delete_asset(services.store, ASSET_ID)
-    refusal(post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2), 410, "expired")
-    assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=2).status_code == 200
+    refusal(post(client, spectrum_id, poke, output="vertices", **few), 410, "expired")
+    assert post(client, spectrum_id, poke, output="voxels", **few).status_code == 200
     now = services.store.clock()
     monkeypatch.setattr(services.store, "clock", lambda: now + 10_000)
     refusal(post(client, spectrum_id, poke), 410, "expired")

@@ -25,6 +25,8 @@ def append(client: TestClient, url: str, offset: int, content: bytes, **headers:
 
 
 def whole(client: TestClient, content: bytes, **values: str) -> str:
-    url = begin(client, len(content), **values)
-    assert append(client, url, 0, content).status_code == 204
-    return url.rpartition("/")[2]
+    """An upload in one request, as `creation-with-upload` has it."""
+    sent = BYTES | {"Upload-Length": str(len(content)), "Upload-Metadata": metadata(**values)}
+    response = client.post("/v1/uploads", headers=sent, content=content)
+    assert (response.status_code, response.headers["Upload-Offset"]) == (201, str(len(content))), response.text
+    return str(response.headers["Location"]).rpartition("/")[2]
