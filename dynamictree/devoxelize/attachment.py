@@ -9,7 +9,6 @@ nothing.
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
@@ -64,13 +63,6 @@ class Attachments:
 
     def __len__(self) -> int:
         return len(self.children)
-
-    def differences(self) -> "scipy.sparse.csr_array":
-        """Rows that take the value where a part hangs from the value of its own point there [B + S, N]."""
-        corners = np.concatenate([self.corners, self.seam_corners])
-        values = np.concatenate([self.weights, self.seam_weights]).astype(np.float64) * np.array([[1], [-1]])
-        ends, shape = 6 * np.arange(len(corners) + 1), (len(corners), len(self.part))
-        return scipy.sparse.csr_array((values.ravel(), corners.ravel(), ends), shape=shape)
 
     def closed(self, motion: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "N K 3"]:
         """Shift every attached part so that its gap to the attachment point stays as at rest."""

@@ -72,7 +72,7 @@ def modal_system(
     Args:
         spectrum: K >= 2 bins; the first is the lean and no mode.
         mass_kg: mass that moves [kg], spread evenly over the voxels; by default `MASS_KG_M3` times the height cubed.
-        damping_ratio: ζ, one for all modes or one per mode (see `rayleigh_damping`); by default that of real trees.
+        damping_ratio: ζ, one for all modes or one per mode; by default that of real trees.
         frequency_hz: lowest natural frequency; by default that of real trees. 1 / P gives those of the bins.
         foliage: 0 is bare, 1 in leaf; by default the spectrum's.
 
@@ -124,12 +124,6 @@ def with_physics(
         omega=_natural(system.wind_omega, frequency_hz, system.height_m, foliage),
         foliage=foliage,
     )
-
-
-def rayleigh_damping(omega: Float64[np.ndarray, " M"], *, alpha: float, beta: float) -> Float64[np.ndarray, " M"]:
-    """ζ of each mode where the damping is α times the mass [1/s] plus β times the stiffness [s]."""
-    ratio: Float64[np.ndarray, " M"] = alpha / (2 * omega) + beta * omega / 2
-    return ratio
 
 
 def displacement(

@@ -169,14 +169,11 @@ def print_figures(report: dict[str, Any]) -> None:
         _print_columns(f"{group}: mean over {report['trees'][group]} trees", rows)
     for group, rows in report["frame_distances"].items():
         _print_columns(f"{group}: distances of frames", rows)
-    seeds = report["seed_difference"]
-    typer.echo(f"difference between two seeds {seeds['model']:.2f}, between two true winds {seeds['truth']:.2f}")
     for target in report["targets"]:
         verdict = "met" if target["met"] else f"missed by {target['missed_by']:.3f}"
-        better = ", ".join(target["better_baselines"]) or "none"
         name = target["figure"].replace("_", " ")
         value = f"{target['value']:.3f} (a second true wind {target['floor']:.3f})"
-        typer.echo(f"{name} {target['wanted']}: {value}, {verdict}; better baselines: {better}")
+        typer.echo(f"{name} {target['wanted']}: {value}, {verdict}")
     verdict = "passes" if report["passes"] else "does not pass"
     typer.echo(f"{report['model']} {verdict}: {report['rule']}")
 

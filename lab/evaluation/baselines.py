@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Complex64, Float64, Int32
 
-from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.wind import wind_axes
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.voxelize import SurfaceVoxels
 from lab.dataset.sample import make_sample, voxel_spectrum
 
 NUM_BINS = 20  # of height
@@ -68,16 +65,6 @@ def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
         count += np.bincount(place, minlength=NUM_BINS)
     mean = total / np.maximum(count, 1)[:, None, None]
     return ByHeight(log_size=mean[:, 1:], lean=mean[:, 0])
-
-
-def regression(
-    model: SmallModel, voxels: SurfaceVoxels, wind: Wind, rng: np.random.Generator
-) -> Complex64[np.ndarray, "V K 3"]:
-    """The amplitude network alone: A, and one random phase a frequency and axis."""
-    with torch.no_grad():
-        prepared = model.prepare(voxels, wind)
-    phase = torch.from_numpy(one_phase(prepared.amplitude.shape[1], rng).astype(np.complex64))
-    return prepared.to_metres(prepared.moved(phase.expand(prepared.amplitude.shape)))
 
 
 def one_phase(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:

@@ -18,7 +18,6 @@ from lab.evaluation.metrics import (
     edge_stretch,
     energy_by_frequency,
     log_amplitude_agreement,
-    log_spectral_distance,
     loop_jump,
     phase_agreement,
     root_share,
@@ -33,7 +32,6 @@ class Figures:
 
     log_amplitude_correlation: float
     log_amplitude_rmse: float
-    log_spectral_distance: float
     centroid_correlation: float
     roughness_ratio: float
     smoothness_loss_ratio: float  # L_LSS of the voxels' means
@@ -90,7 +88,6 @@ def figures_of(guess: Complex64[np.ndarray, "N K 3"], reference: TreeReference) 
     return Figures(
         log_amplitude_correlation=correlation,
         log_amplitude_rmse=rmse,
-        log_spectral_distance=log_spectral_distance(guess, tree.truth, height_m),
         centroid_correlation=centroid_correlation(guess, tree.truth),
         roughness_ratio=roughness(guess, edges) / roughness(tree.truth, edges),
         smoothness_loss_ratio=reference.smoothness(guess) / reference.smoothness(tree.truth),

@@ -31,14 +31,6 @@ def log_amplitude_agreement(
     return float(np.corrcoef(left, right)[0, 1]), float(rmse)
 
 
-def log_spectral_distance(
-    guess: Complex64[np.ndarray, "N K 3"], truth: Complex64[np.ndarray, "N K 3"], height_m: float
-) -> float:
-    """Mean over vertices of the RMS over k ≥ 1 of the difference of ln |c_k|."""
-    logs = [np.log(np.linalg.norm(one[:, 1:], axis=2) + FLOOR * height_m) for one in (guess, truth)]
-    return float(np.sqrt(((logs[0] - logs[1]) ** 2).mean(axis=1)).mean())
-
-
 def centroid(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float64[np.ndarray, " N"]:
     """Mean bin of each vertex's motion, weighted by its energy: Σ k |c_k|² / Σ |c_k|²."""
     power = (np.abs(coefficients[:, 1:].astype(np.complex128)) ** 2).sum(axis=2)
@@ -136,9 +128,3 @@ def downwind_lean(
     angle = np.deg2rad(direction_deg)
     lean = coefficients[upper, 0].real @ np.array([np.cos(angle), np.sin(angle), 0])
     return float(lean.mean() / height)
-
-
-def relative_difference(one: Complex64[np.ndarray, "N K 3"], other: Complex64[np.ndarray, "N K 3"]) -> float:
-    """|one − other| over the mean of their sizes, k ≥ 1; √2 where they have nothing in common."""
-    sizes = np.sqrt((np.abs(one[:, 1:]) ** 2).sum() * (np.abs(other[:, 1:]) ** 2).sum())
-    return float(np.sqrt((np.abs(one[:, 1:] - other[:, 1:]) ** 2).sum() / sizes))

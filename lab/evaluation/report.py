@@ -12,7 +12,6 @@ from jaxtyping import Complex64, Float64
 
 from dynamictree.method import devoxelize
 from dynamictree.models import MotionModel, load_model
-from dynamictree.models.small.generate import SmallModel
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sample import is_training_seed
@@ -20,14 +19,13 @@ from lab.evaluation.baselines import (
     ByHeight,
     TrainingTree,
     fit_by_height,
-    regression,
     training_tree,
 )
 from lab.evaluation.clip import ClipEmbedder
 from lab.evaluation.figures import TreeReference, figures_of
 from lab.evaluation.frame_distances import distance_error, motion_distances
 from lab.evaluation.held_out_trees import Group, HeldOutTree, iter_held_out, iter_sapling
-from lab.evaluation.metrics import energy_by_frequency, relative_difference
+from lab.evaluation.metrics import energy_by_frequency
 from lab.evaluation.targets import RULE, passes, targets_of
 from lab.training.progress import OnStep
 
@@ -37,11 +35,10 @@ DRAWN_METHODS = ("truth", "model", "by-height mean", "second wind")
 
 @dataclass(frozen=True, kw_only=True)
 class Methods:
-    """The model and the fitted baselines."""
+    """The model and the fitted baseline."""
 
     model: MotionModel
     by_height: ByHeight
-    training_trees: Sequence[TrainingTree]
 
 
 def iter_motions(
@@ -50,7 +47,6 @@ def iter_motions(
     """Each method's motion of the tree's vertices [m].
 
     - model
-    - regression: the small model's amplitudes with one random phase per frequency
     - by-height mean: geometric mean of the training trees by height
     - representation: the true motion, voxelized and back
     - second wind: the true motion of the same tree in other gusts, which is what chance makes; only of grown trees
@@ -63,8 +59,6 @@ def iter_motions(
 
     generated = generate_for(tree, model, seed=seed, num_steps=num_steps)
     yield "model", devoxelize(generated, tree.mesh)
-    if isinstance(model, SmallModel):
-        yield "regression", on_vertices(regression(model, tree.voxels, tree.wind, rng))
     yield "by-height mean", on_vertices(methods.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
     yield "representation", on_vertices(reference.on_voxels(tree.truth))
     if tree.second is not None:
@@ -78,14 +72,6 @@ def generate_for(
     fits = tree.voxels.grid.resolution == model.resolution
     voxels = tree.voxels if fits else voxelize(tree.mesh, model.resolution)
     return model.generate(voxels, wind=tree.wind, seed=seed, num_steps=num_steps)
-
-
-def seed_difference(tree: HeldOutTree, model: MotionModel, num_steps: int | None) -> tuple[float, float] | None:
-    """Relative difference of two seeds, and of two true winds if known; √2 where they have nothing in common."""
-    if tree.second is None:
-        return None
-    first, second = (generate_for(tree, model, seed=seed, num_steps=num_steps).coefficients for seed in (0, 1))
-    return relative_difference(first, second), relative_difference(tree.truth, tree.second)
 
 
 def evaluate_model(
@@ -114,22 +100,20 @@ def evaluate_model(
         on_step: called with the group, the trees done, their number, and 0.
     """
     model = load_model(name)
-    trees = training_trees(num_training, first_seed, on_step)
-    methods = Methods(model=model, by_height=fit_by_height(trees), training_trees=trees)
+    by_height = fit_by_height(training_trees(num_training, first_seed, on_step))
+    methods = Methods(model=model, by_height=by_height)
     begun = time.process_time()
     reports = {
         group: evaluate_group(own, methods, seed=seed, num_steps=num_steps, embedder=embedder, on_step=on_step)
         for group in get_args(Group)
         if (own := trees_of_group(group, num_trees, sapling)).count
     }
-    between = np.mean([one.seed_difference for one in reports.values() if one.seed_difference is not None], axis=0)
     return {
         "model": model.name,
         "trees": {group: one.count for group, one in reports.items()},
         "groups": {group: one.figures for group, one in reports.items()},
         "energy_by_frequency": {group: one.energies for group, one in reports.items()},
         "frame_distances": {group: one.frame_distances for group, one in reports.items() if one.frame_distances},
-        "seed_difference": {"model": float(between[0]), "truth": float(between[1])},
         "targets": targets_of(reports["unseen-species"].figures),
         "rule": RULE,
         "passes": all(passes(one.figures) for group, one in reports.items() if group != "sapling"),
@@ -145,7 +129,6 @@ class GroupReport:
     figures: dict[str, dict[str, float]]
     energies: dict[str, list[float]]
     frame_distances: dict[str, dict[str, float]]
-    seed_difference: tuple[float, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +153,6 @@ def evaluate_group(
     rows: dict[str, list[dict[str, float]]] = {}
     drawn: dict[str, list[dict[str, float]]] = {}
     shares: dict[str, list[Float64[np.ndarray, " J"]]] = {}
-    difference = None
     for index, tree in enumerate(group.trees):
         reference = TreeReference.of(tree)
         true_distances = (0.0, 0.0)
@@ -184,15 +166,12 @@ def evaluate_group(
                 true_distances = seen if method == "truth" else true_distances
                 error = distance_error(seen, true_distances)
                 drawn.setdefault(method, []).append({"clip_i": seen[0], "clip_t": seen[1], "clip_error": error})
-        if index == 0:
-            difference = seed_difference(tree, methods.model, num_steps)
         on_step(group.group, index + 1, group.count, 0.0)
     return GroupReport(
         count=group.count,
         figures={method: mean_of(of_method) for method, of_method in rows.items()},
         energies={method: np.mean(one, axis=0).round(5).tolist() for method, one in shares.items()},
         frame_distances={method: mean_of(of_method) for method, of_method in drawn.items()},
-        seed_difference=difference,
     )
 
 

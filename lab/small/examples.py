@@ -13,7 +13,7 @@ from dynamictree.errors import InputError
 from dynamictree.models.small.features import TreeFeatures, tree_features
 from dynamictree.models.wind import wind_axes
 from dynamictree.spectrum import Wind
-from dynamictree.voxel.voxelize import surface_moments
+from dynamictree.voxel.voxelize import SurfaceVoxels, surface_moments
 from lab.dataset.sample import make_sample, voxel_spectrum
 from lab.dataset.shards import StoredTree, iter_shard
 
@@ -47,10 +47,16 @@ def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[S
 
 def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = True) -> Example:
     """Convert a tree of a shard; `with_mesh=False` treats it as voxels without moments."""
-    voxels, coefficients = stored.voxels(resolution), stored.spectrum(resolution).coefficients
-    tree = tree_features(replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid)) if with_mesh else voxels)
+    coefficients = stored.spectrum(resolution).coefficients
+    tree = tree_features(voxels_of(stored, resolution) if with_mesh else stored.voxels(resolution))
     turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
     return Example(tree=tree, wind=stored.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
+
+
+def voxels_of(stored: StoredTree, resolution: int = 128) -> SurfaceVoxels:
+    """Voxels of a tree of a shard, with the moments of the surface in them."""
+    voxels = stored.voxels(resolution)
+    return replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid))
 
 
 def make_example(seed: int, resolution: int = 128) -> Example:

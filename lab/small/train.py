@@ -18,6 +18,7 @@ from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
 from lab.small.examples import example_of, iter_training
+from lab.small.spread import measure_field, measure_spread
 from lab.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
 from lab.small.training_steps import (
     AmplitudeRows,
@@ -174,8 +175,10 @@ def _train_denoiser(
             network.get_buffer(name).copy_(before[name])
         return
     first = plan.foliage_trees + plan.amplitude_trees
-    measured = map(example_of, iter_training(shards, first=first, count=min(NUM_MEASURED, plan.denoiser_trees)))
-    deviation = measure(network, measured, np.random.default_rng(plan.denoiser.seed))
+    num_measured = min(NUM_MEASURED, plan.denoiser_trees)
+    measured = map(example_of, iter_training(shards, first=first, count=num_measured))
+    rng = np.random.default_rng(plan.denoiser.seed)
+    deviation = measure(network, measured, rng)
     options = plan.denoiser
     if plan.denoiser_from is not None:
         load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
@@ -189,6 +192,9 @@ def _train_denoiser(
         for step, loss in trainer.run(lambda rng: denoising_step(network, white, rng), checkpoint):
             _tell(on_step, "denoiser", step, plan.denoiser.schedule.num_steps, loss)
     network.denoiser.load_state_dict(trainer.average.state_dict())
+    trees = iter_training(shards, first=first, count=plan.denoiser_trees)
+    measure_spread(network, amplitude_rows(network.foliage, map(example_of, trees), rng))
+    measure_field(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
 
 
 def _tell(on_step: OnStep | None, part: str, done: int, total: int, loss: float) -> None:

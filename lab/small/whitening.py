@@ -10,9 +10,8 @@ from scipy.optimize import nnls
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, field_matrices, leaf_noise, noise_basis
-from dynamictree.models.small.features import NUM_WIND, TreeFeatures, coarsen_features, wind_vector
+from dynamictree.models.small.features import TreeFeatures, coarsen_features, wind_vector
 from dynamictree.models.small.leaf_swing import bases_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
@@ -26,7 +25,7 @@ WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
 RESIDUAL_SHARE = 0.1
 """Of the variance below the nodes: all of it makes touching voxels differ 1.8 to 2.1 times as much as they do."""
-MEASURED = ("node_scale", "residual_share", "noise_shares", "energy_gain")
+MEASURED = ("node_scale", "residual_share", "noise_shares", "energy_gain", "spread")
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
 
@@ -46,24 +45,24 @@ class WhiteExample:
 @torch.no_grad()
 def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
     """C / A at every voxel for k >= 1, and ln A."""
-    _, log_amplitude = network.amplitude_of(example.tree, wind_vector([example.wind]))
+    _, log_amplitude = network.amplitude.of_tree(
+        example.tree, network.foliage(example.tree), wind_vector([example.wind])
+    )
     return example.spectrum[:, 1:] * (-log_amplitude).exp(), log_amplitude
 
 
 @torch.no_grad()
 def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> Float32[Tensor, "J 3"]:
-    """Set the network's node scale, residual share, noise shares and energy gain; medians over trees.
+    """Set the network's node scale, residual share and noise shares; medians over trees.
 
     Returns:
         Deviation of whitened spectra on the nodes, real and imaginary part each: what the denoiser's are divided by.
     """
     top = network.preset.top
-    nodes, trees, deviations, shares, energy = [], [], [], [], []
+    nodes, trees, deviations, shares = [], [], [], []
     for example in examples:
-        field, log_amplitude = whiten(network, example)
+        field, _ = whiten(network, example)
         grids = example.tree.grids
-        wind = wind_vector([example.wind])[:, :NUM_WIND]
-        energy.append(_energy_ratio(example.spectrum, moving(log_amplitude, wind)))
         pooled = pool_to(field, grids, top)
         lift = sparse_rows(raise_matrix(grids, top, 0))
         lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
@@ -74,7 +73,6 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
         deviations.append((_power(pooled) / 2).sqrt())
         nodes.append(pooled)
         trees.append(coarsen_features(example.tree, top))
-    network.energy_gain.copy_(torch.stack(energy).median(dim=0).values.sqrt())
     node_power, residual_share = torch.stack(shares).median(dim=0).values
     network.node_scale.copy_(node_power.sqrt())
     network.residual_share.copy_(RESIDUAL_SHARE * residual_share)
@@ -88,13 +86,6 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
 def _power(field: Complex64[Tensor, "V J 3"]) -> Float32[Tensor, "J 3"]:
     mean: Tensor = field.abs().square().mean(dim=0)
     return mean
-
-
-def _energy_ratio(spectrum: Complex64[Tensor, "V K 3"], amplitude: Float32[Tensor, "V J 3"]) -> Float32[Tensor, "J 3"]:
-    """Energy of a tree at each frequency and axis, over that of its prediction."""
-    true, guessed = (one.square().sum(dim=0) for one in (spectrum[:, 1:].abs(), amplitude))
-    ratio: Tensor = true / guessed.clamp_min(torch.finfo(torch.float32).tiny)
-    return ratio
 
 
 def _variance_left(

@@ -78,7 +78,8 @@ class SmallModel(MotionModel):
     def _draw(self, prepared: PreparedTree, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Noise on the nodes, which the sampler starts from, and below them."""
         start = prepared.noise.draw(self.network.noise_shares, generator, channels=CHANNELS)
-        return start, prepared.residual_noise(generator)
+        local = torch.randn(prepared.local.num_columns, len(prepared.spread), CHANNELS, generator=generator)
+        return start, local / math.sqrt(2)
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
         """Deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""

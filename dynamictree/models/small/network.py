@@ -1,9 +1,9 @@
 """Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
 
-A spectrum over the height is c = g A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of
-the pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n
-noise of each leaf that stands for what is smaller than a node, ρ² its share. ln A is a mean of logarithms, which lacks
-energy, the more the less sure it is: g gives each frequency and axis its share of the whole again.
+The field of a motion is lift(s u) + ρ n: u has unit variance and lives on the nodes (level `top` of the pyramid, 32³ of
+a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n noise of each leaf
+that stands for what is smaller than a node, ρ² its share. A spectrum has its phases, and sizes spread about A as its
+are (`spread.sized`); the crown as a whole is as large as shape and wind tell, so that more wind moves it further.
 """
 
 from dataclasses import dataclass, field
@@ -15,8 +15,8 @@ from torch import Tensor
 from dynamictree.models.small.amplitude import AmplitudeNetwork
 from dynamictree.models.small.correlated_noise import NUM_SCALES
 from dynamictree.models.small.denoiser import Denoiser, DenoiserShape
-from dynamictree.models.small.features import TreeFeatures
 from dynamictree.models.small.foliage import FoliageNetwork
+from dynamictree.models.small.spread import speed_terms
 from dynamictree.models.weights_file import StorableNetwork
 
 AXES = 3
@@ -40,12 +40,13 @@ class SmallPreset:
 class SmallNetwork(StorableNetwork):
     """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "7", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "8", SmallPreset
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s
     residual_share: Tensor  # [J, 3], ρ²
-    energy_gain: Tensor  # [J, 3], g
+    spread: Tensor  # [3, J, 3], by terms of the speed
+    energy_gain: Tensor  # [J, 3], of what is drawn
 
     def __init__(self, preset: SmallPreset) -> None:
         super().__init__(preset)
@@ -60,10 +61,9 @@ class SmallNetwork(StorableNetwork):
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
         self.register_buffer("node_scale", torch.ones(moving, AXES))
         self.register_buffer("residual_share", torch.zeros(moving, AXES))
+        self.register_buffer("spread", torch.zeros(3, moving, AXES))
         self.register_buffer("energy_gain", torch.ones(moving, AXES))
 
-    def amplitude_of(
-        self, tree: TreeFeatures, wind: Float32[Tensor, "B 4"]
-    ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
-        """Lean and ln A at all voxels, over the height, in the wind's frame."""
-        return self.amplitude.of_tree(tree, self.foliage(tree), wind)
+    def spread_at(self, log_speed: Float32[Tensor, ""]) -> Float32[Tensor, "J 3"]:
+        """Spread of sizes at a speed."""
+        return torch.einsum("t,tjx->jx", speed_terms(log_speed), self.spread).clamp_min(0)

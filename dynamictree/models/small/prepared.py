@@ -1,6 +1,5 @@
 """Deterministic part of sampling, precomputed for one tree and one wind."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +8,7 @@ from jaxtyping import Complex64, Float32
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from dynamictree.diffusion.channels import CHANNELS, unpack_channels
+from dynamictree.diffusion.channels import unpack_channels
 from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, leaf_noise, noise_basis
 from dynamictree.models.small.features import (
@@ -23,15 +22,13 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
+from dynamictree.models.small.spread import log_surplus, sized
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
-
-SOFTNESS = 0.1
-"""ε of `soften`: 0 is phase alone, large is the field as it was drawn. Chosen on validation trees (docs/decisions)."""
 
 MAX_NETWORK_VOXELS = 150_000
 """Voxels that the network reads; a denser tree is generated on a grid twice as coarse, and raised. The dataset's trees
@@ -56,32 +53,25 @@ class PreparedTree:
     neighbourhood: Neighbourhood
     node_log_amplitude: Float32[Tensor, "W J 3"]
     lean: Float32[Tensor, "V 3"]  # over the height
-    amplitude: Float32[Tensor, "V J 3"]  # g A over the height
+    amplitude: Float32[Tensor, "V J 3"]  # root mean square over the height
+    spread: Float32[Tensor, "J 3"]  # of sizes about it
     leaves: Leaves
     lift: SparseRows  # [V, W]
     local: SparseRows  # [V, L], see `leaf_noise`
-    node_scale: Float32[Tensor, "J 3"]
-    residual_share: Float32[Tensor, "J 3"]
+    network: SmallNetwork
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up
     height_m: float
     foliage: float | None  # 0 is bare, 1 in leaf; None where the shape does not tell
     finer: csr_array | None  # from the network's grid to the asked one, where that is finer
 
-    def residual_noise(self, generator: torch.Generator) -> Float32[Tensor, "L J 6"]:
-        """Real and imaginary parts of noise of unit variance, for what the nodes do not hold."""
-        return torch.randn(self.local.num_columns, len(self.node_scale), CHANNELS, generator=generator) / math.sqrt(2)
-
     def assemble(
         self, whitened: Float32[Tensor, "W J 6"], white: Float32[Tensor, "L J 6"]
     ) -> Complex64[Tensor, "V K 3"]:
-        """Lean, and g A · soften(lift(s u) + ρ n), leaves swinging: over the height, in the wind's frame."""
-        scaled = whitened * self.node_scale.repeat(1, 2)
-        field = self.lift.apply(scaled) + self.local.apply(white * self.residual_share.sqrt().repeat(1, 2))
-        return self.moved(soften(unpack_channels(field)))
-
-    def moved(self, field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V K 3"]:
-        """Lean, and g A · field, leaves swinging about their bases."""
-        return self.leaves.swing(torch.cat([self.lean[:, None].to(field.dtype), field * self.amplitude], dim=1))
+        """Lean, and the network's formula, leaves swinging: over the height, in the wind's frame."""
+        scale, share = (one.repeat(1, 2) for one in (self.network.node_scale, self.network.residual_share))
+        field = unpack_channels(self.lift.apply(whitened * scale) + self.local.apply(white * share.sqrt()))
+        moving = sized(field, self.spread) * self.amplitude
+        return self.leaves.swing(torch.cat([self.lean[:, None].to(moving.dtype), moving], dim=1))
 
     def to_metres(self, relative: Complex64[Tensor, "V K 3"]) -> Complex64[np.ndarray, "X K 3"]:
         """Convert to the tree's own frame, on the requested grid [m]."""
@@ -99,16 +89,6 @@ def foliage_of(foliage_values: Float32[Tensor, "V O"]) -> float:
     return min(max((share - low) / (high - low), 0.0), 1.0)
 
 
-def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
-    """Bring the size of each number near 1 and leave its phase: size r becomes r √((1 + ε²) / (r² + ε²)).
-
-    For given shape and wind the size is A, chance has the phase; where the phase turns quickly, size stays small, so
-    that the field remains smooth.
-    """
-    power = field.real.square() + field.imag.square()
-    return field * torch.sqrt((1 + SOFTNESS**2) / (power + SOFTNESS**2))
-
-
 def prepare_tree(
     network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
 ) -> PreparedTree:
@@ -119,6 +99,8 @@ def prepare_tree(
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
     foliage_values = network.foliage(tree)
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
+    spread = network.spread_at(air[0, 0])
+    rms = moving(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
     nodes = coarsen_features(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / FIXED_SHARE).square()).exp()  # [V]
     leaves = leaves_of(coarse.grid, foliage_values, free, axes)
@@ -131,12 +113,12 @@ def prepare_tree(
         neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
-        amplitude=moving(log_amplitude, air[:, :NUM_WIND]) * network.energy_gain * free[:, None, None],
+        amplitude=rms * network.energy_gain * free[:, None, None],
+        spread=spread,
         leaves=leaves,
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
         local=sparse_rows(leaf_noise(tree.grids, leaves.base.numpy(), top)),
-        node_scale=network.node_scale,
-        residual_share=network.residual_share,
+        network=network,
         axes=axes,
         height_m=height_m,
         foliage=None if coarse.moments is None else foliage_of(foliage_values),

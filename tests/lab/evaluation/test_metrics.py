@@ -81,14 +81,3 @@ def test_roots_and_lean_are_shares_of_the_height() -> None:
 def test_a_band_limited_motion_has_no_loop_jump(rng: np.random.Generator) -> None:
     assert metrics.loop_jump(random_motion(rng)) <= 1.2
     assert metrics.loop_jump(motion([1.0], k=1, phase=np.pi / 2)) == pytest.approx(1, abs=0.01)
-
-
-def test_unrelated_motions_differ_by_root_two(rng: np.random.Generator) -> None:
-    one, other = random_motion(rng, 2000), random_motion(rng, 2000)
-    assert metrics.relative_difference(one, one) == 0
-    assert metrics.relative_difference(one, other) == pytest.approx(np.sqrt(2), rel=0.02)
-
-
-def test_log_spectral_distance_of_a_factor_is_its_logarithm(rng: np.random.Generator) -> None:
-    truth = random_motion(rng)
-    assert metrics.log_spectral_distance(truth * np.e, truth, 1.0) == pytest.approx(1, rel=1e-3)

@@ -1,30 +1,36 @@
 """What is measured between the trainings gives the motion what its regression lacks."""
 
 import numpy as np
+import pytest
 import torch
 
-from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NUM_SCALES, noise_basis
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.features import NUM_WIND, coarsen_features, wind_vector
+from dynamictree.models.small.features import coarsen_features
+from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from lab.small.examples import make_example
-from lab.small.whitening import fit_shares, measure
+from lab.dataset.sample import make_sample
+from lab.dataset.shards import store
+from lab.small.examples import example_of, make_example, voxels_of
+from lab.small.spread import measure_field, measure_spread
+from lab.small.training_steps import amplitude_rows
+from lab.small.whitening import fit_shares
 
 
-def test_frequencies_and_axes_get_the_energy_that_the_tree_has() -> None:
+def test_what_is_drawn_has_the_energy_and_the_spread_that_trees_have() -> None:
     torch.manual_seed(0)
     shape = DenoiserShape(width=8, embedding=8, num_blocks=1)
     network = SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)).eval()
-    example = make_example(1)
-    measure(network, [example], np.random.default_rng(0))
-    wind = wind_vector([example.wind])
-    with torch.no_grad():
-        _, log_amplitude = network.amplitude_of(example.tree, wind)
-    before = moving(log_amplitude, wind[:, :NUM_WIND])
-    guessed = (before * network.energy_gain).square().sum(dim=0)
-    true = example.spectrum[:, 1:].abs().square().sum(dim=0)
-    torch.testing.assert_close(guessed, true, rtol=1e-3, atol=0)
+    stored = store(make_sample(1), resolutions=(128,))
+    example = example_of(stored)
+    rows = amplitude_rows(network.foliage, [example] * 4, np.random.default_rng(0))
+    measure_spread(network, rows)
+    measure_field(network, [stored], seed=0)
+    model = SmallModel(network, name="tiny")
+    drawn = [model.generate(voxels_of(stored), wind=stored.wind, seed=seed).coefficients for seed in range(5, 9)]
+    energy = np.mean([np.log((np.abs(one[:, 7:]) ** 2).sum()) for one in drawn])
+    true = np.log((np.abs(stored.spectrum().coefficients[:, 7:]) ** 2).sum())
+    assert energy == pytest.approx(true, abs=0.2)
 
 
 def test_fitted_shares_are_those_that_made_the_field() -> None:

@@ -16,7 +16,7 @@ from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS,
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, gusts_at
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from dynamictree.models.small.prepared import soften
+from dynamictree.models.small.spread import log_surplus, sized
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.weights_file import write_weights
 from dynamictree.models.wind import REFERENCE_SPEED
@@ -242,12 +242,15 @@ def test_files_that_are_no_models_are_refused(tmp_path: Path) -> None:
         load_model(str(broken))
 
 
-def test_softening_keeps_phases_and_brings_sizes_near_one() -> None:
-    field = torch.randn(100, 2, 3, dtype=torch.complex64)
-    soft = soften(field)
-    torch.testing.assert_close(soft.angle(), field.angle(), atol=1e-4, rtol=0)
-    assert (soft.abs() - 1).abs().mean() < (field.abs() - 1).abs().mean()
-    torch.testing.assert_close(soften(torch.ones(1, 1, 3, dtype=torch.complex64)).abs(), torch.ones(1, 1, 3))
+@pytest.mark.parametrize("spread", [0.0, 0.5, 1.0, 1.5, 2.0])
+def test_sizes_get_their_spread_and_phases_stay(spread: float) -> None:
+    generator = torch.Generator().manual_seed(0)
+    field = torch.randn(100_000, 1, 3, dtype=torch.complex64, generator=generator)
+    alike = torch.full((1, 3), spread)
+    drawn = sized(field, alike)
+    torch.testing.assert_close(drawn.angle(), field.angle(), atol=1e-3, rtol=0)
+    assert drawn.abs().square().mean().log().item() == pytest.approx(0, abs=0.06)
+    assert drawn.abs().log().mean().item() == pytest.approx(-log_surplus(alike)[0, 0].item() / 2, abs=0.06)
 
 
 def test_in_the_shipped_model_more_wind_moves_more_and_the_lean_points_downwind(
