@@ -79,6 +79,7 @@ class JobRecord:
     external_id: str | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     cancel_at: float | None = None
+    destination: str | None = None  # address in a bucket, for copies of its products
     processor_s: float = 0.0  # of all attempts so far
     gpu_s: float = 0.0  # during which they had a GPU
     created_at: float

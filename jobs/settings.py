@@ -78,6 +78,7 @@ class Settings(BaseSettings):
     spectrum_cache_bytes: int = Field(default=256 * MIB, ge=0)
     max_upload_bytes: int = Field(default=4 * GIB, ge=1024)
     presigned_links: bool = False
+    destinations: tuple[str, ...] = ()
     upload_begin_s: float = Field(default=600.0, gt=0)
     upload_retention_s: float = Field(default=DAY_S, gt=0)
     max_fetches: int = Field(default=8, ge=1)
@@ -113,6 +114,8 @@ class Settings(BaseSettings):
             raise ValueError(
                 f"soft_time_limit_s is {self.soft_time_limit_s}; at most time_limit_s ({self.time_limit_s}) is allowed"
             )
+        if self.destinations and self.resolved_artifacts_url.startswith("file:"):
+            raise ValueError("destinations go with an artifacts_url in object storage; it is a folder")
         return self
 
     @field_validator("secret_key")

@@ -27,7 +27,7 @@ from service.uploads.quota import require_bytes, require_room
 KEY_EXPIRES_S = 86400.0
 REPEATED = (
     *("type", "preset", "seed", "params", "queue", "priority"),
-    *("webhook_id", "webhook_events", "external_id", "metadata"),
+    *("webhook_id", "webhook_events", "external_id", "metadata", "destination"),
 )
 """Fields of a job that one that is run again has too."""
 
@@ -109,6 +109,8 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
         raise ProblemError("forbidden", "this key may not ask for high priority; leave it at normal")
     if body.webhook is not None:
         endpoint(owned.store, body.webhook)
+    if body.destination is not None:
+        _require_destination(owned, body.destination)
     asset = read_asset(owned.store, body.asset_id)
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
@@ -125,6 +127,14 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     require_room(owned, size)
     require_bytes(owned, size)
     return asset, stages
+
+
+def _require_destination(owned: Owned, wanted: str) -> None:
+    owner, prefixes = owned.caller.owner or "", owned.services.settings.destinations
+    allowed = [prefix.replace("{owner}", owner).rstrip("/") + "/" for prefix in prefixes]
+    if not wanted.startswith(tuple(allowed)) or not wanted.isprintable() or ".." in wanted.split("/"):
+        detail = f"{wanted!r} lies below none of the {len(allowed)} prefixes that the operator allows"
+        raise wrong_field("/destination", "not-allowed", detail)
 
 
 def _require_photos(body: JobRequest, asset: AssetRecord) -> None:
@@ -166,6 +176,7 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         traceparent=origin.traceparent,
         external_id=body.external_id,
         metadata=body.metadata,
+        destination=body.destination,
         cancel_at=None if body.cancel_after_s is None else now + body.cancel_after_s,
         created_at=now,
     )

@@ -10,6 +10,8 @@ from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 
+import obstore
+
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from dynamictree.photo_requests import LearningParams
 from dynamictree.request_model import Request
@@ -21,6 +23,7 @@ from jobs.states import JobType
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
 from jobs.storage.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
+from jobs.storage.object_storage import open_objects, reporting_refusals
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from worker.cancellation import Watch
 from worker.half_done import alone_in, half_done_folder
@@ -58,6 +61,8 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
         for stage in job.stages:
             watch.check()
             attempt.take(attempt.outputs_of(stage.name))
+        if job.destination is not None:
+            attempt.deliver(job.destination)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -157,6 +162,19 @@ class Attempt:
         )
         logger.info("stage %s of job %s published", stage, self.job.id, extra={"cached": cached is not None})
         return files
+
+    def deliver(self, destination: str) -> None:
+        """Copy all that the job offers to an address in a bucket.
+
+        Raises:
+            StorageAwayError: it does not take them.
+        """
+        settings = self.runtime.settings
+        bucket = open_objects(destination, patience_s=settings.patience_s, credentials=settings.s3_credentials)
+        for artifact in self.runtime.store.artifacts_of(self.job.id):
+            self.watch.check()
+            with reporting_refusals():
+                obstore.put(bucket, artifact.name, self.files[artifact.name])
 
     def _cached(self, key: str) -> tuple[OutputFile, ...] | None:
         """Files that any job made from the same inputs, if all their bytes are stored."""

@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-REVISION = 1
+REVISION = 2
 """Of these tables. A release that changes them raises it and adds only what old code can ignore."""
 
 metadata = sa.MetaData()
@@ -75,6 +75,7 @@ jobs = sa.Table(
     sa.Column("external_id", sa.String(128)),  # the client's own name for it
     sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
     sa.Column("cancel_at", sa.Double),
+    sa.Column("destination", sa.Text),  # where its products are copied to
     sa.Column("processor_s", sa.Double, nullable=False),  # of all attempts
     sa.Column("gpu_s", sa.Double, nullable=False),
     sa.Column("created_at", sa.Double, nullable=False, index=True),

@@ -59,6 +59,7 @@ class JobPayload(Payload):
     external_id: str | None
     metadata: dict[str, str]
     cancel_at: Time | None
+    destination: str | None
     processor_s: float = Field(description="processor time of all attempts that have ended [s]")
     gpu_s: float = Field(description="time of theirs on a worker with a GPU [s]")
     created_at: Time

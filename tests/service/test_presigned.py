@@ -5,17 +5,23 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
+import obstore
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.settings import Settings
+from jobs.errors import SettingsError
+from jobs.settings import Settings, read_settings
+from jobs.storage.object_storage import open_objects
 from service.app import create_app
 from service.routes import uploads
 from tests.rows import stored_part
 from tests.servers import object_storage
 from tests.service.conftest import hold, publish
-from tests.service.test_assets import OBJ
+from tests.service.test_assets import OBJ, send
 from tests.service.tus import TUS, append, begin
+from tests.worker.conftest import hold as hold_as_worker
+from tests.worker.test_attempt import run
+from worker.runtime import close_runtime, open_runtime
 
 
 @pytest.fixture
@@ -24,10 +30,31 @@ def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClie
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     server.start()
-    settings = Settings(state_dir=tmp_path / "state", presigned_links=True)
-    with TestClient(create_app(settings), "http://localhost") as opened:
+    own = {"presigned_links": True, "destinations": ("s3://trees/out/{owner}",)}
+    with TestClient(create_app(read_settings(state_dir=tmp_path / "state", **own)), "http://localhost") as opened:
         yield opened
     server.stop()
+
+
+def test_products_are_copied_to_where_the_operator_allows(client: TestClient) -> None:
+    services = client.app.state.services  # type: ignore[attr-defined]
+    plain = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
+    body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
+    for elsewhere in ("s3://others/out/a", "s3://trees/outside", "s3://trees/out/../products", "file:///etc"):
+        refused = client.post("/v1/jobs", json=body | {"destination": elsewhere})
+        assert (refused.status_code, refused.json()["errors"][0]["pointer"]) == (422, "/destination"), elsewhere
+    job = client.post("/v1/jobs", json=body | {"destination": "s3://trees/out/a b/7"}).json()
+    assert client.post("/v1/jobs/estimate", json=body).status_code == 200
+    runtime = open_runtime(services.settings)
+    run(runtime, hold_as_worker(runtime, services.store.job(job["id"])))
+    close_runtime(runtime)
+    [listed] = client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"]
+    [copied] = obstore.list(open_objects("s3://trees/out/a b/7")).collect()
+    assert (copied["path"], copied["size"]) == (listed["name"], listed["bytes"])
+    again = client.post(f"/v1/jobs/{job['id']}/retry").json()
+    assert again["destination"] == "s3://trees/out/a b/7"
+    with pytest.raises(SettingsError, match="destinations"):
+        read_settings(artifacts_url="file:///tmp/x", destinations=("s3://trees/out",))
 
 
 def test_bytes_go_to_object_storage_and_come_from_it(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
