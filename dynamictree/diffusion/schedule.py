@@ -16,10 +16,6 @@ class NoiseSchedule:
 
     alpha_bar: Float32[Tensor, " L"]
 
-    def to(self, device: torch.device) -> "NoiseSchedule":
-        """The same on a device."""
-        return NoiseSchedule(alpha_bar=self.alpha_bar.to(device))
-
 
 def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
     """β from 1e-4 to 0.02 in equal steps."""

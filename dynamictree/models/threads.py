@@ -1,4 +1,4 @@
-"""Parallel inference: independent calls run on separate threads, each with one torch thread.
+"""Parallel inference: independent calls run on separate threads, each with one torch thread, or on a GPU in turn.
 
 torch's own threads wait for one another in every operation. The products are small, and on a busy machine two such
 threads were measured 10 times slower than one. Calls that are independent need no such barrier, and their results do
@@ -8,22 +8,41 @@ not depend on the number of threads.
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
 
 from dynamictree.parallel import num_cores
 
 Result = TypeVar("Result")
+CPU = torch.device("cpu")
 
 
-def run_on_cores(calls: Iterable[Callable[[], Result]]) -> list[Result]:
+def best_device() -> torch.device:
+    """The GPU where there is one."""
+    return torch.device("cuda") if torch.cuda.is_available() else CPU
+
+
+def moved_to(device: torch.device, given: Any) -> Any:
+    """A tensor on a device; of a tuple or a dataclass, all that it holds."""
+    if isinstance(given, tuple):
+        return tuple(moved_to(device, each) for each in given)
+    if is_dataclass(given) and not isinstance(given, type):
+        return replace(given, **{field.name: moved_to(device, getattr(given, field.name)) for field in fields(given)})
+    return given.to(device) if isinstance(given, Tensor) else given
+
+
+def run_on_cores(calls: Iterable[Callable[[], Result]], device: torch.device = CPU) -> list[Result]:
     """Run independent calls without gradients; return results in order, or raise the first exception."""
 
     def without_gradients(call: Callable[[], Result]) -> Result:
         with torch.no_grad():  # a setting of each thread
             return call()
 
+    if device.type != "cpu":
+        return [without_gradients(call) for call in calls]
     with ThreadPoolExecutor(num_cores()) as pool:
         return list(pool.map(without_gradients, calls))
 

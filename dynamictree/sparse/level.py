@@ -30,11 +30,6 @@ class SparseLevel:
     def __len__(self) -> int:
         return len(self.coords)
 
-    def to(self, device: torch.device) -> "SparseLevel":
-        """The same on a device."""
-        pairs = tuple((first.to(device), second.to(device)) for first, second in self.pairs)
-        return SparseLevel(coords=self.coords.to(device), sizes=self.sizes, pairs=pairs)
-
     @property
     def sample_slices(self) -> list[slice]:
         """The rows of each sample."""
@@ -45,7 +40,8 @@ class SparseLevel:
     def sample_of_row(self) -> Int64[Tensor, " V"]:
         """Index of the sample that each row belongs to."""
         sizes = torch.tensor(self.sizes, device=self.coords.device)
-        return torch.repeat_interleave(torch.arange(len(sizes), device=self.coords.device), sizes)
+        rows = torch.arange(len(sizes), device=self.coords.device)
+        return torch.repeat_interleave(rows, sizes, output_size=sum(self.sizes))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,11 +50,6 @@ class Pyramid:
 
     levels: tuple[SparseLevel, ...]
     parents: tuple[Int64[Tensor, " _"], ...]  # row in level l + 1 of each voxel of level l
-
-    def to(self, device: torch.device) -> "Pyramid":
-        """The same on a device."""
-        levels = tuple(level.to(device) for level in self.levels)
-        return Pyramid(levels=levels, parents=tuple(parents.to(device) for parents in self.parents))
 
 
 def sparse_level(coords: Int64[Tensor, "V 3"]) -> SparseLevel:

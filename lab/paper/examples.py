@@ -7,7 +7,7 @@ A spectrum is stored over the tree's height, in the wind's frame, and divided by
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -50,11 +50,6 @@ class PaperBatch:
     spectrum: Complex64[Tensor, "V K 3"]
     neighbours: Int64[Tensor, "V M"]  # rows of the nearest voxels
     distances_m: Float32[Tensor, "V M"]
-
-    def to(self, device: torch.device) -> "PaperBatch":
-        """The same batch on a device."""
-        moved = {name: getattr(self, name).to(device) for name in ("inputs", "spectrum", "neighbours", "distances_m")}
-        return replace(self, **moved)
 
 
 def batch_of(examples: Sequence[PaperExample], preset: PaperPreset) -> PaperBatch:

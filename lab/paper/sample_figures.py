@@ -10,6 +10,7 @@ from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperNetwork
+from dynamictree.models.threads import moved_to
 from lab.paper.examples import PaperExample, batch_of
 
 
@@ -18,10 +19,10 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
     """Roughness ratio, error of ln size, and correlation of ln amplitude, over frequencies k ≥ 1 of one tree."""
     assert isinstance(network, PaperNetwork)
     preset, device = network.preset, network.frequency_sizes.device
-    batch = batch_of([example], preset).to(device)
+    batch = moved_to(device, batch_of([example], preset))
     bins = torch.arange(1, preset.num_frequencies, device=device)
     truth = pack_channels(batch.spectrum[:, 1:])  # [V, J, 6]
-    condition, schedule = network.condition(batch.inputs), linear_schedule().to(device)
+    condition, schedule = network.condition(batch.inputs), moved_to(device, linear_schedule())
 
     def predict_clean(noisy: Tensor, step: int) -> Tensor:
         return denoise(network, noisy, step, bins, condition, batch.inputs)

@@ -5,8 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +15,7 @@ import pytest
 
 from jobs.settings import Settings
 from jobs.store import Store
+from tests.servers import wait_for
 
 T = TypeVar("T")
 
@@ -71,16 +71,6 @@ class Service:
             return job if job["state"] in {"succeeded", "failed", "canceled"} else None
 
         return wait_for(ended, f"the end of {url}", timeout_s)
-
-
-def wait_for(ask: Callable[[], T | None], what: str, timeout_s: float = 120) -> T:
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        answer = ask()
-        if answer:
-            return answer
-        time.sleep(0.02)
-    raise AssertionError(f"{what} did not come within {timeout_s} s")
 
 
 def start(state_dir: Path, **environment: str) -> Service:

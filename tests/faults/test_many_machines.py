@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from jobs.database import tables as t
 from jobs.database.engine import open_engine
 from tests import servers
-from tests.faults.conftest import SHORT, wait_for
+from tests.faults.conftest import SHORT
 from tests.faults.shapes import bumpy_sphere
 
 pytestmark = pytest.mark.slow  # `make scale-out`
@@ -35,7 +35,7 @@ class Machines:
             job: dict[str, object] = self.client.get(url).json()
             return job if job["state"] in ENDED else None
 
-        return wait_for(ended, f"the end of {url}")
+        return servers.wait_for(ended, f"the end of {url}")
 
     def owners(self) -> set[str]:
         """Who runs a job now."""
@@ -49,7 +49,7 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
     with ExitStack() as running:
         many = running.enter_context(servers.machines(tmp_path_factory.mktemp("machines"), SHORT))
         client = running.enter_context(httpx.Client(base_url=many.url, timeout=30))
-        wait_for(lambda: client.get("/readyz").json()["workers"] == "ok", "a worker")
+        servers.wait_for(lambda: client.get("/readyz").json()["workers"] == "ok", "a worker")
         engine = open_engine(many.database_url)
         running.callback(engine.dispose)
         yield Machines(parts=many.servers, client=client, engine=engine)
@@ -82,7 +82,7 @@ def test_two_workers_share_the_jobs_and_one_takes_over_from_the_other(machines: 
     assert len(content) > MULTIPART_BYTES
     assets = [upload(machines, content), upload(machines, bumpy_sphere(100))]
     urls = [create(machines, asset_id, resolution) for resolution in (256, 128) for asset_id in assets]
-    wait_for(lambda: len(machines.owners()) == 2, "both workers at work")
+    servers.wait_for(lambda: len(machines.owners()) == 2, "both workers at work")
     machines.parts["one"].kill()
     jobs = [machines.finish(url) for url in urls]
     assert [job["state"] for job in jobs] == ["succeeded"] * 4

@@ -14,8 +14,9 @@ import pytest
 
 from dynamictree.formats.tensors.voxels import read_voxels
 from service.routes.catalogue import preset_sizes
-from tests.faults.conftest import SHORT, Service, start, stop, wait_for
+from tests.faults.conftest import SHORT, Service, start, stop
 from tests.faults.shapes import bumpy_sphere
+from tests.servers import wait_for
 
 needs_weights = pytest.mark.skipif(
     "small" not in preset_sizes(), reason="dynamictree/weights/small.safetensors is not there"

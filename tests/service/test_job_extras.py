@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from unittest.mock import AsyncMock
@@ -26,6 +25,7 @@ from service.services import Services
 from tests import servers
 from tests.line import answering
 from tests.rows import asset_row, job_row
+from tests.servers import wait_for
 from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import claimed, create
@@ -242,20 +242,13 @@ def test_a_worker_of_the_queue_gpu_gets_jobs(tmp_path: Path) -> None:
         for part in parts:
             part.start()
         with httpx.Client(base_url=url, timeout=60) as http:
-            wait_until(lambda: http.get("/readyz").json()["workers"] == "ok")
+            wait_for(lambda: http.get("/readyz").json()["workers"] == "ok")
             asset_id = http.post("/v1/assets", files={"file": ("tree.obj", PLAIN_OBJ)}).json()["id"]
             job = http.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset_id}).json()
-            wait_until(lambda: http.get(f"/v1/jobs/{job['id']}").json()["state"] == "succeeded")
+            wait_for(lambda: http.get(f"/v1/jobs/{job['id']}").json()["state"] == "succeeded")
     finally:
         for part in reversed(parts):
             part.stop()
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
 
 
 def test_a_client_names_its_jobs_and_finds_them_again(client: TestClient, asset: AssetRecord) -> None:

@@ -20,7 +20,7 @@ import pytest
 from tusclient.client import TusClient
 
 from jobs.settings import Settings
-from tests.servers import Server, api, object_storage
+from tests.servers import Server, api, object_storage, wait_for
 from tests.service.test_assets import MTL, OBJ, zipped
 from tests.service.tus import BYTES, TUS
 
@@ -89,11 +89,8 @@ def stands_at(url: str) -> int:
 
 
 def wait_until_at(url: str, least: int) -> int:
-    deadline = time.monotonic() + 30
-    while (offset := stands_at(url)) < least:
-        assert time.monotonic() < deadline, f"{url} stands at {offset}, {least} were sent"
-        time.sleep(0.05)
-    return offset
+    wait_for(lambda: stands_at(url) >= least, f"{url} at {least}")
+    return stands_at(url)
 
 
 def finish(url: str, file: Path, **options: object) -> None:

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -28,6 +28,7 @@ from jobs.storage.upload_parts import FolderParts
 from jobs.storage.uploads import UploadRecord, add_upload, expired_uploads
 from tests.jobs.conftest import Clock, PartsAway
 from tests.rows import asset_row, job_row
+from tests.servers import wait_for
 from worker.courier import Courier
 from worker.half_done import alone_in
 from worker.housekeeper import Housekeeper, PauseDetector, open_housekeeper, run, run_all
@@ -40,7 +41,7 @@ def keeper(tmp_path: Path) -> Iterator[Housekeeper]:
     command = [str(get_binary_path()), "--port", "0", "--unixsocket", str(settings.redis_socket), "--save", ""]
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     opened = open_housekeeper(settings)
-    wait_until(settings.redis_socket.exists)
+    wait_for(settings.redis_socket.exists)
     yield opened
     opened.queue.close()
     opened.redis.close()
@@ -137,12 +138,12 @@ def test_one_of_two_acts_and_the_other_takes_over(keeper: Housekeeper) -> None:
     }
     add_job(keeper)
     other = subprocess.Popen([sys.executable, "-m", "worker.housekeeper"], env=environment)
-    wait_until(lambda: not unsent(keeper.store, window=10))
+    wait_for(lambda: not unsent(keeper.store, window=10))
     with running(keeper):
         other.kill()
         other.wait()
         add_job(keeper)
-        wait_until(lambda: not unsent(keeper.store, window=10))
+        wait_for(lambda: not unsent(keeper.store, window=10))
     assert keeper.redis.llen("cpu") == 2
 
 
@@ -157,23 +158,16 @@ def running(keeper: Housekeeper) -> Iterator[None]:
     assert not thread.is_alive()
 
 
-def wait_until(done: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60
-    while not done():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def test_what_is_away_is_tried_again(keeper: Housekeeper, caplog: pytest.LogCaptureFixture) -> None:
     server_path = keeper.settings.redis_socket
     hidden = server_path.with_suffix(".hidden")
     server_path.rename(hidden)
     add_job(keeper)
     with running(keeper):
-        wait_until(lambda: "tries again" in caplog.text)
+        wait_for(lambda: "tries again" in caplog.text)
         assert len(unsent(keeper.store, window=10)) == 1
         hidden.rename(server_path)
-        wait_until(lambda: not unsent(keeper.store, window=10))
+        wait_for(lambda: not unsent(keeper.store, window=10))
 
 
 def test_every_lost_message_is_sent_again_at_once(keeper: Housekeeper) -> None:
@@ -261,9 +255,9 @@ def test_jobs_outlive_a_pause_of_the_whole_machine(
     monkeypatch.setattr("worker.housekeeper.PauseDetector", slept)
     keeper.store.clock = lambda: time.time() + skipped[0]
     with running(replace(keeper, settings=settings)):
-        wait_until(lambda: living(keeper.store, HOUSEKEEPER_LEASE))
+        wait_for(lambda: living(keeper.store, HOUSEKEEPER_LEASE))
         skipped[0] = 100.0  # the machine slept for longer than the lease
-        wait_until(lambda: "a pause or a clock step" in caplog.text)
+        wait_for(lambda: "a pause or a clock step" in caplog.text)
         assert keeper.store.job(job.id).attempt == 1
         renew(keeper.store, job.id, 1, owner="w", lease_s=60)  # the worker's next heartbeat
     keeper.reap()

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -16,7 +15,7 @@ from jobs.lifecycle.maintenance import WORKER_LEASES, living, reap
 from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
-from tests.servers import api, valkey, worker
+from tests.servers import api, valkey, wait_for, worker
 from worker.heartbeat import PRESENCE_S
 
 
@@ -74,9 +73,9 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
     parent += f"child.stdin.write({lines[1]!r}); child.stdin.flush(); child.wait()"
     worker_process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.DEVNULL)
     try:
-        until(lambda: living(store, WORKER_LEASES))
+        wait_for(lambda: living(store, WORKER_LEASES))
         begun = store.clock()
-        until(lambda: lease_end(store) > begun + 2 * 3)  # renewed for longer than it lasts
+        wait_for(lambda: lease_end(store) > begun + 2 * 3)  # renewed for longer than it lasts
         assert reap(store, max_lost_attempts=2) == []
         worker_process.send_signal(signal.SIGSTOP)
         store.clock = lambda: time.time() + 3 * PRESENCE_S  # what was said before it was stopped has passed
@@ -86,7 +85,7 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
         assert reap(store, max_lost_attempts=2) == [(job.id, "running")]
         assert store.job(job.id).attempt == 2
         worker_process.send_signal(signal.SIGCONT)
-        until(lambda: living(store, WORKER_LEASES))
+        wait_for(lambda: living(store, WORKER_LEASES))
     finally:
         worker_process.kill()
         worker_process.wait()
@@ -96,10 +95,3 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
 def lease_end(store: Store) -> float:
     with store.reading() as connection:
         return float(connection.execute(sa.select(t.jobs.c.lease_until)).scalar_one())
-
-
-def until(holds: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 60
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)

@@ -14,7 +14,7 @@ from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, unit_positions
-from dynamictree.models.threads import run_on_cores
+from dynamictree.models.threads import best_device, moved_to, run_on_cores
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
 from dynamictree.models.wind import wind_axes, wind_sizes
 from dynamictree.sparse.level import Pyramid, pyramid
@@ -38,7 +38,7 @@ class PaperModel(MotionModel):
     paced_by_height = False  # the paper has one period
 
     def __init__(self, network: PaperNetwork, *, name: str) -> None:
-        self.network = network.eval().requires_grad_(False).to("cuda" if torch.cuda.is_available() else "cpu")
+        self.network = network.eval().requires_grad_(False).to(best_device())
         self.name = name
 
     @property
@@ -87,7 +87,7 @@ class PaperModel(MotionModel):
     ) -> Float32[Tensor, "V J 6"]:
         """Spectra of unit size at some frequencies. These do not see one another: bands of them run on all cores."""
         device = self.network.frequency_sizes.device
-        inputs, schedule = inputs.to(device), linear_schedule().to(device)
+        inputs, schedule = moved_to(device, (inputs, linear_schedule()))
         condition = self.network.condition(inputs)
         band = max(1, MAX_ACTIVATIONS // (len(condition) * self.network.preset.unet.base))
         bands = torch.split(torch.arange(len(bins)), min(band, BAND) if device.type == "cpu" else band)
@@ -97,8 +97,7 @@ class PaperModel(MotionModel):
 
         def predict_clean(noisy: Tensor, step: int) -> Tensor:
             calls = [partial(predict_band, noisy, step, one) for one in bands]
-            predicted = run_on_cores(calls) if device.type == "cpu" else [call() for call in calls]
-            return torch.cat(predicted, dim=1)
+            return torch.cat(run_on_cores(calls, device), dim=1)
 
         noise = start.contiguous().to(device)
         return sample_ddim(predict_clean, noise, schedule, num_steps=sampling.num_steps, on_step=sampling.on_step)

@@ -61,14 +61,6 @@ class PaperInputs:
     normals: Float32[Tensor, "X 3"]
     grids: Pyramid
 
-    def to(self, device: torch.device) -> "PaperInputs":
-        """The same on a device."""
-        return PaperInputs(
-            positions=self.positions.to(device),
-            normals=self.normals.to(device),
-            grids=self.grids.to(device),
-        )
-
 
 def unit_positions(coords: Int64[Tensor, "X 3"], resolution: int) -> Float32[Tensor, "X 3"]:
     """Voxel centres in [-1, 1] of the grid's cube."""

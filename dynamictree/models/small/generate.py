@@ -16,7 +16,7 @@ from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.small.denoiser import denoise
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import MAX_NETWORK_VOXELS, PreparedTree, prepare_tree
-from dynamictree.models.threads import run_on_cores
+from dynamictree.models.threads import best_device, moved_to, run_on_cores
 from dynamictree.models.voxel_resolution import halvings_between
 from dynamictree.models.wind import MIN_SPEED
 from dynamictree.spectrum import Wind
@@ -47,12 +47,20 @@ def gusts_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tupl
 
 
 class SmallModel(MotionModel):
-    """Amplitudes by regression, phases by diffusion."""
+    """Amplitudes by regression, phases by diffusion, whose sampler runs on the GPU where there is one."""
 
     paced_by_height = True
 
-    def __init__(self, network: SmallNetwork, *, name: str, max_network_voxels: int = MAX_NETWORK_VOXELS) -> None:
-        self.network, self.name = network.eval().requires_grad_(False), name
+    def __init__(
+        self,
+        network: SmallNetwork,
+        *,
+        name: str,
+        max_network_voxels: int = MAX_NETWORK_VOXELS,
+        device: torch.device | None = None,
+    ) -> None:
+        self.network, self.name, self.device = network.eval().requires_grad_(False), name, device or best_device()
+        self.network.denoiser.to(self.device)
         self.max_network_voxels = max_network_voxels
 
     @property
@@ -89,33 +97,28 @@ class SmallModel(MotionModel):
         self, prepared: PreparedTree, noise: Float32[Tensor, "W J 6"], sampling: Sampling
     ) -> Float32[Tensor, "W J 6"]:
         """A whitened spectrum on the nodes. Frequencies do not see one another: bands of them run on all cores."""
-        preset = self.network.preset
+        preset, device = self.network.preset, self.device
         sigmas = karras_schedule(sampling.num_steps, sigma_min=preset.sigma_min, sigma_max=preset.sigma_max)
         first = (sampling.lowest_bin - 1) // BAND * BAND
-        bands = [slice(k, k + BAND) for k in range(first, preset.num_frequencies - 1, BAND)]
+        band = BAND if device.type == "cpu" else preset.num_frequencies
+        bands = [slice(k, k + band) for k in range(first, preset.num_frequencies - 1, band)]
         denoisers = [self._band_denoiser(prepared, band) for band in bands]
 
         def denoise_all(noisy: Tensor, sigma: float) -> Tensor:
             calls = [partial(one, noisy[:, band], sigma) for one, band in zip(denoisers, bands, strict=True)]
-            return torch.cat([noisy[:, :first], *run_on_cores(calls)], dim=1)
+            return torch.cat([noisy[:, :first], *run_on_cores(calls, device)], dim=1)
 
-        return sample_dpm_multistep(denoise_all, noise * sigmas[0], sigmas, on_step=sampling.on_step)
+        start = noise.to(device) * float(sigmas[0])
+        return sample_dpm_multistep(denoise_all, start, sigmas, on_step=sampling.on_step).cpu()
 
     def _band_denoiser(self, prepared: PreparedTree, band: slice) -> Callable[[Tensor, float], Tensor]:
         network = self.network.denoiser
-        frequency = torch.arange(1, self.network.preset.num_frequencies)[None, band]
-        condition = network.condition(
-            prepared.nodes,
-            prepared.wind,
-            frequency=frequency,
-            log_amplitude=prepared.node_log_amplitude[:, band],
-            neighbourhood=prepared.neighbourhood,
-        )
-
-        def denoise_band(noisy: Tensor, sigma: float) -> Tensor:
-            return denoise(network, noisy, torch.full(frequency.shape, sigma), condition)
-
-        return denoise_band
+        frequency = torch.arange(1, self.network.preset.num_frequencies, device=self.device)[None, band]
+        given = (prepared.nodes, prepared.wind, prepared.node_log_amplitude[:, band], prepared.neighbourhood)
+        nodes, wind, log_size, around = moved_to(self.device, given)
+        condition = network.condition(nodes, wind, frequency=frequency, log_amplitude=log_size, neighbourhood=around)
+        sigmas = partial(torch.full, frequency.shape, device=self.device)
+        return lambda noisy, sigma: denoise(network, noisy, sigmas(sigma), condition)
 
     def _check(self, grid: VoxelGrid) -> None:
         halvings_between(grid, self.resolution, self.name)

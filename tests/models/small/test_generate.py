@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 from dynamictree.diffusion.channels import pack_channels, unpack_channels
 from dynamictree.errors import Cancelled, CheckpointError, InputError
 from dynamictree.models import MotionModel, load_model
+from dynamictree.models.motion_model import Sampling
 from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS, moving
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, gusts_at
@@ -138,6 +139,27 @@ def test_whatever_was_learnt_motion_grows_with_the_drag_at_most_and_ever_less() 
     assert (exponents.diff(dim=0) <= 1e-4).all()
     assert exponents[0].median() > 1.3
     assert exponents[-1].median() < exponents[0].median()
+
+
+def test_the_sampler_keeps_to_its_device(
+    model: SmallModel, voxels: SurfaceVoxels, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tensors without values stand in for a GPU's: as those, they refuse to mix with others."""
+    monkeypatch.setattr(torch.Tensor, "cpu", lambda tensor: torch.zeros(tensor.shape))
+    small, prepared = SmallModel(tiny_network(), name="tiny", device=torch.device("meta")), model.prepare(voxels, WIND)
+    noise, _ = model._draw(prepared, torch.Generator())
+    sampling = Sampling(seed=0, num_steps=2, lowest_bin=4, on_step=None)
+    assert small._denoise(prepared, noise, sampling).shape == noise.shape
+
+
+@pytest.mark.gpu
+def test_a_gpu_gives_the_motion_of_the_processor(voxels: SurfaceVoxels) -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("a CUDA device is not there")
+    devices = [torch.device(name) for name in ("cpu", "cuda")]
+    models = [SmallModel(tiny_network(), name="tiny", device=device) for device in devices]
+    cpu, gpu = (model.generate(voxels, wind=WIND, seed=3).coefficients for model in models)
+    np.testing.assert_allclose(gpu, cpu, atol=1e-3 * voxels.grid.height_m)
 
 
 def test_every_sampler_step_is_reported_and_may_cancel(model: SmallModel, voxels: SurfaceVoxels) -> None:
