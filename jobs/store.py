@@ -15,7 +15,7 @@ from ulid import ULID
 from jobs.database import tables as t
 from jobs.database.engine import insert_new, open_engine
 from jobs.database.retry import patient
-from jobs.database.schema import make_tables
+from jobs.database.tables import make_tables
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
 from jobs.lifecycle import rows
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord

@@ -35,9 +35,7 @@ from service.routes import (
     modes,
     ops,
     pages,
-    points,
     spectra,
-    stills,
     surface,
     uploads,
     webhooks,
@@ -46,28 +44,15 @@ from service.services import open_services
 from service.uploads.ingest import Ingest
 
 ROUTES = (
-    *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream, modes, points, stills),
+    *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream, modes),
     *(surface, pages, webhooks, catalogue, health, metrics, ops),
 )
 """A module a resource; a new one is added here."""
 
 EXPOSED = (
-    "ETag",
-    "Location",
-    "Link",
-    "Retry-After",
-    "RateLimit",
-    "RateLimit-Policy",
-    "X-Request-Id",
-    "Content-Range",
-    "Upload-Offset",
-    "Upload-Length",
-    "Upload-Expires",
-    "Upload-Metadata",
-    "Tus-Resumable",
-    "Tus-Version",
-    "Tus-Extension",
-    "Tus-Max-Size",
+    *("ETag", "Location", "Link", "Retry-After", "RateLimit", "RateLimit-Policy", "X-Request-Id", "Content-Range"),
+    *("Upload-Offset", "Upload-Length", "Upload-Expires", "Upload-Metadata"),
+    *("Tus-Resumable", "Tus-Version", "Tus-Extension", "Tus-Max-Size"),
 )
 """Headers that a page of an allowed origin may read."""
 

@@ -53,7 +53,6 @@ from jobs.storage.upload_parts import PartStore, open_parts
 from jobs.storage.uploads import bury, expired_uploads
 from jobs.store import Store
 from worker.courier import Courier
-from worker.disk_reserve import DiskReserve
 from worker.half_done import asset_of, discard
 
 logger = logging.getLogger(__name__)
@@ -74,6 +73,9 @@ MAX_FAILURES = 5
 
 COURIER_SILENCE_S = 120.0
 """A courier that has not looked for deliveries for so long hangs."""
+
+RESERVE_BYTES = 64 * 1024**2
+"""Enough for SQLite's log and Redis's file through many turns of retention."""
 
 REDIS_TIMEOUT_S = 2.0
 AWAY_PAUSE_S = 1.0
@@ -226,6 +228,28 @@ class PauseDetector:
         if stood_still := not all(-0.5 <= seconds <= self.longest_s for seconds in moved):
             logger.warning("a pause or a clock step of %.1f s; leases are given time", max(moved, key=abs))
         return stood_still
+
+
+class DiskReserve:
+    """A file that is deleted where the disk is full, so that the database can write and retention can free space."""
+
+    def __init__(self, folder: Path, reserve_bytes: int = RESERVE_BYTES) -> None:
+        self.path = folder / "disk-reserve"
+        self.reserve_bytes = reserve_bytes
+
+    def balance(self) -> None:
+        """Delete the reserve if the disk is full; create it again once four times its size is free."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(self.path.parent).free
+        there = self.path.exists()
+        if there and free < self.reserve_bytes // 4:
+            self.path.unlink()
+            logger.error("the disk is full; %s bytes of reserve were given up for retention", self.reserve_bytes)
+        elif not there and free > 4 * self.reserve_bytes:
+            beside = self.path.with_suffix(".part")
+            with beside.open("wb") as stream:
+                os.posix_fallocate(stream.fileno(), 0, self.reserve_bytes)
+            beside.rename(self.path)
 
 
 @dataclass(kw_only=True)

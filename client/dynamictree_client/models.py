@@ -35,6 +35,8 @@ class AnimateRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
+    # where in a bucket that the operator allows products are copied to
+    destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
     type: Literal["animate"]
@@ -131,6 +133,8 @@ class DiffuseRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
+    # where in a bucket that the operator allows products are copied to
+    destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
     type: Literal["diffuse"]
@@ -344,6 +348,7 @@ class Job(Model):
     external_id: str | None
     metadata: dict[str, str]
     cancel_at: datetime | None
+    destination: str | None
     # processor time of all attempts that have ended [s]
     processor_s: float
     # time of theirs on a worker with a GPU [s]
@@ -638,6 +643,8 @@ class ReconstructRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
+    # where in a bucket that the operator allows products are copied to
+    destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
     type: Literal["reconstruct"]
@@ -846,6 +853,8 @@ class VoxelizeRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
+    # where in a bucket that the operator allows products are copied to
+    destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
     type: Literal["voxelize"]

@@ -203,6 +203,11 @@ def list_artifacts(id: str) -> Call[Manifest]:
     return Call(method="GET", path=path_of("/v1/jobs/{id}/artifacts", {"id": id}), answer=Manifest)
 
 
+def get_still(id: str) -> Call[bytes]:
+    """The first frame of a job's preview, once it is written."""
+    return Call(method="GET", path=path_of("/v1/jobs/{id}/still", {"id": id}), answer=bytes)
+
+
 def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:
     """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
     return Call(
@@ -287,16 +292,6 @@ def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
     )
 
 
-def get_asset_points(id: str) -> Call[bytes]:
-    """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
-    return Call(method="GET", path=path_of("/v1/assets/{id}/points", {"id": id}), answer=bytes)
-
-
-def get_still(id: str) -> Call[bytes]:
-    """The first frame of a job's preview, once it is written."""
-    return Call(method="GET", path=path_of("/v1/jobs/{id}/still", {"id": id}), answer=bytes)
-
-
 def get_asset_surface(id: str) -> Call[bytes]:
     """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
     return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
@@ -305,6 +300,11 @@ def get_asset_surface(id: str) -> Call[bytes]:
 def get_surface(id: str) -> Call[bytes]:
     """The source mesh, the bones that turn in the wind, and those that carry it under a push."""
     return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
+
+
+def get_asset_points(id: str) -> Call[bytes]:
+    """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
+    return Call(method="GET", path=path_of("/v1/assets/{id}/points", {"id": id}), answer=bytes)
 
 
 def list_webhook_endpoints() -> Call[EndpointList]:

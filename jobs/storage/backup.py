@@ -1,4 +1,4 @@
-"""Back up the job store and its bytes into a folder, and restore them into an empty state.
+"""Back up the job store and its bytes into a folder, restore them into an empty state; compare bytes with hashes.
 
 The folder holds `database.jsonl.gz` (a header, then one line per row, of one moment) and `blobs/ab/abcd…` by sha256. A
 later backup into the same folder copies only new bytes. Rows are read in one transaction; the housekeeper deletes no
@@ -19,7 +19,7 @@ from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError
 from jobs.lifecycle.maintenance import hold_lease, release_lease
 from jobs.storage.artifacts import ArtifactStore, hash_file, hash_stored
-from jobs.storage.references import referenced
+from jobs.storage.references import is_referenced, referenced
 from jobs.store import Store, new_id
 
 BACKUP_LEASE = "backup"
@@ -152,3 +152,34 @@ def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
 
 def _blob(folder: Path, digest: str) -> Path:
     return folder / BLOBS / digest[:2] / digest
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScrubReport:
+    """What was read."""
+
+    blobs: int
+    bytes: int
+    missing: tuple[str, ...]
+    different: tuple[str, ...]
+
+
+def scrub(store: Store, artifacts: ArtifactStore) -> ScrubReport:
+    """Read every blob that a row refers to."""
+    with store.reading() as connection:
+        digests = referenced(connection, store.clock())
+    sizes: list[int] = []
+    missing, different = [], []
+    for digest in digests:
+        stored = hash_stored(artifacts, digest, lambda chunk: sizes.append(len(chunk)))
+        if stored is None and _is_referenced(store, digest):  # else retention has deleted it meanwhile
+            missing.append(digest)
+        elif stored not in (None, digest):
+            different.append(digest)
+    return ScrubReport(blobs=len(digests), bytes=sum(sizes), missing=tuple(missing), different=tuple(different))
+
+
+def _is_referenced(store: Store, digest: str) -> bool:
+    with store.reading() as connection:
+        there = connection.execute(sa.select(t.blobs.c.sha256).where(t.blobs.c.sha256 == digest)).one_or_none()
+        return there is not None and is_referenced(connection, digest, store.clock())

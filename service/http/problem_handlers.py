@@ -16,11 +16,7 @@ from service.http.validation_errors import MAX_VALUE_CHARS, field_errors, summed
 
 logger = logging.getLogger(__name__)
 
-_BY_STATUS = {
-    400: "bad-request",
-    413: "payload-too-large",
-    422: "validation-failed",
-}
+_BY_STATUS = {400: "bad-request", 413: "payload-too-large", 422: "validation-failed"}
 
 
 def install(app: FastAPI) -> None:

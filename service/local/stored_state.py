@@ -14,8 +14,8 @@ from jobs.errors import SettingsError
 from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.storage.backup import back_up
 from jobs.storage.backup import restore as restore_backup
+from jobs.storage.backup import scrub as read_again
 from jobs.storage.erasure import erase_owner
-from jobs.storage.scrub import scrub as read_again
 from jobs.storage.upload_parts import open_parts
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of

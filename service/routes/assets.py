@@ -75,18 +75,8 @@ _FORM = {
     response_model=AssetPayload,
     openapi_extra=_FORM,
     responses=refusals(
-        "invalid-geometry",
-        "archive-rejected",
-        "input-too-costly",
-        "unsupported-format",
-        "request-timeout",
-        "disk-full",
-        "not-found",
-        "expired",
-        "conflict",
-        "checksum-mismatch",
-        "fetch-failed",
-        "quota-exceeded",
+        *("invalid-geometry", "archive-rejected", "input-too-costly", "unsupported-format", "request-timeout"),
+        *("disk-full", "not-found", "expired", "conflict", "checksum-mismatch", "fetch-failed", "quota-exceeded"),
     )
     | {
         200: {"description": "The same files were sent before; the same asset", "model": AssetPayload},

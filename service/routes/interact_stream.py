@@ -1,29 +1,7 @@
 """/v1/interact/stream: a WebSocket for a continuous drag. The client sends the pointer, the server coordinates.
 
-Every message is a JSON object with a `type`. The client begins with
-
-    open     spectrum_id; rate_hz (60); damping_ratio, frequency_hz, mass_kg, locality, falloff_m as in /v1/interact
-
-and then sends, in any order,
-
-    force    force: as in /v1/interact, without times. A drag or a wind replaces the one before and acts until it
-             is released; an impulse acts once. A drag by displacement_m holds its point there, in the bent shape
-    release  kind: `drag` or `wind`, let go
-    ack      frame: the highest frame that was drawn
-
-The server sends
-
-    opened   rate_hz, frequencies_hz, damping_ratio, modal_mass_kg_m2
-    frame    frame (its number, at frame / rate_hz seconds), skipped (frames left out before it), groups: locality, q
-             and bend; reached, while a drag by displacement holds a point
-    rest     frame: everything has settled; nothing more is sent until the next force
-    problem  code, detail, …: what was wrong with a message; the stream goes on, unless it was the first
-
-The tree moves in real time whatever the line does. At most `WINDOW` frames are under way unacknowledged; further ones
-are left out, so that a slow client sees fewer frames, not old ones.
-
-Where a key is required, a page in a browser offers the protocols `dynamictree` and `bearer.KEY`; others send
-Authorization.
+docs/interaction.md tells the messages. The tree moves in real time whatever the line does: at most `WINDOW` frames are
+under way unacknowledged, further ones are left out, so that a slow client sees fewer frames, not old ones.
 """
 
 import asyncio
@@ -101,7 +79,7 @@ _LATER: TypeAdapter[ForceMessage | ReleaseMessage | AckMessage] = TypeAdapter(_L
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket) -> None:
-    """Follow a pointer; see this module's docstring."""
+    """Follow a pointer."""
     # a browser insists that one of the protocols that it offers is taken; the other one is its key
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope["subprotocols"] else None)
     owned = await owned_by_caller(socket)

@@ -1,6 +1,5 @@
 """/v1/ops, and the page /ops that displays it: state of the whole service, without ids."""
 
-from dataclasses import asdict
 from functools import cache
 from importlib import resources
 from typing import Literal
@@ -47,13 +46,7 @@ def get_operations(owned: OwnedDep) -> OpsPayload:
     with owned.store.reading() as connection:
         now = census(connection, owned.store.clock())
         attempts = tallies(connection).get("attempts", {})
-    return OpsPayload(
-        queues=[QueuePayload(**asdict(queue)) for queue in now.queues],
-        jobs=now.jobs,
-        attempts={how: int(number) for how, number in attempts.items()},
-        workers=now.workers,
-        unsent_messages=now.unsent_messages,
-    )
+    return OpsPayload.of(now, attempts={how: int(number) for how, number in attempts.items()})
 
 
 @router.get("/ops", include_in_schema=False)

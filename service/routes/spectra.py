@@ -126,13 +126,10 @@ def get_wind(
         speed_m_s=wind.speed_m_s if speed_m_s is None else speed_m_s,
     )
     turbulent = turbulent_wind(spectrum, seed=seed, wind=wind)
-    return TurbulentWindPayload(
+    return TurbulentWindPayload.of(
+        turbulent,
         spectrum_id=id,
         seed=seed,
-        wind=turbulent.wind,
-        natural_frequency_hz=turbulent.natural_frequency_hz,
-        damping_ratio=turbulent.damping_ratio,
-        length_scale_m=turbulent.length_scale_m,
         frequencies_hz=turbulent.frequencies_hz.tolist(),
         bandwidth_hz=turbulent.bandwidth_hz.tolist(),
         partial_hz=turbulent.partial_hz[1:].tolist(),

@@ -1,4 +1,4 @@
-"""The source mesh for a viewer: as uploaded, and with the motion of its vertices."""
+"""The source for a viewer: a mesh as uploaded and with the motion of its vertices, the points of a cloud."""
 
 import json
 
@@ -8,6 +8,8 @@ from fastapi.responses import Response
 from jaxtyping import Float, Float64, Int32, Int64, Integer
 from safetensors.numpy import save
 
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import bin_weights
@@ -16,7 +18,7 @@ from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.ready_tree import ReadyTree, bone_ties
-from service.interact.stored_trees import load_asset_mesh
+from service.interact.stored_trees import load_asset_cloud, load_asset_mesh
 from service.interact.tree_cache import ready_tree, rig_for, with_mesh
 from service.services import Owned, OwnedDep
 
@@ -27,6 +29,12 @@ BONES = 4
 
 MAX_TIED = 20_000
 """Vertices up to which a push bends each as the service does: a few seconds of solving. Others follow near voxels."""
+
+MAX_POINTS = 200_000
+"""More are thinned out: a preview, 4 MB."""
+
+FAINTEST = 0.1
+"""Gaussians of a lower opacity are left out: alone they are not seen."""
 
 _FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
 
@@ -55,6 +63,34 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
     ready = ready_tree(owned, id)
     mesh = with_mesh(owned, ready, id)
     return _response(mesh_tensors(mesh) | _motion(owned, id, ready, mesh), mesh)
+
+
+@router.get(
+    "/assets/{id}/points",
+    operation_id="getAssetPoints",
+    tags=["assets"],
+    response_class=Response,
+    responses=refusals("not-found", "conflict", "expired") | _FILE,
+)
+def get_asset_points(id: Id, owned: OwnedDep) -> Response:
+    """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
+    content = save(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})
+    return PackedResponse(content, 200, CACHED, SAFETENSORS)
+
+
+def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:
+    """Places [m], sRGB colours and radii [m] of at most `MAX_POINTS` Gaussians, evenly chosen."""
+    visible = np.flatnonzero(cloud.opacity >= FAINTEST)
+    if not len(visible):
+        visible = np.arange(cloud.num_gaussians)
+    step = -(-len(visible) // MAX_POINTS)
+    rows = visible[::step]
+    colours = np.clip(0.5 + SH_0 * cloud.sh[rows, 0], 0, 1)
+    return {
+        "points": np.ascontiguousarray(cloud.means[rows], np.float32),
+        "colours": np.rint(255 * colours).astype(np.uint8),
+        "radius_m": (1.5 * np.sqrt(step) * np.median(cloud.scales[rows], axis=1)).astype(np.float32),
+    }
 
 
 def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:

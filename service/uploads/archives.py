@@ -18,15 +18,8 @@ MAX_RATIO = 100
 MAX_UNPACKED_BYTES = 4 * 1024**3
 CHUNK_BYTES = 1024 * 1024
 UNREADABLE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    NotImplementedError,
-    RuntimeError,
-    EOFError,
-    ValueError,
-    OverflowError,
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(RuntimeError, EOFError, ValueError, OverflowError),
 )
 """What zipfile raises where a file lies."""
 

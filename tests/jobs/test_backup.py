@@ -18,10 +18,9 @@ from jobs.lifecycle.maintenance import hold_lease, living
 from jobs.records import AssetPart, Claim, JobRecord, OutputFile
 from jobs.storage.artifacts import FolderArtifacts
 from jobs.storage.assets import add_asset, read_asset
-from jobs.storage.backup import BACKUP_LEASE, BLOBS, back_up, restore
+from jobs.storage.backup import BACKUP_LEASE, BLOBS, back_up, restore, scrub
 from jobs.storage.erasure import erase_owner
 from jobs.storage.references import unreferenced_blobs
-from jobs.storage.scrub import scrub
 from jobs.storage.upload_parts import FolderParts
 from jobs.storage.uploads import UploadRecord, add_upload
 from jobs.store import Store

@@ -5,7 +5,7 @@ import pytest
 import sqlalchemy as sa
 
 from jobs.database.engine import open_engine
-from jobs.database.schema import make_tables
+from jobs.database.tables import REVISION, make_tables
 from jobs.errors import SchemaError
 from jobs.lifecycle.attempts import claim, succeed
 from jobs.storage.assets import add_asset
@@ -32,7 +32,7 @@ def test_tables_of_an_earlier_revision_are_refused(tmp_path: Path, earlier: str)
     with engine.begin() as connection:
         connection.execute(sa.text(earlier))
     engine.dispose()
-    with pytest.raises(SchemaError, match=r"revision 0, this program needs 1; .* another state folder"):
+    with pytest.raises(SchemaError, match=rf"revision 0, this program needs {REVISION}; .* another state folder"):
         Store.open(url)
 
 

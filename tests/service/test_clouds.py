@@ -18,7 +18,7 @@ from dynamictree.source import Source
 from jobs.records import AssetRecord
 from jobs.states import stages_of
 from jobs.storage.assets import read_asset
-from service.routes import points
+from service.routes import surface
 from service.services import Services
 from tests.service.test_assets import left_behind, photo, send, zipped
 
@@ -171,7 +171,7 @@ def test_a_cloud_has_points_to_look_at_while_its_job_runs(
     expected = np.clip(0.5 + 0.28209479 * cloud.sh[:, 0], 0, 1)
     np.testing.assert_allclose(tensors["colours"] / 255, expected, atol=0.003)
     assert (tensors["radius_m"] > 0).all()
-    monkeypatch.setattr(points, "MAX_POINTS", 150)
+    monkeypatch.setattr(surface, "MAX_POINTS", 150)
     assert len(load(client.get(f"/v1/assets/{cloud_id}/points").content)["points"]) == 134  # every third
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 BOUNDS = {
     "lines in dynamictree": 34_331,
     "lines in lab": 6_350,
-    "lines in service, jobs and worker": 15_237,
+    "lines in service, jobs and worker": 15_165,
     "lines in tests": 40_463,
     "names bound to numbers in dynamictree": 775,
     "functions of dynamictree with more than 6 arguments": 6,

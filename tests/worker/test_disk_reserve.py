@@ -15,7 +15,7 @@ from jobs.store import Store
 from tests.rows import asset_row, stored_part
 from tests.worker.conftest import add_job, hold, watch
 from worker.cancellation import require_free_disk
-from worker.disk_reserve import DiskReserve
+from worker.housekeeper import DiskReserve
 from worker.runtime import close_runtime, open_runtime
 
 MIB = 1024**2
