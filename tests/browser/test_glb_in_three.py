@@ -69,16 +69,16 @@ def played(browser: Browser, html: Path, files: list[Path], times: list[float]) 
 def test_three_plays_the_compressed_files_as_the_plain_ones(browser: Browser, tmp_path: Path) -> None:
     sample = make_sample(3, "sapling", wind=Wind(speed_m_s=4.0, direction_deg=160.0, gust=0.42))
     spectrum = voxel_spectrum(sample, 32)[1]
-    made = {}
+    written = {}
     for compression in ("none", "meshopt"):
         params = ExportParams(formats=("glb", "glb-reduced", "html"), glb_compression=compression)
         folder = tmp_path / compression
         folder.mkdir()
-        made[compression] = write_products(sample.mesh, spectrum, params, folder)
+        written[compression] = write_products(sample.mesh, spectrum, params, folder)
     for name in ("glb", "glb-reduced"):
-        files = [made[compression][name] for compression in ("none", "meshopt")]
+        files = [written[compression][name] for compression in ("none", "meshopt")]
         assert files[1].stat().st_size < 0.7 * files[0].stat().st_size
-        seen = played(browser, made["none"]["html"], files, [0.0, 1.3, 3.2])
+        seen = played(browser, written["none"]["html"], files, [0.0, 1.3, 3.2])
         plain, packed = (np.array(file["places"]) for file in seen)
         assert np.linalg.norm(plain[1] - plain[2], axis=1).max() > 0.05
         assert np.linalg.norm(packed - plain, axis=2).max() < 1e-3

@@ -23,10 +23,10 @@ def test_a_csharp_client_of_openapi_generator_goes_all_the_way(
         pytest.skip("a C# compiler is not there: make csharp-tools, with java, node and npm")
     (runtime,) = CSHARP_TOOLS.glob("lib/python*/site-packages/dnv/net/runtime/.net")
     names = "targetFramework=net8.0,packageName=DynamicTree,supportsRetry=false"
-    made = tmp_path / "made"
-    generator = [CSHARP_TOOLS / "bin/openapi-generator-cli", "generate", "-i", PAGE, "-g", "csharp", "-o", made]
+    generated = tmp_path / "generated"
+    generator = [CSHARP_TOOLS / "bin/openapi-generator-cli", "generate", "-i", PAGE, "-g", "csharp", "-o", generated]
     _run(*generator, "--library", "httpclient", f"--additional-properties={names}")
-    sources = [FOREIGN / "UseClient.cs", *(made / "src" / "DynamicTree").rglob("*.cs")]
+    sources = [FOREIGN / "UseClient.cs", *(generated / "src" / "DynamicTree").rglob("*.cs")]
     program = tmp_path / "UseClient.dll"
     _run(CSHARP_TOOLS / "bin/python", FOREIGN / "compile_csharp.py", CSHARP_TOOLS, program, *sources)
     _check(_run(runtime / "dotnet", program, url, tree, hook_port))
@@ -49,7 +49,7 @@ def test_a_typescript_client_of_openapi_fetch_goes_all_the_way(
 
 
 def _check(printed: str) -> None:
-    """What each program prints: the event was signed and of its job, the file is whole, a refusal is told as one."""
+    """What each program prints: the event is signed and of its job, the file whole, a refusal is reported as one."""
     lines = [line.split() for line in printed.splitlines()]
     assert {line[0]: line[-1].replace("true", "True") for line in lines} == WANTED | {"estimate": "0"}
 

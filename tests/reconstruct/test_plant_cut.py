@@ -193,8 +193,8 @@ def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path: Path) -> None
 
 def test_of_what_masks_show_a_stroke_takes_the_pot() -> None:
     planted = potted()
-    held = planted.owner <= 1  # the plant and its pot
-    scene, owner = planted.scene.subset(held), planted.owner[held]
+    in_masks = planted.owner <= 1  # the plant and its pot
+    scene, owner = planted.scene.subset(in_masks), planted.owner[in_masks]
     own = plant_of(scene, list(planted.views), (stroke_across(planted, 1),), masked=True)
     assert own[owner == 0].mean() > 0.98
     assert own[owner == 1].mean() < 0.1

@@ -33,7 +33,7 @@ def main(tools: Path, out: Path, sources: list[Path]) -> int:
     stream = File.Create(str(out))
     result = CSharp.CSharpCompilation.Create(out.stem, trees, references, options).Emit(stream)
     stream.Close()
-    errors = [found for found in result.Diagnostics if found.Severity == Roslyn.DiagnosticSeverity.Error]
+    errors = [entry for entry in result.Diagnostics if entry.Severity == Roslyn.DiagnosticSeverity.Error]
     sys.stdout.writelines(f"{error}\n" for error in errors)
     shutil.copy(json_library, out.parent)
     out.with_suffix(".runtimeconfig.json").write_text((runtime / "runtimeconfig.json").read_text())
