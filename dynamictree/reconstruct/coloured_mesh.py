@@ -1,116 +1,94 @@
-"""Closed surfaces of Gaussians: of what stands on the ground, in the photos' colours, and of what is cut out of it."""
+"""Coloured mesh of the subject, standing on the ground, from depth maps or from the splat."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import fast_simplification
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
-from scipy.ndimage import label
+from jaxtyping import Float32, UInt8
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from dynamictree.errors import InputError, MeshError, ReconstructionError
-from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
-from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, vertex_normals
+from dynamictree.mesh import TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.cut import BESIDE
-from dynamictree.reconstruct.floaters import faint_floaters
-from dynamictree.reconstruct.scene import Scene
+from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
-from dynamictree.reconstruct.views import View
+from dynamictree.reconstruct.surface_choice import best_mesh
+from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 
-_MAX_FACES, _LEAST_FACES = 120_000, 50
-_SPECK_FACES = 24  # a piece of fewer is noise
-_GAP = 0.06  # of the region's radius: pieces nearer to one another belong together
-_CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
+MAX_FACES = 120_000
+_FINE_VOXELS = 240  # along the longest side
 _SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
 _SMOOTHING_ROUNDS = 4
 _COLOR_SIDE_PX = 640
-_LOW, _HIGH = (-1.0, -1.0, -1.0), (1.0, 1.0, 2.0)  # corners of the region that the pictures hold
-_GROUND = 0.02  # of the region's radius: lower parts count as ground
+CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
+_REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # that the pictures hold
 _WIDEST, _FAINTEST = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
 
 
-def mesh_of_scene(table: Float32[np.ndarray, "G P"], scene: Scene) -> TriangleMesh:
-    """Surface of what stands on the ground, smoothed, in the photos' colours and the scene's frame.
+def stereo_surface(scene: Scene) -> Surface:
+    """Surface of the subject from the fine depth maps; empty where there are none."""
+    if scene.fine is None:
+        return NOTHING
+    fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=_FINE_VOXELS)
+    return main_cluster(above(fused, scene.cut), GAP)
+
+
+def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
+    """Surface of the subject from its Gaussians: opacity on a grid, then marching cubes.
+
+    Above a ground that was found it may be anywhere in the region: stereo's box lacks crowns that stereo does not see.
+
+    Raises:
+        ReconstructionError: no Gaussian is opaque enough.
+    """
+    cloud = cloud_of(table)
+    box = _REGION if scene.ground_found else scene.box
+    low = np.maximum(box.low, [-np.inf, -np.inf, scene.cut])
+    inside = ((cloud.means > low) & (cloud.means < box.high)).all(axis=1)
+    inside &= (cloud.scales.max(axis=1) < _WIDEST) & (cloud.opacity > _FAINTEST)
+    try:
+        mesh = mesh_of_cloud(cloud.subset(inside), cells_along=CELLS, max_faces=2 * MAX_FACES)
+    except (InputError, ValueError) as error:
+        problem = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
+        raise ReconstructionError(f"{problem}; {ADVICE}") from error
+    return main_cluster(Surface(mesh.vertices, mesh.faces), GAP)
+
+
+def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequence[str]) -> tuple[TriangleMesh, str]:
+    """Choose the mesh of stereo or of the splat by the photos named in `apart`; gives its name too.
 
     Raises:
         ReconstructionError: there is no surface.
     """
-    cloud = cloud_of(table)
-    low = (*_LOW[:2], _GROUND) if scene.ground_found else _LOW
-    inside = ((cloud.means > low) & (cloud.means < _HIGH)).all(axis=1)
-    inside &= (cloud.scales.max(axis=1) < _WIDEST) & (cloud.opacity > _FAINTEST)
-    if any(view.alpha is None for view in scene.model.views):
-        inside &= ~faint_floaters(cloud, inside)
+    meshes = {}
+    stereo = stereo_surface(scene)
+    if len(stereo.faces) >= LEAST_FACES:
+        meshes["stereo"] = coloured(stereo, scene)
     try:
-        mesh = _surface(cloud.subset(inside), 1.0)
-    except InputError as error:
-        problem = f"{len(scene.model.views)} photos fit together, but {error}"
-        raise ReconstructionError(f"{problem}; {ADVICE}") from error
-    mesh = mesh.with_vertices(_smoothed(mesh))
+        meshes["splat"] = coloured(splat_surface(table, scene), scene)
+    except ReconstructionError:
+        if not meshes:
+            raise
+    views = [view for view in scene.matched.views if view.source in apart]
+    name = best_mesh(meshes, cloud_of(table), views, radius=1.0)
+    return meshes[name], name
+
+
+def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
+    """Decimate, smooth and colour a surface, in the scene's frame.
+
+    Raises:
+        ReconstructionError: there is no surface.
+    """
+    _check(surface, scene.model)
+    surface = _smoothed(_decimated(surface))
+    mesh = TriangleMesh(vertices=surface.vertices, faces=surface.faces)
     return replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, scene.model.views)))
-
-
-def mesh_of_plant(
-    scene: GaussianCloud, own: Bool[np.ndarray, " G"], whole: TriangleMesh, radius_m: float
-) -> TriangleMesh:
-    """Surface of the plant's Gaussians, in the colours of the whole mesh where that is near.
-
-    Args:
-        scene: all Gaussians.
-        own: which of them are the plant.
-        whole: mesh of the scene.
-        radius_m: of the region that the photos look at.
-
-    Raises:
-        InputError: the plant has no surface.
-    """
-    mesh = _surface(scene.subset(own), radius_m)
-    colors = mesh.look.vertex_colors
-    if colors is not None and whole.look.vertex_colors is not None:
-        gap, nearest = cKDTree(whole.vertices).query(mesh.vertices, distance_upper_bound=BESIDE * radius_m)
-        near = np.isfinite(gap)
-        colors[near] = whole.look.vertex_colors[np.asarray(nearest)[near]]
-    return mesh
-
-
-def _surface(cloud: GaussianCloud, radius: float) -> TriangleMesh:
-    """The largest group of pieces that lie near one another, of the surface where Gaussians are opaque.
-
-    Raises:
-        InputError: it has fewer than 50 faces.
-    """
-    problem = f"{cloud.num_gaussians} Gaussians have no surface"
-    try:
-        mesh = mesh_of_cloud(cloud, cells_along=_CELLS, max_faces=_MAX_FACES)
-    except (InputError, MeshError, ValueError) as error:
-        raise InputError(f"{problem}: {error}; choose more of the scene") from error
-    mesh = main_cluster(mesh, _GAP * radius)
-    if mesh.num_faces < _LEAST_FACES:
-        raise InputError(f"{problem}: it has {mesh.num_faces} faces; {_LEAST_FACES} are needed")
-    return mesh
-
-
-def main_cluster(mesh: TriangleMesh, gap: float) -> TriangleMesh:
-    """The largest group of pieces that lie closer together than about the gap; specks count for nothing.
-
-    Leaves and twigs seldom hang together in a mesh of photos, but they are near one another.
-    """
-    piece = connected_parts(mesh.faces, mesh.num_vertices)[mesh.faces[:, 0]]
-    chosen = (np.bincount(piece) >= _SPECK_FACES)[piece]
-    if chosen.any():
-        centres = mesh.vertices[mesh.faces[chosen]].mean(axis=1)
-        cells = ((centres - centres.min(axis=0)) / gap).astype(int)
-        occupied = np.zeros(cells.max(axis=0) + 1, bool)
-        occupied[tuple(cells.T)] = True
-        group = label(occupied, structure=np.ones((3, 3, 3)))[0][tuple(cells.T)]
-        chosen[chosen] = group == np.bincount(group).argmax()
-    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
-    return TriangleMesh(
-        vertices=mesh.vertices[used], faces=faces.reshape(-1, 3).astype(np.int32), look=mesh.look.of(used, chosen)
-    )
 
 
 def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarray, "N 4"]:
@@ -149,15 +127,27 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
     return color
 
 
-def _smoothed(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
-    edges = edges_of(mesh.faces)
+def _check(surface: Surface, model: SparseModel) -> None:
+    if len(surface.faces) < LEAST_FACES:
+        problem = f"{len(model.views)} photos fit together, but they agree on {len(surface.faces)} triangles of surface"
+        raise ReconstructionError(f"{problem}; at least {LEAST_FACES} are needed; {ADVICE}")
+
+
+def _decimated(surface: Surface) -> Surface:
+    if len(surface.faces) <= MAX_FACES:
+        return surface
+    vertices, faces = fast_simplification.simplify(surface.vertices, surface.faces, target_count=MAX_FACES)
+    return Surface(vertices.astype(np.float32), faces.astype(np.int32))
+
+
+def _smoothed(surface: Surface) -> Surface:
+    edges = edges_of(surface.faces)
     both = np.concatenate([edges, edges[:, ::-1]])
-    number = mesh.num_vertices
+    number = len(surface.vertices)
     links = coo_array((np.ones(len(both), np.float32), (both[:, 0], both[:, 1])), shape=(number, number)).tocsr()
     degree = np.maximum(links.sum(axis=1), 1)[:, None]
-    vertices = mesh.vertices
+    vertices: Float32[np.ndarray, "N 3"] = surface.vertices
     for _ in range(_SMOOTHING_ROUNDS):
         for step in _SMOOTHING:
             vertices = vertices + np.float32(step) * (links @ vertices / degree - vertices)
-    smooth: Float32[np.ndarray, "N 3"] = vertices.astype(np.float32)
-    return smooth
+    return Surface(vertices.astype(np.float32), surface.faces)

@@ -49,7 +49,7 @@ def expected_seconds(
     return {
         "photos": 0.1 * num_photos,
         "cameras": 1.5 * num_photos + 0.06 * num_pairs,
-        "depth": 0.6 * num_views,
+        "depth": 3.0 * num_views,
         "splat": num_steps * (0.01 + 0.1 * (side_px / 640) ** 2),
         "mesh": 10.0,
     }

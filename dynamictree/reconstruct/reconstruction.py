@@ -14,7 +14,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras, pairs_to_match
-from dynamictree.reconstruct.coloured_mesh import mesh_of_scene
+from dynamictree.reconstruct.coloured_mesh import best_mesh_of
 from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.draft import Draft, OnFile, ignore_file
 from dynamictree.reconstruct.exposure import evenly_exposed
@@ -122,18 +122,18 @@ def reconstruct(
                 draft.show(state)
 
             fit = fit_splat(
-                scene.matched, scene.depths, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
+                scene.matched, scene.coarse, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
             )
         with clock.stage("mesh"):
             cloud = cloud_of(fit.table)
-            mesh = mesh_of_scene(fit.table, scene)
+            mesh, mesh_by = best_mesh_of(fit.table, scene, fit.figures["held_out"])
             unit_m = metres_per_unit(scene.model.markers)
             result = Reconstruction(
                 mesh=mesh,
                 scene=cloud,
                 own=own_gaussians(cloud, mesh),
                 cameras=[view.photo_camera for view in scene.model.views],
-                report=_report(fit, scene, [photo.name for photo in listed]),
+                report=_report(fit, scene, mesh_by, [photo.name for photo in listed]),
             )
             middle = np.median(mesh.vertices, axis=0).astype(np.float64)
             ground = np.array([middle[0], middle[1], mesh.vertices[:, 2].min()])
@@ -192,7 +192,7 @@ def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, 
     return own
 
 
-def _report(fit: SplatFit, scene: Scene, photos: list[str]) -> Report:
+def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Report:
     """The report in the stage's frame, without times and without what `Reconstruction.write` adds."""
     model, figures = scene.model, fit.figures
     cameras = {view.source: view.camera for view in model.views}
@@ -210,6 +210,7 @@ def _report(fit: SplatFit, scene: Scene, photos: list[str]) -> Report:
         markers=[MarkerReport(number=one.number, edge_m=one.edge, num_photos=one.num_photos) for one in model.markers],
         height_m=0.0,
         radius_m=1.0,
+        mesh_by=mesh_by,
         num_vertices=0,
         num_faces=0,
         num_gaussians=0,

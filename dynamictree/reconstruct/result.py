@@ -54,6 +54,7 @@ class Report(SplatFigures):
     markers: list[MarkerReport]  # found in at least three photos, those in most photos first
     height_m: float
     radius_m: float  # of the region that the photos look at
+    mesh_by: str  # `stereo` or `splat`: made from depth maps or from the splat's opacity
     num_vertices: int
     num_faces: int
     num_gaussians: int  # of the tree

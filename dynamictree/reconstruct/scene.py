@@ -1,4 +1,4 @@
-"""Cameras, depth maps of the photos and their sky, in a frame with +Z up."""
+"""Region of the subject and depth maps of the photos, in a frame with +Z up."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,19 +7,29 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree.photo_requests import QUALITIES
-from dynamictree.reconstruct.depth import DepthMaps, find_depths, load_depths, outside_sky, save_depths
+from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths, load_depths, outside_sky, save_depths
+from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
 from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel
 
+LEAST_FACES = 200  # of a surface
+GAP = 0.06  # of the region's radius: pieces nearer to one another belong together
+_COARSE_VOXELS = 128  # along the longest side
+_GROUND_CUT = 0.02  # of the region's radius: lower parts count as ground
+_BOX_MARGIN = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What a splat is learned from, in the stage's frame."""
+    """Cameras and depth maps in the stage's frame, and the box around the subject."""
 
     model: SparseModel  # all views
     matched: SparseModel  # those of the depth maps
-    depths: DepthMaps
+    coarse: DepthMaps
+    fine: DepthMaps | None  # only for rays that meet the box; None with masks, or where the coarse ones show nothing
+    box: Box  # around the subject
+    cut: float  # height below which is ground
     ground_found: bool
     sky: list[Foreground] | None = None  # of the matched views, where they show one
 
@@ -32,7 +42,7 @@ def find_scene(
     on_model: Callable[[SparseModel], None] = lambda model: None,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Scene:
-    """Find up, ground and sky, and match all views.
+    """Find up and the subject, and match all views: coarse depths locate the subject, fine ones are of it alone.
 
     Where photos show sky, its depths are left out: stereo gives it those of the leaves before it.
 
@@ -48,17 +58,44 @@ def find_scene(
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
     on_model(model)
     matched = _evenly_chosen(model, max_views)
+    cut = _GROUND_CUT if stage.ground_found else -np.inf
     if saved is not None and saved.exists():
-        depths = load_depths(matched, saved)
+        coarse, fine, box = load_depths(matched, saved)
     else:
-        depths = find_depths(matched, lambda done, total: on_progress(done / total))
+        coarse, fine, box = _depths(matched, cut, on_progress)
         if saved is not None:
-            save_depths(depths, saved)
-    sky = None if cut_out else without_sky(matched.views, depths.depths)
+            save_depths(coarse, fine, box, saved)
+    sky = None if cut_out else without_sky(matched.views, coarse.depths)
     if sky is not None:
-        depths = outside_sky(depths, sky)
+        coarse, fine = outside_sky(coarse, sky), None if fine is None else outside_sky(fine, sky)
     on_progress(1.0)
-    return Scene(model=model, matched=matched, depths=depths, ground_found=stage.ground_found, sky=sky)
+    return Scene(
+        model=model,
+        matched=matched,
+        coarse=coarse,
+        fine=fine,
+        box=box,
+        cut=cut,
+        ground_found=stage.ground_found,
+        sky=sky,
+    )
+
+
+def _depths(
+    matched: SparseModel, cut: float, on_progress: Callable[[float], None]
+) -> tuple[DepthMaps, DepthMaps | None, Box]:
+    """Coarse and fine depths and the subject's box; with masks no fine ones, stereo would leave out parts of it."""
+    coarse, matches = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
+    cut_out = all(view.alpha is not None for view in matched.views)
+    region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
+    if cut_out:
+        return coarse, None, region
+    subject = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), GAP)
+    if len(subject.faces) < LEAST_FACES:
+        return coarse, None, region
+    box = Box(low=subject.vertices.min(axis=0).astype(np.float64), high=subject.vertices.max(axis=0).astype(np.float64))
+    box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
+    return coarse, fine_depths(matched, matches, box, lambda done, total: on_progress(0.5 + 0.5 * done / total)), box
 
 
 def _evenly_chosen(model: SparseModel, max_views: int) -> SparseModel:

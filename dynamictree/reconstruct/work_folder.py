@@ -18,7 +18,6 @@ from dynamictree.files import replacing
 from dynamictree.reconstruct.options import ReconstructOptions
 
 _VERSION = 4  # of the files in the folder
-_DEPTHS_VERSION = 2
 _SPLAT_VERSION = 4  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
@@ -61,7 +60,7 @@ def extend_work(path: Path, sources: Iterable[Path], options: ReconstructOptions
 
 def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str]:
     photos = f"{_photos_key(sources)} {options.photo_px}"
-    depths = f"{photos} {options.max_views} {_DEPTHS_VERSION}"
+    depths = f"{photos} {options.max_views}"
     splat = f"{depths} {_SPLAT_VERSION} {json.dumps(asdict(options.schedule), sort_keys=True)}"
     keys = zip(_RESULTS, (photos, depths, splat), strict=True)
     return {name: sha256(meaning.encode()).hexdigest() for name, meaning in keys}

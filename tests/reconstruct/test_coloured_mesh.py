@@ -1,17 +1,18 @@
-"""Stereo, the stage, meshes and colours on pictures whose cameras and depths are exact."""
+"""Stereo, fusion and colours on pictures whose cameras and depths are exact."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from dynamictree.errors import ReconstructionError
-from dynamictree.mesh import TriangleMesh, joined
-from dynamictree.reconstruct.coloured_mesh import main_cluster, mesh_of_scene, photo_colors
-from dynamictree.reconstruct.depth import stereo_view
+from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.coloured_mesh import coloured, photo_colors, stereo_surface
+from dynamictree.reconstruct.depth import rays_through, stereo_view
+from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
-from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.stage import camera_up, find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.views import SparseModel, View
@@ -100,16 +101,43 @@ def test_neighbours_see_the_same_points_from_a_little_aside():
     assert neighbours[4] == []
 
 
-def strip(start: float, num_faces: int, height: float) -> TriangleMesh:
+def test_exact_depths_fuse_to_the_surface_with_faces_outward(orbit):
+    views = [stereo_view(view, SIDE) for view in views_of(orbit)]
+    depths = exact_depths(orbit, views[0].grey.shape)
+    box = Box(low=np.array([-0.7, -0.7, 0.0]), high=np.array([0.7, 0.7, 1.4]))
+    surface = main_cluster(fuse(views, depths, box, resolution=70), 0.05)
+    true_surface = orbit.stump.vertices[orbit.stump.faces].mean(axis=1)
+    distance = cKDTree(true_surface).query(surface.vertices)[0]
+    assert np.percentile(distance, 95) < 2.0 * 1.4 / 70
+    side = true_surface[(true_surface[:, 2] > 0.1) & (true_surface[:, 2] < 1.1)]
+    assert np.percentile(cKDTree(surface.vertices).query(side)[0], 95) < 2.0 * 1.4 / 70
+    a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
+    outward = (np.cross(b - a, c - a)[:, :2] * a[:, :2]).sum(axis=1) > 0
+    upright = (a[:, 2] > 0.1) & (a[:, 2] < 1.0)
+    assert outward[upright].mean() > 0.98
+
+
+def test_depths_that_see_nothing_fuse_to_nothing(orbit):
+    views = [stereo_view(view, 60) for view in views_of(orbit)]
+    empty = [np.zeros(view.grey.shape, np.float32) for view in views]
+    far = [np.full(view.grey.shape, 50, np.float32) for view in views]
+    box = Box(low=np.full(3, -1.0), high=np.full(3, 1.0))
+    for depths in (empty, far):
+        assert len(fuse(views, depths, box, resolution=20).faces) == 0
+
+
+def strip(start: float, num_faces: int, height: float) -> Surface:
     """A band of triangles along x, half a metre a triangle."""
     number = num_faces + 2
     vertices = np.stack([start + 0.5 * np.arange(number), np.arange(number) % 2, np.full(number, height)], axis=1)
     faces = np.stack([np.arange(num_faces), np.arange(1, num_faces + 1), np.arange(2, num_faces + 2)], axis=1)
-    return TriangleMesh(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32))
+    return Surface(vertices.astype(np.float32), faces.astype(np.int32))
 
 
-def together(*surfaces: TriangleMesh) -> TriangleMesh:
-    return joined(surfaces)
+def together(*surfaces: Surface) -> Surface:
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
+    faces = [surface.faces + start for surface, start in zip(surfaces, starts, strict=True)]
+    return Surface(np.concatenate([s.vertices for s in surfaces]), np.concatenate(faces).astype(np.int32))
 
 
 def test_pieces_that_are_near_stay_and_far_ones_and_specks_go():
@@ -119,6 +147,22 @@ def test_pieces_that_are_near_stay_and_far_ones_and_specks_go():
     assert len(cluster.faces) == 130
     assert len(main_cluster(together(trunk, twig, rock), gap=0.6).faces) == 100
     assert len(main_cluster(speck, gap=3.0).faces) == 0
+
+
+def test_what_lies_low_is_cut():
+    high = above(together(strip(0, 10, 0.5), strip(0, 12, 2)), 1.0)
+    assert np.array_equal(high.vertices, strip(0, 12, 2).vertices)
+    assert np.array_equal(high.faces, strip(0, 12, 2).faces)
+    assert len(main_cluster(above(high, 9.0), 1.0).faces) == 0
+
+
+def test_a_ray_meets_the_box_where_the_box_is_seen(orbit):
+    view = stereo_view(views_of(orbit)[0], SIDE)
+    box = Box(low=np.array([-0.45, -0.45, 0.0]), high=np.array([0.45, 0.45, 1.2]))
+    mask = rays_through(view, box)
+    seen = exact_depths(orbit, view.grey.shape)[0] > 0
+    assert mask[seen].mean() > 0.98
+    assert mask.mean() < 3 * seen.mean()
 
 
 def test_the_stage_stands_on_the_ground_whatever_the_frame(orbit, rng):
@@ -208,25 +252,27 @@ def test_colours_are_those_of_the_photos_that_see_a_vertex(orbit):
     assert np.abs(many[inner, :3].mean(axis=0) - one[inner, :3].mean(axis=0)).max() < 60
 
 
-def test_a_splat_that_shows_nothing_has_no_surface(orbit, rng):
-    scene = find_scene(model_of(orbit, rng))
-    points = rng.uniform(-0.3, 0.3, (50, 3)).astype(np.float32)
-    table = table_of_points(points, np.ones_like(points), np.full(50, 0.01, np.float32), opacity=0.01, sh_degree=0)
-    with pytest.raises(ReconstructionError, match=r"14 photos fit together, but 0 Gaussians have no surface"):
-        mesh_of_scene(table, scene)
+def test_photos_without_any_pattern_show_no_surface(orbit, rng):
+    model = model_of(orbit, rng)
+    blank = tuple(
+        View(source=view.source, image=np.full((90, 120, 3), 128, np.uint8), camera=view.camera) for view in model.views
+    )
+    plain = SparseModel(
+        views=blank, points=model.points, colors=model.colors, seen=model.seen, reprojection_error_px=0.5
+    )
+    scene = find_scene(plain)
+    with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
+        coloured(stereo_surface(scene), scene)
 
 
-def test_the_mesh_of_a_stump_on_a_lawn_is_the_stump(orbit, rng):
-    """Neither its ground, nor specks that learning leaves above it."""
-    scene = find_scene(model_of(orbit, rng))
-    scale = 1 / scene.model.views[0].camera.position_m[2] * orbit.cameras[0].position_m[2]
-    turn, level = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(0, 1.1, 6000) / scale
-    bark = np.stack([0.35 / scale * np.cos(turn), 0.35 / scale * np.sin(turn), level], axis=1)
-    lawn = rng.uniform([-1, -1, -0.005], [1, 1, 0.005], (8000, 3))
-    specks = rng.uniform([-1, -1, 0.03], [1, 1, 0.15], (150, 3))
-    points = np.concatenate([bark, lawn, specks]).astype(np.float32)
-    sizes = np.full(len(points), 0.01, np.float32)
-    mesh = mesh_of_scene(table_of_points(points, np.full_like(points, 0.5), sizes, opacity=0.9, sh_degree=0), scene)
-    away = np.linalg.norm(mesh.vertices[:, :2], axis=1)
-    assert away.max() < 0.35 / scale + 0.15
-    assert mesh.height_m > 1 / scale
+def test_what_masks_show_remains_where_stereo_sees_only_a_part(orbit, rng):
+    model = model_of(orbit, rng)
+    views = []
+    for view, depth in zip(model.views, exact_depths(orbit, (90, 120)), strict=True):
+        image = np.array(Image.fromarray(view.image).resize((120, 90), Image.Resampling.BOX))
+        cut = np.where(depth > 0, 255, 0).astype(np.uint8)
+        views.append(View(source=view.source, image=image, camera=view.camera, alpha=cut))
+    scene = find_scene(replace(model, views=tuple(views)))
+    assert scene.fine is None
+    assert (scene.box.low <= -1).all()  # the region's radius is 1
+    assert (scene.box.high >= 1).all()

@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 34_331,
+    "lines in dynamictree": 34_682,
     "lines in lab": 6_350,
     "lines in service, jobs and worker": 15_165,
-    "lines in tests": 40_463,
-    "names bound to numbers in dynamictree": 775,
-    "functions of dynamictree with more than 6 arguments": 6,
+    "lines in tests": 40_564,
+    "names bound to numbers in dynamictree": 784,
+    "functions of dynamictree with more than 6 arguments": 7,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
 }
