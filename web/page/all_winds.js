@@ -16,10 +16,13 @@ export async function bandsOf(client, { asset_id, preset, seed, params, result }
   const given = OF_THE_SPECTRUM.filter((name) => name in params).map((name) => [name, params[name]]);
   const request = { type: "diffuse", asset_id, preset, seed, priority: "low" };
   request.params = { ...Object.fromEntries(given), wind_bands: true };
-  let job = await client.createJob(request, { key: `winds-${result.spectrum_id}`, signal });
-  if (job.state === "canceled") job = await client.retry(job.id); // who asked before has left
-  signal.addEventListener("abort", () => hasEnded(job) || client.cancel(job.id).catch(() => {}));
-  for await (job of client.watch(job.id, { signal }));
+  let job = /** @type {any} */ (null);
+  signal.addEventListener("abort", () => !job || hasEnded(job) || client.cancel(job.id).catch(() => {}));
+  const ended = async (asked) => {
+    for await (job of client.watch((job = await asked).id, { signal }));
+  };
+  await ended(client.createJob(request, { key: `winds-${result.spectrum_id}`, signal }));
+  if (job.state === "canceled") await ended(client.retry(job.id)); // who asked before has left
   return (await client.spectrum(job.result.spectrum_id)).wind_bands;
 }
 

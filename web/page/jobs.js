@@ -157,10 +157,7 @@ export class JobList {
   }
 
   _act(promise) {
-    return this._try(async () => {
-      await promise;
-      await this._refresh();
-    });
+    return this._try(() => promise.then(() => this._refresh()));
   }
 }
 
