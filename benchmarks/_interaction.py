@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.gaussian.binding import Binding, bind_to_faces
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh, edges_of
@@ -29,8 +28,7 @@ class Scene:
 
     def vertex_frames(self) -> VertexFrames:
         """The vertices at any modal coordinates."""
-        shares = voxel_shares(self.spectrum.grid, self.mesh)
-        return VertexFrames(rig_of(self.mesh, self.spectrum), self.mesh.vertices, shares)
+        return VertexFrames(rig_of(self.mesh, self.spectrum), self.mesh.vertices)
 
 
 def scene() -> Scene:

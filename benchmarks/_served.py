@@ -107,7 +107,7 @@ def processor_s(process_id: int) -> float:
 
 
 def _stored(services: Services, name: str, content: bytes) -> tuple[str, int]:
-    path = services.settings.state_dir / name
+    path = services.settings.state_dir / f"{new_id()}-{name}"  # the store keeps this very file
     path.write_bytes(content)
     digest, size = hash_file(path)
     services.artifacts.put(path, digest)

@@ -7,13 +7,13 @@ import numpy as np
 from benchmarks._interaction import gaussians_on, scene
 from benchmarks._machine import copied, machine, over_floor, timed
 from benchmarks.deform_gaussians import frame_bytes
-from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.gaussian.deform import Deformer
-from dynamictree.modal.bone_attachment import attach_mesh
-from dynamictree.modal.bones import bones_of
+from dynamictree.modal.bones import turns_of
+from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
-from dynamictree.modal.warp import bend, bone_turns, pose
+from dynamictree.rig.pose import carried, poses
+from dynamictree.rig.rig import rig_of
 
 TARGET_MS = 8.0
 FLOOR_TARGET = 2.5  # times what copying the bytes of a frame takes
@@ -22,7 +22,6 @@ FLOOR_TARGET = 2.5  # times what copying the bytes of a frame takes
 def run() -> dict[str, object]:
     prepared = scene()
     system, mesh, grid = prepared.system, prepared.mesh, prepared.spectrum.grid
-    ties = voxel_shares(grid, mesh)
     vertices = prepared.vertex_frames()
     deformer = Deformer(gaussians_on(mesh))
     shuffled = Deformer(gaussians_on(mesh, in_face_order=False))
@@ -34,13 +33,14 @@ def run() -> dict[str, object]:
     def all_in() -> object:
         return deformer.pose(plain())
 
-    bones = bones_of(system)
-    carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
-    everywhere = np.ones((1, len(bones.parent)), np.float32)
+    rig = rig_of(mesh, prepared.spectrum)
+    tree = InteractiveTree(system, rig, mesh.faces)
+    bends = np.zeros((len(tree.joints.parent), 3))
 
     def bent() -> np.ndarray:
-        stance = pose(bones, bone_turns(bones, everywhere, next(states)))
-        return bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
+        turns = turns_of(tree.bones, [None], next(states)).astype(np.float32)
+        stance = tree.joints.bent(poses(rig.skeleton, turns[None]), bends)
+        return carried(rig.skeleton, stance, 0, mesh.vertices, rig.vertices)
 
     moved = plain()
     figures = {
@@ -65,7 +65,7 @@ def run() -> dict[str, object]:
             "gaussians": len(deformer.binding.face_of),
             "voxels": len(grid),
             "modes": system.num_modes,
-            "bones": len(bones.parent),
+            "bones": len(rig.skeleton),
         },
         **machine("numpy", "scipy", "numba"),
     }

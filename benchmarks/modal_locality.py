@@ -8,16 +8,17 @@ import numpy as np
 import scipy.sparse
 
 from benchmarks._machine import machine
-from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.mesh import edges_of
-from dynamictree.modal.bone_attachment import attach_mesh
-from dynamictree.modal.bones import bones_of
+from dynamictree.modal.bones import turns_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
-from dynamictree.modal.locality import branching, default_falloff_m, poke_weights
+from dynamictree.modal.frames import VertexFrames
+from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
+from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
 from dynamictree.modal.system import ModalSystem, displacement, modal_system
-from dynamictree.modal.warp import bend, bone_turns, pose
+from dynamictree.rig.pose import carried, poses
+from dynamictree.rig.rig import rig_of
 from dynamictree.voxel.voxelize import surface_average
 from lab.dataset.sample import Sample, make_sample, voxel_spectrum
 from lab.dataset.sapling import LEAF
@@ -58,7 +59,7 @@ def run() -> dict[str, object]:
 
 
 def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
-    stems, tree, rng = sample.skeleton, branching(system), np.random.default_rng(0)
+    stems, tree, rng = sample.skeleton, _tree(sample, system), np.random.default_rng(0)
     owner = stem_of_voxels(sample, system)
     wood = surface_average(sample.mesh, system.grid) @ (sample.part != LEAF).astype(np.float64) > 0.5  # [V]
     shares: dict[str, list[float]] = {"all_modes": [], "local": [], "own_weight": []}
@@ -70,12 +71,18 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
             for own in (np.flatnonzero(owner == poked), np.flatnonzero((owner == poked) & wood)):
                 # the outermost voxel of all, mostly a leaf; and of the wood
                 row = int(own[np.argmax(((system.grid.centres_m[own] - base) ** 2).sum(axis=1))])
-                energy, weights = _kinetic(system, row), poke_weights(tree, row, default_falloff_m(system))
+                place = Locality(seed_voxel=row, falloff_m=default_falloff_m(system))
+                energy, weights = _kinetic(system, row), tree.weights([ForceGroup(locality=place)])[0]
                 weighed = energy * weights**2
                 shares["all_modes"].append(round(float(energy[~inside].sum() / energy.sum()), 4))
                 shares["local"].append(round(float(weighed[~inside].sum() / weighed.sum()), 4))
                 shares["own_weight"].append(round(float(weights[owner == poked].mean()), 4))
     return shares
+
+
+def _tree(sample: Sample, system: ModalSystem) -> InteractiveTree:
+    _, spectrum = voxel_spectrum(sample)
+    return InteractiveTree(system, rig_of(sample.mesh, spectrum), sample.mesh.faces)
 
 
 def stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:
@@ -115,16 +122,17 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
     q = equilibrium(
         system, generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
     ).q
-    bones, ties = bones_of(system), voxel_shares(grid, mesh)
-    carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
-    everywhere, highest = np.ones((1, len(bones.parent)), np.float32), int(np.argmax(mesh.vertices[:, 2]))
+    tree, highest = _tree(sample, system), int(np.argmax(mesh.vertices[:, 2]))
+    assert tree.rig is not None
+    rig, still = tree.rig, np.zeros((len(tree.joints.parent), 3))
 
     def bent_by(strength: float) -> np.ndarray:
-        stance = pose(bones, bone_turns(bones, everywhere, strength * q))
-        return bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
+        turns = turns_of(tree.bones, [None], strength * q).astype(np.float32)
+        stance = tree.joints.bent(poses(rig.skeleton, turns[None]), still)
+        return carried(rig.skeleton, stance, 0, mesh.vertices, rig.vertices)
 
     wanted = TOP_SHARE * mesh.height_m
-    plain = ties.apply(displacement(system.shapes, q)[0])
+    plain = VertexFrames(rig, mesh.vertices).displacement(q).astype(np.float64)
     plain *= wanted / np.linalg.norm(plain[highest])
     strength = wanted / float(np.linalg.norm(displacement(system.shapes, q)[0, top]))
     for _ in range(6):  # on its arc the top comes less far: push until it is there

@@ -1,7 +1,19 @@
 """Evaluate a tree's modes yourself: the reference for clients, in Python. Needs numpy and safetensors alone."""
 
+from typing import NamedTuple
+
 import numpy as np
 from safetensors.numpy import load
+
+OUTWARD = 32.0
+
+
+class Reach(NamedTuple):
+    """How the bones take part in a group."""
+
+    weights: np.ndarray  # [B]
+    ends: dict[int, np.ndarray]  # of the bones that carry the place, and of its own, where they end
+    hangs: np.ndarray  # [B], whether a bone hangs on the place
 
 
 class Modes:
@@ -9,43 +21,79 @@ class Modes:
 
     def __init__(self, content: bytes) -> None:
         self.file = load(content)
-        scale = self.file["scale_m"][:, None, None]
-        self.shapes = self.file["shapes"].astype(np.float32) * scale  # [V, K, 3, 2]
-        self.bone_shapes = self.file["bone_shapes"].astype(np.float32) * scale
+        self.shapes = self.file["shapes"].astype(np.float32) * self.file["scale_m"][:, None, None]  # [V, K, 3, 2]
+        self.turns = self.file["bone_turns"].astype(np.float32) * self.file["bone_scale_rad"][:, None, None]
+        self.parent, self.foot = self.file["bone_parent"], self.file["bone_foot_m"].astype(float)
+        self.reach_m = self.file["bone_reach_m"].astype(float)
 
     def voxels(self, q: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Plain superposition: u [V, 3] of one frame, from q [G, K, 2] and weights [G, V] in [0, 1]."""
         return _superposed(self.shapes, q, weights)
 
+    def reach(self, seed_voxel: int, falloff_m: float) -> Reach:
+        """How the bones take part in a group of this locality."""
+        length, bone, way = np.linalg.norm(self.reach_m, axis=1), int(self.file["bone_of_voxel"][seed_voxel]), 0.0
+        cost, ends = np.full(len(length), np.inf), {bone: self.foot[bone] + self.reach_m[bone]}
+        seed, hangs = bone, np.zeros(len(length), bool)
+        while bone >= 0:
+            cost[bone] = way
+            way += (0.5 if bone == seed else 1.0) * np.linalg.norm(ends[bone] - self.foot[bone])
+            if self.parent[bone] >= 0:
+                ends[int(self.parent[bone])] = self.foot[bone]
+            bone = int(self.parent[bone])
+        for b in range(1, len(length)):  # parents come before children
+            if b in ends:
+                continue
+            a = int(self.parent[b])
+            hangs[b] = a == seed or hangs[a]
+            cost[b] = cost[a] if hangs[b] else cost[a] + OUTWARD * length[b] if a > 0 else np.inf
+        return Reach(np.exp(-((cost / falloff_m) ** 2)), ends, hangs)
+
+    def theta(self, q: np.ndarray, reaches: list[Reach | None]) -> np.ndarray:
+        """How far each bone turns [B, 3], from q [G, K, 2]; a group without a reach moves the whole tree."""
+        total = np.zeros_like(self.foot)
+        for coordinates, reach in zip(q, reaches, strict=True):
+            own = _superposed(self.turns, coordinates[None], np.ones((1, len(total)))).astype(float)
+            total += own if reach is None else self._local(own, reach)
+        return total
+
+    def _local(self, own: np.ndarray, reach: Reach) -> np.ndarray:
+        turn, shift, w = own.copy(), np.zeros_like(own), reach.weights
+        for b in range(1, len(own)):
+            a = int(self.parent[b])
+            shift[b] = shift[a] + np.cross(own[a], self.foot[b] - self.foot[a])
+            if b in reach.ends:
+                arm = reach.ends[b] - self.foot[b]
+                turn[b] = w[b] * own[b] + (w[b] - w[a]) / max(arm @ arm, 1e-12) * np.cross(arm, shift[b])
+            elif not reach.hangs[b]:
+                turn[b] = turn[a] + w[b] * (own[b] - own[a])
+        turn[0] = 0
+        return turn
+
     def bends(self, seed_voxel: int, bend: np.ndarray) -> np.ndarray:
-        """A group's `bend` [n, 3], given from its grip's bone towards the root, for all bones [B, 3]."""
-        bone, every = self.file["bone_of_voxel"][seed_voxel], np.zeros_like(self.file["bone_joint_m"])
+        """A group's `bend` [n, 3], given from its place's joint towards the root, for all joints [J, 3]."""
+        every = np.zeros_like(self.file["joint_place_m"])
+        joint = self.file["joint_of_bone"][self.file["bone_of_voxel"][seed_voxel]]
         for turn in bend:
-            every[bone], bone = turn, self.file["bone_parent"][bone]
+            every[joint], joint = turn, self.file["joint_parent"][joint]
         return every
 
-    def poses(
-        self, q: np.ndarray, weights: np.ndarray, bends: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The warp: rotation [B, 3, 3] and place [B, 3] of each bone; its point x goes to R (x - joint) + place.
+    def poses(self, theta: np.ndarray, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation [B, 3, 3] and place [B, 3] of each bone; its point x goes to R (x - foot) + place.
 
-        `bends` [B, 3] is the sum of the groups' bends: each turns its bone and everything beyond it.
+        `bends` [J, 3] is the sum of the groups' bends: each turns its joint and everything beyond it.
         """
-        bone, parent = self.file["bone_of_voxel"], self.file["bone_parent"]
-        joint, reach = self.file["bone_joint_m"], self.file["bone_reach_m"]
-        count = np.bincount(bone, minlength=len(parent))
-        per_bone = np.stack([np.bincount(bone, row, len(parent)) / count for row in weights])
-        moved = _superposed(self.bone_shapes, q, per_bone)
-        above = np.where(parent < 0, np.arange(len(parent)), parent)
-        turn = np.cross(reach, moved - moved[above]) / self.file["bone_lever_m2"][:, None]
-        rotation, place = np.stack([_rotation(t) for t in turn]), joint.copy()
-        frame = np.stack([_rotation(t) for t in (np.zeros_like(joint) if bends is None else bends)])
-        for b in np.flatnonzero(parent >= 0):  # parents come before children
-            frame[b] = frame[parent[b]] @ frame[b]
-        rotation = frame @ rotation
-        for b in np.flatnonzero(parent >= 0):
-            place[b] = place[parent[b]] + rotation[parent[b]] @ (joint[b] - joint[parent[b]])
-        return rotation, place
+        rotation, place = np.stack([_arc(t) for t in theta]), self.foot.copy()
+        for b in range(1, len(place)):  # parents come before children
+            a = self.parent[b]
+            place[b] = place[a] + rotation[a] @ (self.foot[b] - self.foot[a])
+        at, above = self.file["joint_place_m"].astype(float), self.file["joint_parent"]
+        frame, there = np.tile(np.eye(3), (len(at), 1, 1)), at.copy()
+        for j in range(1, len(at)):
+            there[j] = there[above[j]] + frame[above[j]] @ (at[j] - at[above[j]])
+            frame[j] = frame[above[j]] @ _rotation(bends[j])
+        of = self.file["joint_of_bone"]
+        return frame[of] @ rotation, there[of] + np.einsum("bij,bj->bi", frame[of], place - at[of])
 
 
 def _superposed(shapes: np.ndarray, q: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -53,6 +101,12 @@ def _superposed(shapes: np.ndarray, q: np.ndarray, weights: np.ndarray) -> np.nd
     return np.einsum("nkx,nk->nx", shapes[..., 0], mixed[..., 0]) - np.einsum(
         "nkx,nk->nx", shapes[..., 1], mixed[..., 1]
     )
+
+
+def _arc(theta: np.ndarray) -> np.ndarray:
+    """A turn by atan |θ| about θ."""
+    size = max(float(np.linalg.norm(theta)), 1e-12)
+    return _rotation(theta * np.arctan(size) / size)
 
 
 def _rotation(turn: np.ndarray) -> np.ndarray:

@@ -3,9 +3,8 @@
     python -m recipes.welcome_tree
 
 Runs a service of its own on one of the page's examples, with the shipped model. The files are thinned for a download:
-every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by a pixel left out,
-and the modes of the bones of a push, which the page bends by itself; places to 2 mm, and turns in fewer steps, which
-gzip packs.
+every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by a pixel left out;
+places to 2 mm, and turns in fewer steps, which gzip packs.
 """
 
 import argparse
@@ -25,12 +24,11 @@ LONGEST_S = 600.0
 EVERY_VOXEL = 8
 STEP = 1024
 """Of the 16 bits of a bone's turn: 32 steps either way stay."""
-PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "bone_reach_m": 2**-9}
+PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "joint_place_m": 2**-9}
 """Steps of places [m] and directions, of which float32 then has zeros at its end."""
 BINS = 16
 """Bins that stay, 0 to 1.8 Hz: on a screen the tree is 600 pixels high, and none of the others moves a point by one."""
-SHAPES = {"bone_shapes", "turn_shapes"}
-PER_BIN = {"scale_m", "turn_scale_rad", "frequencies_hz"}
+PER_BIN = {"turn_scale_rad", "frequencies_hz"}
 PER_VOXEL = ("coords", "bone_of_voxel")
 
 
@@ -72,15 +70,11 @@ def thinned(path: Path) -> bytes:
         metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if "coords" in tensors:
         tensors |= {name: np.ascontiguousarray(tensors[name][::EVERY_VOXEL]) for name in PER_VOXEL}
-    for name in tensors.keys() & SHAPES:
-        tensors[name] = np.ascontiguousarray(tensors[name][:, :BINS])
     for name in tensors.keys() & PER_BIN:
         tensors[name] = tensors[name][:BINS].copy()
-    if "bone_shapes" in tensors:
-        tensors["bone_shapes"][:] = 0
     if "turn_shapes" in tensors:
         largest = 32767 // STEP
-        steps = np.clip(np.rint(tensors["turn_shapes"] / STEP), -largest, largest)
+        steps = np.clip(np.rint(tensors["turn_shapes"][:, :BINS] / STEP), -largest, largest)
         tensors["turn_shapes"] = (steps * STEP).astype(np.int16)
     for name in tensors.keys() & PLACES:
         tensors[name] = np.float32(np.rint(tensors[name] / PLACES[name]) * PLACES[name])

@@ -127,9 +127,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
 
 def _warm_up() -> None:
     # numba, which the first push and the first look at the limits would wait for
-    import dynamictree.devoxelize.shares
     import dynamictree.export.table
-    import dynamictree.gaussian.deform  # noqa: F401
+    import dynamictree.gaussian.deform
+    import dynamictree.modal.pull  # noqa: F401
 
     gc.freeze()  # modules are never garbage; to look through them again takes 50 ms, every second or two
 

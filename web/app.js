@@ -155,7 +155,7 @@ export class App {
   }
 
   onMotion(tree, spectrum) {
-    this.hand.take(tree, remoteSource(this.client, spectrum.id, tree.modes.V));
+    this.hand.take(tree, remoteSource(this.client, spectrum.id));
     this.player.start(tree, spectrum);
     this.wind.start(() => this.client.wind(spectrum.id)).catch((error) => this.onProblem(error));
     this.showViews();

@@ -216,7 +216,7 @@ class Group(Model):
     locality: "Locality | None"
     # [frames, K]; index = frequency bin, bin 0 is no mode and 0
     q: list[list[tuple[float, float]]]
-    # [frames, n] turns of the joints from the grip's bone towards the root [rad]; null: none bends
+    # [frames, n] turns of the joints from the grip's joint towards the root [rad]; null: none bends
     bend: list[list[tuple[float, float, float]]] | None
 
 
@@ -228,7 +228,7 @@ class GroupState(Model):
     q: list[tuple[float, float]]
     # [1/s]
     q_dot: list[tuple[float, float]]
-    # local bends [rad], from the grip's bone towards the root
+    # local bends [rad], from the grip's joint towards the root
     bend: list[tuple[float, float, float]] | None = None
     # [rad/s]
     bend_rate: list[tuple[float, float, float]] | None = None

@@ -276,7 +276,7 @@ def interact(body: InteractRequest, *, accept: str | None = None) -> Call[Intera
 
 
 def get_modes(id: str, *, shapes: bool | None = None) -> Call[bytes]:
-    """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
+    """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
     return Call(
         method="GET", path=path_of("/v1/spectra/{id}/modes", {"id": id}), answer=bytes, query={"shapes": shapes}
     )
@@ -298,7 +298,7 @@ def get_asset_surface(id: str) -> Call[bytes]:
 
 
 def get_surface(id: str) -> Call[bytes]:
-    """The source mesh, the bones that turn in the wind, and those that carry it under a push."""
+    """The source mesh, and the bones that turn in the wind and under a push."""
     return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
 
 

@@ -13,14 +13,12 @@ from dynamictree.commands.input_files import load_mesh
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
-from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
@@ -28,8 +26,7 @@ from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.requests import InteractParams, Reading
-from dynamictree.rig.rig import rig_of
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.rig.rig import Rig, rig_of
 
 FORMATS = ("modal", "motion", "ply")
 FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply": "frames-ply.zip"}
@@ -73,7 +70,7 @@ def interact(
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh.
 
-    With --mesh and --warp the place of a point is the nearest vertex, which --displacement moves.
+    --warp needs --mesh; the place of a point is then the nearest vertex, which --displacement moves.
     """
     wanted = _formats(formats, has_mesh=mesh is not None)
     with opened(spectrum) as stream:
@@ -86,12 +83,12 @@ def interact(
             foliage=params.foliage,
         )
     source = None if mesh is None else load_mesh(mesh, reading)
-    tree = InteractiveTree(system)
-    carried = None if source is None or not params.warp else _carried(tree, source)
+    rig = None if source is None else rig_of(source, sway)
+    tree = InteractiveTree(system, rig, None if source is None else source.faces)
     at = _contact(system, point, voxel, radius)
-    if source is not None and carried is not None and point is not None:
+    if source is not None and params.warp and point is not None:
         nearest = int(np.linalg.norm(source.vertices - np.asarray(point), axis=1).argmin())
-        at = tree.contact_at_vertex(carried, source.vertices, nearest, radius_m=radius)
+        at = tree.contact_at_vertex(source.vertices, nearest, radius_m=radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
     groups = group_forces(forces, falloff_m=chosen_falloff_m(system, params))
     answer = respond(
@@ -103,7 +100,7 @@ def interact(
         start="held" if held else "rest",
         bent=tree if params.warp else None,
     )
-    moved = None if source is None else _vertex_frames(tree, answer, source, carried, sway)
+    moved = None if source is None else _vertex_frames(tree, answer, source, warp=params.warp)
     files = _write(answer, source, moved, output, wanted=wanted, fps=fps)
     facts = {
         "files": [str(path) for path in files],
@@ -188,19 +185,12 @@ def _write(
 
 
 def _vertex_frames(
-    tree: InteractiveTree,
-    answer: Answer,
-    mesh: TriangleMesh,
-    carried: BoneAttachment | None,
-    spectrum: SparseVoxelSpectrum,
+    tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, *, warp: bool
 ) -> Callable[[], Iterator[Float32[np.ndarray, "N 3"]]]:
-    """Displacement of the mesh's vertices, frame after frame [m]: bent where bones carry them."""
-    if carried is not None:
-        return lambda: tree.bent(answer, mesh.vertices, carried)
-    frames = VertexFrames(rig_of(mesh, spectrum), mesh.vertices, voxel_shares(tree.system.grid, mesh))
+    """Displacement of the mesh's vertices, frame after frame [m]."""
+    assert tree.rig is not None
+    rig: Rig = tree.rig
+    if warp:
+        return lambda: tree.bent(answer, mesh.vertices, rig.vertices)
+    frames = VertexFrames(rig, mesh.vertices)
     return lambda: tree.superposed(answer, frames)
-
-
-def _carried(tree: InteractiveTree, mesh: TriangleMesh) -> BoneAttachment:
-    grid = tree.system.grid
-    return attach_mesh(tree.bones, mesh, voxel_shares(grid, mesh), voxel_size_m=grid.voxel_size_m)

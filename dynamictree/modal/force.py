@@ -27,7 +27,7 @@ class CarriedPoint:
     """A point of the mesh that a drag by displacement holds, and the bones that carry it."""
 
     point_m: Float32[np.ndarray, " 3"]
-    bones: Int32[np.ndarray, " W"]
+    bones: Int32[np.ndarray, " W"]  # of the rig
     weights: Float32[np.ndarray, " W"]
 
 

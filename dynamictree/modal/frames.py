@@ -3,9 +3,8 @@
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Complex128, Float32
+from jaxtyping import Complex128, Float32, Float64
 
-from dynamictree.devoxelize.shares import VoxelShares
 from dynamictree.parallel import compiled_reordered, in_bands
 from dynamictree.rig.rig import Rig
 from dynamictree.spectrum import bin_weights
@@ -23,7 +22,7 @@ class VertexFrames:
     φ is stored in 16 bits: steps of max |φ_k| / 32767.
     """
 
-    def __init__(self, rig: Rig, vertices: Float32[np.ndarray, "N 3"], shares: VoxelShares) -> None:
+    def __init__(self, rig: Rig, vertices: Float32[np.ndarray, "N 3"]) -> None:
         often = bin_weights(rig.turns.shape[1], rig.num_frames)[1:, None]
         at_vertices = rig.loop(vertices, rig.vertices)[:, 1:] * often  # [N, M, 3]
         parts = np.concatenate([at_vertices.real, -at_vertices.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
@@ -31,16 +30,16 @@ class VertexFrames:
         self._scale = np.maximum(np.abs(flat).max(axis=1, initial=0), np.finfo(np.float32).tiny) / _STEPS
         missing = -len(flat) % _AT_ONCE  # rows of zeros, which `displacement` gives no coordinate
         self._basis = np.pad(np.round(flat / self._scale[:, None]).astype(np.int16), ((0, missing), (0, 0)))
-        self._shares = shares
+        self._bones = rig.vertices
 
     @property
     def num_bytes(self) -> int:
         """Size of the basis [bytes]."""
         return int(self._basis.nbytes)
 
-    def weights(self, of_voxels: Float32[np.ndarray, "G V"]) -> Float32[np.ndarray, "G N"]:
-        """w_g of each vertex: the mean over the voxels that it depends on."""
-        return np.ascontiguousarray(self._shares.mean(np.ascontiguousarray(of_voxels.T)).T)
+    def weights(self, of_bones: Float64[np.ndarray, "G B"]) -> Float32[np.ndarray, "G N"]:
+        """w_g of each vertex: the mean over the bones that carry it."""
+        return np.asarray((of_bones[:, self._bones.rows] * self._bones.shares).sum(axis=2), np.float32)
 
     def displacement(
         self, q: Complex128[np.ndarray, "G M"], weights: Float32[np.ndarray, "G N"] | None = None

@@ -1,39 +1,49 @@
-"""A spectrum's modes for a program that evaluates them itself: 16 bits a number, with the bones of the warp.
+"""A spectrum's modes for a program that evaluates them itself: 16 bits a number, with the bones that turn.
 
 Tensors of the file (safetensors): `coords` int16 [V, 3]; `shapes` int16 [V, K, 3, 2], φ = shapes · scale_m of the bin;
-`scale_m` float32 [K]; `frequencies_hz` float32 [K]; `bone_of_voxel` int32 [V]; and of the bones `bone_parent` int32
-[B], `bone_joint_m` and `bone_reach_m` float32 [B, 3], `bone_lever_m2` float32 [B], `bone_shapes` int16 [B, K, 3, 2].
-Index k is the frequency bin; bin 0 is no mode and 0. Where the spectrum is at hand, `lean_m` float32 [V, 3] is its bin
-0: how far the mean wind leans each voxel. docs/interaction.md tells how they are used.
+`scale_m` float32 [K]; `frequencies_hz` float32 [K]; of the rig's bones `bone_parent` int32 [B], -1 of the ground,
+`bone_foot_m` and `bone_reach_m` float32 [B, 3], `bone_turns` int16 [B, K, 3, 2], θ = bone_turns · bone_scale_rad of the
+bin, `bone_scale_rad` float32 [K]; of the joints that a pull bends `joint_parent` int32 [J], -1 of the ground,
+`joint_place_m` float32 [J, 3], `joint_give` float32 [J]; `bone_of_voxel` int32 [V] and `joint_of_bone` int32 [B]. Index
+k is the frequency bin; bin 0 is no mode and 0. Where the spectrum is at hand, `lean_m` float32 [V, 3] is its bin 0: how
+far the mean wind leans each voxel. docs/interaction.md tells how they are used.
 """
 
 import json
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Int16
 
-from dynamictree.modal.bones import Bones
 from dynamictree.modal.system import ModalSystem
 
+if TYPE_CHECKING:  # what brings numba
+    from dynamictree.modal.bones import Bones
+    from dynamictree.modal.joints import Joints
+
 FORMAT = "tree-modes"
-VERSION = "1"
+VERSION = "2"
 _LARGEST = 32767
 
 
-def mode_tensors(system: ModalSystem, bones: Bones) -> dict[str, np.ndarray]:
+def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints") -> dict[str, np.ndarray]:
     """Everything that u(p) needs but the coordinates and the weights."""
-    shapes, scale = quantised(system.shapes)
+    (shapes, scale), (turns, scale_rad) = quantised(system.shapes), quantised(bones.shapes)
     return {
         "coords": system.grid.coords.astype(np.int16),
         "shapes": _from_bin_zero(shapes),
         "scale_m": np.concatenate([[0], scale]).astype(np.float32),
         "frequencies_hz": np.concatenate([[0], system.wind_omega / (2 * np.pi)]).astype(np.float32),
-        "bone_of_voxel": bones.bone_of_voxel,
-        "bone_parent": bones.parent,
-        "bone_joint_m": bones.joint_m,
-        "bone_reach_m": bones.reach_m,
-        "bone_lever_m2": bones.lever_m2,
-        "bone_shapes": _from_bin_zero(_in_steps(bones.shapes, scale)),
+        "bone_of_voxel": bones.of_voxel,
+        "bone_parent": bones.skeleton.parent,
+        "bone_foot_m": bones.skeleton.foot_m,
+        "bone_reach_m": bones.skeleton.reach_m,
+        "bone_turns": _from_bin_zero(turns),
+        "joint_parent": joints.parent,
+        "joint_place_m": joints.place_m.astype(np.float32),
+        "joint_give": joints.give.astype(np.float32),
+        "joint_of_bone": joints.of_bone,
+        "bone_scale_rad": np.concatenate([[0], scale_rad]).astype(np.float32),
     }
 
 
@@ -54,13 +64,8 @@ def quantised(
 ) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
     """Shapes in 16 bits, and the metres of a step of each mode."""
     scale = np.maximum(np.abs(_parts(shapes)).max(axis=(0, 2, 3)) / _LARGEST, np.finfo(np.float32).tiny)  # [M]
-    return _in_steps(shapes, scale), scale
-
-
-def _in_steps(shapes: Complex64[np.ndarray, "N M 3"], scale: Float32[np.ndarray, " M"]) -> Int16[np.ndarray, "N M 3 2"]:
     steps = np.rint(_parts(shapes) / scale[:, None, None])
-    limited: Int16[np.ndarray, "N M 3 2"] = np.clip(steps, -_LARGEST, _LARGEST).astype(np.int16)
-    return limited
+    return np.clip(steps, -_LARGEST, _LARGEST).astype(np.int16), scale
 
 
 def _from_bin_zero(shapes: Int16[np.ndarray, "N M 3 2"]) -> Int16[np.ndarray, "N K 3 2"]:

@@ -1,7 +1,6 @@
 """Response to forces: they are grouped by where they act, and give modal coordinates over time."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -12,15 +11,13 @@ from dynamictree.modal.force import (
     Drag,
     Force,
     WindField,
-    contact_at_voxel,
     davis_state,
     equilibrium,
-    finite,
     generalised_force,
     share_of_steps,
 )
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality, Reached
-from dynamictree.modal.local_bend import Bend, swing
+from dynamictree.modal.local_bend import Bend, joints_step, swing
 from dynamictree.modal.step import STEPS, State, run
 from dynamictree.modal.system import ModalSystem
 from dynamictree.requests import Integrator
@@ -111,7 +108,9 @@ def respond(
         )
     q, final = run(step, begin, pushed / system.modal_mass)
     begun = [_first_bend(start_bends[index : index + 1], aim, pulled=start == "held") for index, aim in enumerate(aims)]
-    swings = [_swing(system, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)]
+    swings = [
+        _swing(system, bent, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)
+    ]
     return Answer(
         groups=tuple(groups),
         q=q,
@@ -125,11 +124,9 @@ def respond(
 def _solved(
     system: ModalSystem, groups: Sequence[ForceGroup], dt_s: float, num_frames: int, bent: InteractiveTree | None
 ) -> tuple[list[ForceGroup], list[Float64[np.ndarray, "T n 3"]], tuple[Reached, ...]]:
-    """Replace displacements by the forces that hold them in the bent shape; the bends that go with them, per step."""
+    """The forces on the modes, and of drags by displacement the bends that hold them in the bent shape, per step."""
     if bent is None:
         return list(groups), [np.zeros((num_frames, 0, 3)) for _ in groups], ()
-    from dynamictree.modal.pull import pull_to  # brings numba
-
     solved, aims, reached = [], [], []
     for group in groups:
         forces: list[Force] = []
@@ -138,15 +135,13 @@ def _solved(
             if not isinstance(force, Drag) or force.displacement_m is None or force.force_n is not None:
                 forces.append(force)
                 continue
-            wanted = finite("displacement_m", force.displacement_m)
-            pull = pull_to(bent.grip(system, group, force.at), wanted)
-            x, y, z = pull.force_n.tolist()
-            forces.append(replace(force, force_n=(x, y, z), displacement_m=None))
-            reached.append(Reached(wanted_m=wanted, reached_m=pull.reached_m, beyond_m=pull.beyond_m))
-            if group.locality is not None:
-                share = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)
-                part = share[:, None, None] * pull.bend
-                aim = aim + part if aim.shape[1] else part
+            held = bent.hold(system, group, force)
+            reached.append(held.reached)
+            if group.locality is None:
+                forces.append(force)
+                continue
+            part = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)[:, None, None] * held.bend
+            aim = aim + part if aim.shape[1] else part
         solved.append(ForceGroup(locality=group.locality, forces=tuple(forces)))
         aims.append(aim)
     return solved, aims, tuple(reached)
@@ -160,16 +155,23 @@ def _first_bend(given: Sequence[Bend], aim: Float64[np.ndarray, "T n 3"], *, pul
 
 
 def _swing(
-    system: ModalSystem, group: ForceGroup, begin: Bend, aim: Float64[np.ndarray, "T m 3"], dt_s: float
+    system: ModalSystem,
+    tree: InteractiveTree | None,
+    group: ForceGroup,
+    begin: Bend,
+    pull: Float64[np.ndarray, "T m 3"],
+    dt_s: float,
 ) -> tuple[Float64[np.ndarray, "T n 3"], Bend]:
-    if aim.shape[1] == 0 and len(begin.turn):
-        aim = np.zeros((len(aim), *begin.turn.shape))
-    if aim.shape[1] == 0:
-        return aim, begin
-    assert group.locality is not None
-    if begin.turn.shape != aim.shape[1:]:
-        raise InputError(f"the state bends {len(begin.turn)} joints; {aim.shape[1]} lie under this place")
-    return swing(system, contact_at_voxel(system.grid, group.locality.seed_voxel), begin, aim, dt_s=dt_s)
+    if pull.shape[1] == 0 and len(begin.turn):
+        pull = np.zeros((len(pull), *begin.turn.shape))
+    if pull.shape[1] == 0:
+        return pull, begin
+    if tree is None:  # nothing shows these bends now; they ring on
+        return swing(joints_step(system, np.full(len(begin.turn), system.omega.min()), dt_s), begin, pull)
+    chain = tree.chain(group)
+    if not len(chain) == len(begin.turn) == pull.shape[1]:
+        raise InputError(f"the state bends {len(begin.turn)} joints; {len(chain)} lie under this place")
+    return swing(joints_step(system, tree.joints.omega(system, chain), dt_s), begin, pull)
 
 
 def _davis(system: ModalSystem, groups: Sequence[ForceGroup]) -> State:

@@ -104,7 +104,7 @@ class GroupStatePayload(Payload):
     q: list[Complex] = Field(max_length=4096)
     q_dot: list[Complex] = Field(max_length=4096, description="[1/s]")
     bend: list[Vector] | None = Field(
-        default=None, max_length=MAX_BENDS, description="local bends [rad], from the grip's bone towards the root"
+        default=None, max_length=MAX_BENDS, description="local bends [rad], from the grip's joint towards the root"
     )
     bend_rate: list[Vector] | None = Field(default=None, max_length=MAX_BENDS, description="[rad/s]")
 

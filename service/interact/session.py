@@ -8,22 +8,18 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from dynamictree.modal.force import Contact, Drag, finite, generalised, generalised_force
-from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality, Reached
-from dynamictree.modal.local_bend import Bend, own_omega, ring
+from dynamictree.modal.force import Contact, Drag, generalised_force
+from dynamictree.modal.interactive_tree import ForceGroup, Held, InteractiveTree, Locality, Reached
+from dynamictree.modal.local_bend import Bend, joints_step, ring
 from dynamictree.modal.response import group_forces, with_bin_zero
-from dynamictree.modal.step import State, Step, exact_oscillator, run
+from dynamictree.modal.step import State, Step, run
 from dynamictree.modal.system import ModalSystem
 from service.http.problems import ProblemError
 from service.interact.forces import MAX_GROUPS, ForcePayload, library_force, locality_payload, reached_payload
-
-if TYPE_CHECKING:
-    from dynamictree.modal.pull import Grip, Pull
 
 SETTLED_M = 1e-4
 """A group is dropped once no voxel can move further than this [m]."""
@@ -45,7 +41,7 @@ class Hold:
 
     q: Complex128[np.ndarray, " M"]
     bend: Float64[np.ndarray, "n 3"]
-    omega: float  # of the branch, once it is let go [rad/s]
+    omega: Float64[np.ndarray, " n"]  # of the joints, once they are let go [rad/s]
     reached: Reached
 
 
@@ -60,33 +56,23 @@ class ModalForce:
 
 
 class Grips:
-    """Dragged points of one stream, prepared once; each solution is the initial guess of the next."""
+    """Dragged points of one stream; each solution is the initial guess of the next."""
 
-    def __init__(self, tree: InteractiveTree, system: ModalSystem) -> None:
-        self.tree = tree
+    def __init__(self, tree: Callable[[], InteractiveTree], system: ModalSystem) -> None:
+        self.tree = tree  # with its rig, which is found when something is pulled
         self.system = system
-        self._last: tuple[object, Grip, float, Pull | None] | None = None
+        self._last: tuple[object, Held] | None = None
 
     def hold(self, drag: Drag, group: ForceGroup) -> Hold:
         """Solve a drag by displacement in the bent shape."""
-        from dynamictree.modal.pull import pull_to  # brings numba
-
-        assert drag.displacement_m is not None
         drawn = None if drag.at.drawn is None else drag.at.drawn.point_m.tobytes()
         key = (group.locality, drag.at.rows.tobytes(), drawn)
-        if self._last is None or self._last[0] != key:
-            grip = self.tree.grip(self.system, group, drag.at)
-            self._last = (key, grip, own_omega(self.system, drag.at), None)
-        _, grip, omega, near = self._last
-        wanted = finite("displacement_m", drag.displacement_m)
-        pull = pull_to(grip, wanted, near=near)
-        self._last = (key, grip, omega, pull)
-        return Hold(
-            q=generalised(self.system, drag.at, pull.force_n) / self.system.stiffness,
-            bend=pull.bend if group.locality is not None else np.zeros((0, 3)),
-            omega=omega,
-            reached=Reached(wanted_m=wanted, reached_m=pull.reached_m, beyond_m=pull.beyond_m),
-        )
+        near = self._last[1] if self._last is not None and self._last[0] == key else None
+        tree = self.tree()
+        held = tree.hold(self.system, group, drag, near=near)
+        self._last = (key, held)
+        omega = tree.joints.omega(self.system, tree.chain(group))
+        return Hold(q=held.q, bend=held.bend, omega=omega, reached=held.reached)
 
 
 def force_of(
@@ -161,8 +147,7 @@ class Session:
             index = self.localities.index(force.locality)
             if len(self.bends[index].turn) != len(force.hold.bend):
                 self.bends[index] = Bend.straight(len(force.hold.bend))
-            zeta = np.array([float(self.system.damping_ratio.min())])
-            self.swings[force.locality] = exact_oscillator(np.array([force.hold.omega]), zeta, self.step.dt_s)
+            self.swings[force.locality] = joints_step(self.system, force.hold.omega, self.step.dt_s)
         if force.kind == "impulse":
             self.impulses.append(force)
         else:

@@ -11,7 +11,7 @@ from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import modal_system
 from jobs.storage.assets import read_asset
 from service.http.problems import ProblemError
-from service.interact.ready_tree import MovingGaussians, ReadyTree, bone_ties, vertex_shares
+from service.interact.ready_tree import MovingGaussians, ReadyTree
 from service.interact.stored_trees import (
     load_result,
     load_source_cloud,
@@ -79,7 +79,7 @@ def vertex_contact(
         detail = f"vertex {vertex} does not exist; the mesh has vertices 0 to {mesh.num_vertices - 1}"
         raise ProblemError("invalid-input", detail)
     if bent:
-        return ready.tree.contact_at_vertex(bone_ties(ready, mesh), mesh.vertices, vertex, radius_m=radius_m)
+        return with_rig(owned, ready, spectrum_id).contact_at_vertex(mesh.vertices, vertex, radius_m=radius_m)
     x, y, z = mesh.vertices[vertex].tolist()
     return contact_at_point(ready.tree.system.grid, (x, y, z), radius_m=radius_m)
 
@@ -89,12 +89,19 @@ def rig_for(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "Rig":
     from dynamictree.formats.tensors.rig import read_rig  # brings numba
     from dynamictree.rig.rig import rig_of
 
-    if ready.rig is None:
+    if ready.tree.rig is None:
         mesh = with_mesh(owned, ready, spectrum_id)
         stream = load_result(owned, spectrum_id, "rig")
-        spectrum = load_spectrum(owned, spectrum_id)
-        ready.rig = rig_of(mesh, spectrum) if stream is None else read_rig(stream)
-    return ready.rig
+        rig = rig_of(mesh, load_spectrum(owned, spectrum_id)) if stream is None else read_rig(stream)
+        ready.tree = InteractiveTree(ready.tree.system, rig, mesh.faces)
+        return rig
+    return ready.tree.rig
+
+
+def with_rig(owned: Owned, ready: ReadyTree, spectrum_id: str) -> InteractiveTree:
+    """The tree with its rig, which locality and bends need."""
+    rig_for(owned, ready, spectrum_id)
+    return ready.tree
 
 
 def vertex_frames(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "VertexFrames":
@@ -103,7 +110,7 @@ def vertex_frames(owned: Owned, ready: ReadyTree, spectrum_id: str) -> "VertexFr
 
     if ready.frames is None:
         mesh, rig = with_mesh(owned, ready, spectrum_id), rig_for(owned, ready, spectrum_id)
-        ready.frames = VertexFrames(rig, mesh.vertices, vertex_shares(ready, mesh))
+        ready.frames = VertexFrames(rig, mesh.vertices)
     return ready.frames
 
 

@@ -43,14 +43,16 @@ from service.interact.forces import (
     state_payload,
     with_state,
 )
-from service.interact.ready_tree import ReadyTree, bone_ties
+from service.interact.ready_tree import ReadyTree
 from service.interact.tree_cache import (
     living_tree,
     moving_gaussians,
     ready_tree,
+    rig_for,
     vertex_contact,
     vertex_frames,
     with_mesh,
+    with_rig,
 )
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
@@ -81,7 +83,7 @@ class GroupPayload(Payload):
     locality: LocalityPayload | None = Field(description="null: the whole tree")
     q: list[list[Complex]] = Field(description="[frames, K]; index = frequency bin, bin 0 is no mode and 0")
     bend: list[list[Vector]] | None = Field(
-        description="[frames, n] turns of the joints from the grip's bone towards the root [rad]; null: none bends"
+        description="[frames, n] turns of the joints from the grip's joint towards the root [rad]; null: none bends"
     )
 
 
@@ -246,6 +248,7 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
         foliage=body.foliage,
     )
 
+    bent = with_rig(owned, ready, body.spectrum_id) if body.warp else None
     at_vertex = partial(vertex_contact, owned, ready, body.spectrum_id, bent=body.warp)
     forces = [library_force(force, system.grid, at_vertex) for force in body.forces]
     groups = group_forces(forces, falloff_m=chosen_falloff_m(system, body))
@@ -264,7 +267,7 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
             integrator=body.integrator,
             start=begin,
             start_bends=bends,
-            bent=ready.tree if body.warp else None,
+            bent=bent,
         )
     except UnstableTimestep as error:
         raise ProblemError(error.code, str(error), extra={"max_dt_s": error.max_dt_s}) from error
@@ -277,7 +280,8 @@ def _displacement(
     """[T, V or N, 3] in metres."""
     if body.output == "voxels":
         _refuse_costly(answer, len(ready.tree.system.grid), 12)
-        return np.stack(list(_while_there(ready.tree.voxels(answer, warp=body.warp), left)))
+        tree = with_rig(owned, ready, body.spectrum_id)
+        return np.stack(list(_while_there(tree.voxels(answer, warp=body.warp), left)))
     mesh = with_mesh(owned, ready, body.spectrum_id)
     _refuse_costly(answer, mesh.num_vertices, 12)
     return np.stack(list(_while_there(_iter_vertices(body, ready, owned, answer), left)))
@@ -299,11 +303,11 @@ def _iter_vertices(
     body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Displacement of the mesh's vertices, frame after frame [m]."""
+    tree, rig = with_rig(owned, ready, body.spectrum_id), rig_for(owned, ready, body.spectrum_id)
     if body.warp:
-        mesh = with_mesh(owned, ready, body.spectrum_id)
-        yield from ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
+        yield from tree.bent(answer, with_mesh(owned, ready, body.spectrum_id).vertices, rig.vertices)
     else:
-        yield from ready.tree.superposed(answer, vertex_frames(owned, ready, body.spectrum_id))
+        yield from tree.superposed(answer, vertex_frames(owned, ready, body.spectrum_id))
 
 
 def _gaussians(

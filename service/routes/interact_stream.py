@@ -27,7 +27,7 @@ from service.http.validation_errors import field_errors, summed_up
 from service.interact.forces import ForcePayload
 from service.interact.ready_tree import ReadyTree
 from service.interact.session import Grips, Session, force_of
-from service.interact.tree_cache import ready_tree, vertex_contact
+from service.interact.tree_cache import ready_tree, vertex_contact, with_rig
 from service.schemas.base import Finite, Payload
 from service.services import Owned, owned_by_caller
 
@@ -153,7 +153,7 @@ async def _receive(socket: WebSocket, owned: Owned, opened: OpenMessage, ready: 
         dt_s=session.step.dt_s,
         falloff_m=chosen_falloff_m(session.system, opened),
         vertex_contact=partial(vertex_contact, owned, ready, opened.spectrum_id, bent=True),
-        grips=Grips(ready.tree, session.system),
+        grips=Grips(partial(with_rig, owned, ready, opened.spectrum_id), session.system),
     )
     while True:
         try:

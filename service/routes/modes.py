@@ -7,18 +7,19 @@ from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from safetensors.numpy import save
 
-from dynamictree.modal.locality import poke_weights
+from dynamictree.modal.interactive_tree import ForceGroup, Locality
 from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.interact.stored_trees import load_spectrum
-from service.interact.tree_cache import ready_tree
+from service.interact.tree_cache import ready_tree, with_rig
 from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
 
+LARGE = ("shapes", "scale_m", "lean_m", "bone_parent", "bone_foot_m", "bone_reach_m", "bone_turns", "bone_scale_rad")
 BYTES = "application/octet-stream"
 
 
@@ -33,13 +34,13 @@ def get_modes(
     owned: OwnedDep,
     shapes: Annotated[bool, Query(description="false leaves out what the bones of …/surface say as well")] = True,
 ) -> Response:
-    """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
-    ready = ready_tree(owned, id)
-    tree = ready.tree
+    """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
+    tree = with_rig(owned, ready_tree(owned, id), id)
     lean = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
-    tensors = mode_tensors(tree.system, tree.bones) | {"lean_m": lean}
+    tensors = mode_tensors(tree.system, tree.bones, tree.joints) | {"lean_m": lean}
     if not shapes:
-        del tensors["shapes"], tensors["lean_m"]
+        for name in LARGE:
+            del tensors[name]
     content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
     return PackedResponse(content, 200, CACHED, SAFETENSORS)
 
@@ -59,7 +60,7 @@ def get_reach(
     ],
 ) -> Response:
     """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
-    tree = ready_tree(owned, id).tree
-    weights = poke_weights(tree.branching, seed_voxel, falloff_m)
+    place = Locality(seed_voxel=seed_voxel, falloff_m=falloff_m)
+    (weights,) = with_rig(owned, ready_tree(owned, id), id).weights([ForceGroup(locality=place)])
     content = np.rint(weights * 255).astype(np.uint8).tobytes()
     return Response(content, 200, CACHED, BYTES)

@@ -5,7 +5,6 @@ import json
 import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
-from jaxtyping import Float, Float64, Int32, Int64, Integer
 from safetensors.numpy import save
 
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -13,22 +12,15 @@ from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import bin_weights
-from dynamictree.voxel.grid import VoxelGrid
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
-from service.interact.ready_tree import ReadyTree, bone_ties
+from service.interact.ready_tree import ReadyTree
 from service.interact.stored_trees import load_asset_cloud, load_asset_mesh
 from service.interact.tree_cache import ready_tree, rig_for, with_mesh
 from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
-
-BONES = 4
-"""A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
-
-MAX_TIED = 20_000
-"""Vertices up to which a push bends each as the service does: a few seconds of solving. Others follow near voxels."""
 
 MAX_POINTS = 200_000
 """More are thinned out: a preview, 4 MB."""
@@ -59,10 +51,10 @@ def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     responses=refusals("not-found", "expired") | _FILE,
 )
 def get_surface(id: Id, owned: OwnedDep) -> Response:
-    """The source mesh, the bones that turn in the wind, and those that carry it under a push."""
+    """The source mesh, and the bones that turn in the wind and under a push."""
     ready = ready_tree(owned, id)
     mesh = with_mesh(owned, ready, id)
-    return _response(mesh_tensors(mesh) | _motion(owned, id, ready, mesh), mesh)
+    return _response(mesh_tensors(mesh) | _motion(owned, id, ready), mesh)
 
 
 @router.get(
@@ -107,14 +99,11 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     return tensors
 
 
-def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
+def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree) -> dict[str, np.ndarray]:
     rig = rig_for(owned, ready, spectrum_id)
     weights = bin_weights(rig.turns.shape[1], rig.num_frames)[:, None]  # bin 0 is the lean, the others φ_k = 2 c_k
     turns, step_rad = quantised(rig.turns * weights)
-    rows, shares = _pushed(ready, mesh)
     return {
-        "bone_rows": rows.astype(np.uint16),
-        "bone_weights": _bytes(shares),
         "turn_shapes": turns,
         "turn_scale_rad": step_rad,
         "turn_parent": rig.skeleton.parent,
@@ -123,47 +112,6 @@ def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh
         "turn_bone": rig.vertices.rows[:, 0],
         "turn_share": rig.vertices.shares[:, 1],
     }
-
-
-def _pushed(ready: ReadyTree, mesh: TriangleMesh) -> tuple[Integer[np.ndarray, "N b"], Float[np.ndarray, "N b"]]:
-    """Bones that carry each vertex under a push, the strongest first, and their weights; 0 for what is no plant."""
-    if mesh.num_vertices <= MAX_TIED:
-        carried = bone_ties(ready, mesh)
-        strongest = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
-        rows, weights = (np.take_along_axis(values, strongest, axis=1) for values in (carried.rows, carried.weights))
-        return rows, weights
-    grid, tree = ready.tree.system.grid, ready.tree.system.tree
-    far, near = _nearest_voxels(grid, tree, mesh)
-    weights = np.where(mesh.still_vertices[:, None], 0, 1 / (far**2 + grid.voxel_size_m**2))
-    return ready.tree.bones.bone_of_voxel[near], weights
-
-
-def _nearest_voxels(
-    grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None, mesh: TriangleMesh
-) -> tuple[Float64[np.ndarray, "N b"], Int64[np.ndarray, "N b"]]:
-    """Distances [m] and rows of the voxels next to each vertex; of several trees those of its own."""
-    from scipy.spatial import cKDTree  # not at start: half a second
-
-    every = [(np.arange(mesh.num_vertices), np.arange(len(grid)))]
-    if tree is not None and mesh.face_tree is not None:
-        every = [
-            (np.unique(mesh.faces[mesh.face_tree == each]), np.flatnonzero(tree == each)) for each in np.unique(tree)
-        ]
-    far, rows = np.zeros((mesh.num_vertices, BONES)), np.zeros((mesh.num_vertices, BONES), np.int64)
-    for vertices, own in every:
-        distance, index = cKDTree(grid.centres_m[own]).query(mesh.vertices[vertices], k=np.arange(1, BONES + 1))
-        far[vertices] = distance  # infinite where there are fewer
-        rows[vertices] = own[np.minimum(index, len(own) - 1)]
-    return far, rows
-
-
-def _bytes(weights: np.ndarray) -> np.ndarray:
-    """Weights as bytes that sum to 255; what rounding leaves over goes to the first. All 0 where all are 0."""
-    total = weights.sum(axis=1, keepdims=True)
-    scaled = np.rint(255 * weights / np.where(total > 0, total, 1)).astype(np.int32)
-    scaled[:, 0] += np.where(total[:, 0] > 0, 255, 0) - scaled.sum(axis=1)
-    result: np.ndarray = scaled.astype(np.uint8)
-    return result
 
 
 def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:

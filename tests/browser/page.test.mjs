@@ -12,7 +12,7 @@ import { carriedPoint } from "../../web/motion/grip.js";
 import { verticesNear } from "../../web/motion/hang.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { Modes } from "../../web/motion/modes.js";
-import { Pin } from "../../web/motion/pin.js";
+import { held, Pin } from "../../web/motion/pin.js";
 import { binSizes, displaced, swingBones } from "../../web/motion/swing.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { proposals } from "../../web/page/doubt.js";
@@ -415,24 +415,23 @@ test("a stroke and their number stay as small as the service takes them", () => 
   assert.equal(strokes.params.scribbles.length, 200);
 });
 
-/** A root and three bones of 1 m above each other, a voxel at the end of each. */
+/** Three joints 1 m above each other on the ground, a voxel at the end of each. */
 function pole() {
   return Object.assign(Object.create(Modes.prototype), {
-    ...{ B: 4, V: 4, K: 1, voxelSize: 0.1 },
-    bone_parent: [-1, 0, 1, 2],
-    bone_joint_m: Float32Array.from([0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 2]),
-    bone_reach_m: Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 1, 0, 0, 1]),
-    bone_lever_m2: Float32Array.from([1, 1, 1, 1]),
-    bone_of_voxel: [0, 1, 2, 3],
+    ...{ J: 4, V: 4, K: 1, voxelSize: 0.1 },
+    joint_parent: [-1, 0, 1, 2],
+    joint_place_m: Float32Array.from([0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 2]),
+    joint_give: [0, 1 / 3, 1 / 2, 1],
+    joint_of_voxel: [0, 1, 2, 3],
     centres: Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 2, 0, 0, 3]),
   });
 }
 
 const distance = (a, b) => Math.hypot(...a.map((x, i) => x - b[i]));
 
-test("a pull holds the point that is drawn, whichever bones carry it", () => {
+test("a pull holds the point that is drawn, whichever joints carry it", () => {
   const modes = pole();
-  const leaf = { voxel: 2, rest: [0.1, 0, 2.6], bones: [1, 2, 3, 0], weights: [0.3, 0.5, 0.2, 0] };
+  const leaf = { voxel: 2, rest: [0.1, 0, 2.6], joints: [1, 2, 3, 0], weights: [0.3, 0.5, 0.2, 0] };
   const pin = new Pin(modes, leaf);
   const target = [0.9, 0.3, 2.3];
   for (let frame = 0; frame < 3; frame++) pin.hold([], leaf.rest, target);
@@ -441,8 +440,8 @@ test("a pull holds the point that is drawn, whichever bones carry it", () => {
 
 test("a pull along a crooked stem straightens it, to just below its length", () => {
   const crooked = [0, 0, 0, 0, 0, 0, 0.25, 0, 1, -0.1, 0.2, 2];
-  const modes = Object.assign(pole(), { bone_joint_m: Float32Array.from(crooked) });
-  const tip = { voxel: 3, rest: [0, 0, 3], bones: [3, 2, 0, 0], weights: [0.55, 0.45, 0, 0] };
+  const modes = Object.assign(pole(), { joint_place_m: Float32Array.from(crooked) });
+  const tip = { voxel: 3, rest: [0, 0, 3], joints: [3, 2, 0, 0], weights: [0.55, 0.45, 0, 0] };
   for (const high of [3.05, 3.075]) {
     const pin = new Pin(modes, tip);
     for (let frame = 0; frame < 20; frame++) pin.hold([], tip.rest, [0, 0, high]);
@@ -451,10 +450,22 @@ test("a pull along a crooked stem straightens it, to just below its length", () 
   }
 });
 
+test("its answers are those of the service", () => {
+  // tests/modal/test_laws_of_the_pull.py reads the same file
+  for (const { name, segments_m, give, target_m, bend, reached_m } of JSON.parse(
+    readFileSync("tests/modal/pulls.json", "utf8"),
+  )) {
+    const still = bend.map(() => [0, 0, 0]);
+    const pull = held({ segments: segments_m, give }, target_m, { bend: still, rounds: 120 });
+    assert.ok(distance(pull.reached, reached_m) < 1e-5, `${name}: ${pull.reached}`);
+    for (const [i, k] of pull.bend.entries()) assert.ok(distance(k, bend[i]) < 1e-5, `${name} ${i}: ${k} ${bend[i]}`);
+  }
+});
+
 test("a place in the very joint of its bone is held by the joints below", () => {
   const modes = pole();
   modes.centres = Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 2, 0, 0, 2]);
-  const joint = { voxel: 3, rest: [0, 0, 2], bones: [3, 0, 0, 0], weights: [1, 0, 0, 0] };
+  const joint = { voxel: 3, rest: [0, 0, 2], joints: [3, 0, 0, 0], weights: [1, 0, 0, 0] };
   const pin = new Pin(modes, joint);
   for (let frame = 0; frame < 5; frame++) pin.hold([], joint.rest, [0.5, 0, 1.9]);
   assert.ok(distance(carriedPoint(modes.poses([pin.group]), joint, joint.rest), [0.5, 0, 1.9]) < 0.005);
@@ -462,7 +473,7 @@ test("a place in the very joint of its bone is held by the joints below", () => 
 
 test("what is let go leaves the hand slowly, and goes all the way", () => {
   const modes = pole();
-  const tip = { voxel: 3, rest: [0, 0, 3], bones: [3, 0, 0, 0], weights: [1, 0, 0, 0] };
+  const tip = { voxel: 3, rest: [0, 0, 3], joints: [3, 0, 0, 0], weights: [1, 0, 0, 0] };
   const pin = new Pin(modes, tip);
   for (let frame = 0; frame < 3; frame++) pin.hold([], tip.rest, [0.9, 0.3, 2.7]);
   const places = [carriedPoint(modes.poses([pin.group]), tip, tip.rest)];

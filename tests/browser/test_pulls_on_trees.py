@@ -52,11 +52,11 @@ WATCH = """async () => {
         const [bones, weights] = [of("boneRows"), of("boneWeights")];
         const left = 1 - weights.reduce((sum, w) => sum + w, 0);
         return at.map((x, c) => bones.reduce((sum, b, i) => {
-            const m = tree.boneMotion.subarray(12 * b + 4 * c);
+            const m = tree.jointMotion.subarray(12 * b + 4 * c);
             return sum + weights[i] * (m[0] * at[0] + m[1] * at[1] + m[2] * at[2] + m[3]);
         }, left * x));
     };
-    const low = ({ V, centres, voxelSize, bone_joint_m: [x, y] }) => { // of the trunk, not of branches that hang low
+    const low = ({ V, centres, voxelSize, joint_place_m: [x, y] }) => { // of the trunk, not of branches that hang low
         const all = [...Array(V).keys()], at = (v) => centres.subarray(3 * v, 3 * v + 3);
         const least = all.reduce((least, v) => Math.min(least, at(v)[2]), Infinity);
         const near = (v) => Math.hypot(at(v)[0] - x, at(v)[1] - y) < 4 * voxelSize;

@@ -7,7 +7,6 @@ import pytest
 
 from dynamictree import method
 from dynamictree.devoxelize.nearest import nearest_rows
-from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.spectrum import SparseVoxelSpectrum, from_motion
@@ -113,16 +112,6 @@ def test_a_leaf_card_follows_the_twig_that_it_hangs_on() -> None:
     assert size_of(result[:, part == 1] - motion[:, part == 1]) < 0.2 * size_of(motion[:, part == 1])
 
 
-def test_weights_are_shares_of_the_voxels_that_a_vertex_hangs_on() -> None:
-    mesh, _ = two_close_twigs()
-    grid = voxelize(mesh, 128).grid
-    result = voxel_shares(grid, mesh)
-    np.testing.assert_allclose(result.weights.sum(axis=1), 1, rtol=1e-5)
-    assert result.weights.min() >= 0
-    middle = np.einsum("nm,nmc->nc", result.weights, grid.centres_m[result.rows])
-    assert np.linalg.norm(middle - mesh.vertices, axis=1).max() < 6 * grid.voxel_size_m
-
-
 def test_nearest_is_the_voxel_that_a_point_lies_in() -> None:
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
@@ -130,17 +119,8 @@ def test_nearest_is_the_voxel_that_a_point_lies_in() -> None:
     np.testing.assert_array_equal(rows, grid.rows_of(grid.coords_of(mesh.vertices)))
 
 
-def test_a_vertex_of_no_face_takes_from_the_nearest_voxel() -> None:
-    mesh, _ = two_close_twigs()
-    loose = replace(mesh, vertices=np.concatenate([mesh.vertices, np.array([[0, 0, 20]], np.float32)]))
-    grid = voxelize(loose, 128).grid
-    result = voxel_shares(grid, loose)
-    assert grid.coords[result.rows[-1, 0], 2] == grid.coords[:, 2].max()
-    assert np.isfinite(result.mean(grid.centres_m)).all()
-
-
 def test_a_grid_of_another_mesh_is_refused() -> None:
     mesh, _ = two_close_twigs()
     other = replace(mesh, vertices=mesh.vertices * np.float32(0.5))
     with pytest.raises(InputError, match="voxelize this mesh"):
-        voxel_shares(voxelize(mesh, 64).grid, other)
+        surface_average(other, voxelize(mesh, 64).grid)

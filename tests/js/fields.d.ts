@@ -49,7 +49,7 @@ declare module "../../web/draw/splat.js" {
 
 declare module "../../web/draw/tree.js" {
   interface Tree {
-    boneMotion: Float32Array; group: any; q: Float32Array; stage: Stage; surface: any; turn: number;
+    group: any; jointMotion: Float32Array; q: Float32Array; stage: Stage; surface: any; turn: number;
   }
 }
 
@@ -61,9 +61,8 @@ declare module "../../web/motion/local.js" {
 
 declare module "../../web/motion/modes.js" {
   interface Modes {
-    B: number; K: number; V: number; bone_joint_m: Float32Array; bone_lever_m2: Float32Array;
-    bone_of_voxel: Int32Array; bone_parent: Int32Array; bone_reach_m: Float32Array; bone_shapes: Int16Array;
-    coords: Int16Array; frames: Float64Array; frequencies_hz: Float32Array; scale_m: Float32Array;
+    J: number; K: number; V: number; bone_of_voxel: Int32Array; coords: Int16Array; frequencies_hz: Float32Array;
+    joint_give: Float32Array; joint_of_bone: Int32Array; joint_parent: Int32Array; joint_place_m: Float32Array;
   }
 }
 

@@ -1,31 +1,41 @@
 """What a drag by displacement must obey in the bent shape."""
 
+import json
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from dynamictree.modal.bone_chain import place_of, reach
+from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.local_bend import own_omega
-from dynamictree.modal.pull import carried_voxels
+from dynamictree.modal.pull import _reach, grip_of, held
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
-from tests.modal.trees import fork
+from dynamictree.rig.pose import carried, poses
+from dynamictree.rig.rig import rig_of
+from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.voxel.voxelize import voxelize
+from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.modal.trees import rigged_fork
 
 DT_S = 1 / 120
 FALLOFF_M = 0.5
+ANSWERS = Path(__file__).with_name("pulls.json")
 
 
 @pytest.fixture(scope="module")
 def forked():
-    spectrum, parts = fork(fineness=3)
-    return InteractiveTree(modal_system(spectrum, mass_kg=30.0, damping_ratio=0.05)), parts
+    tree, _, parts = rigged_fork(fineness=3)
+    return tree, parts
 
 
-def pulled(tree, row, vector, *, num_frames=1, duration_s=None, start="held"):
-    drag = Drag(at=contact_at_voxel(tree.system.grid, int(row)), displacement_m=vector, duration_s=duration_s)
+def pulled(tree, row, vector, *, num_frames=1, duration_s=None, start="held", at=None):
+    at = at or contact_at_voxel(tree.system.grid, int(row))
+    drag = Drag(at=at, displacement_m=vector, duration_s=duration_s)
     groups = group_forces([drag], falloff_m=FALLOFF_M)
     return respond(tree.system, groups, dt_s=DT_S, num_frames=num_frames, start=start, bent=tree)
 
@@ -73,28 +83,114 @@ def test_the_other_branch_only_rides_on_the_stem(forked):
     assert size[parts["left"][-1]] < 0.3 * size[parts["right"][-1]]
 
 
-def test_the_derivatives_of_a_place_that_two_branches_carry_are_those_of_its_reach(forked, rng):
-    tree, parts = forked
-    bones, row = tree.bones, int(parts["right"][-1])
-    carriers = bones.bone_of_voxel[[row, int(parts["left"][-1])]]
-    place = place_of(bones, tree.system.grid.centres_m[row], carriers, np.float32([0.7, 0.3]))
-    turns, bends = rng.normal(size=(2, len(place), 3))
-    _, by_turns, by_bends = reach(place, turns, bends)
-    for which, derivative in ((0, by_turns), (1, by_bends)):
-        for column in range(3 * len(place)):
-            step = np.zeros((2, len(place), 3))
-            step[which].flat[column] = 1e-6
-            ahead = reach(place, turns + step[0], bends + step[1])[0]
-            behind = reach(place, turns - step[0], bends - step[1])[0]
-            np.testing.assert_allclose(derivative[:, column], (ahead - behind) / 2e-6, atol=1e-6)
+def test_the_derivatives_of_a_place_are_those_of_its_reach(rng):
+    segments, bends = rng.normal(size=(2, 5, 3))
+    _, derivative = _reach(segments, bends)
+    for column in range(15):
+        step = np.zeros((5, 3))
+        step.flat[column] = 1e-6
+        ahead, behind = _reach(segments, bends + step)[0], _reach(segments, bends - step)[0]
+        np.testing.assert_allclose(derivative.reshape(3, -1)[:, column], (ahead - behind) / 2e-6, atol=1e-6)
 
 
-def test_a_bone_carries_what_grows_on_it(forked):
+@pytest.mark.parametrize("case", json.loads(ANSWERS.read_text()), ids=lambda case: case["name"])
+def test_the_answers_are_those_that_the_page_must_give(case):
+    """tests/browser/page.test.mjs reads the same file."""
+    grip = grip_of(np.array(case["segments_m"]), np.array(case["give"]))
+    pull = held(grip, np.array(case["target_m"]), np.zeros_like(grip.segments_m))
+    np.testing.assert_allclose(pull.bend, case["bend"], atol=1e-5)
+    np.testing.assert_allclose(pull.reached_m, case["reached_m"], atol=1e-5)
+
+
+def test_a_joint_carries_what_grows_on_it(forked):
     tree, parts = forked
-    carried = carried_voxels(tree.bones)
-    assert carried[0] == len(tree.system.grid)
-    stem, tip = (tree.bones.bone_of_voxel[parts[name][-1]] for name in ("stem", "right"))
-    assert carried[tip] < carried[stem]
+    joints = tree.joints
+    stem, tip = (joints.of_voxel[parts[name][-1]] for name in ("stem", "right"))
+    assert joints.num_carried[joints.chain(int(parts["right"][-1]))[-1]] > 0.9 * len(tree.system.grid)
+    assert joints.num_carried[tip] < joints.num_carried[stem]
+    assert not set(joints.chain(int(parts["left"][-1]))) & set(joints.of_voxel[parts["right"][6:]].tolist())
+
+
+def test_a_pulled_pole_bends_evenly_and_not_at_the_ground(forked):
+    tree, parts = forked
+    turns = np.linalg.norm(pulled(tree, parts["stem"][-1], (0.0, 0.4, 0.0)).bends[0][0], axis=1)
+    assert len(turns) > 10
+    assert turns[-1] < 0.15 * turns.sum()
+    lower, upper = turns[len(turns) // 2 :].sum(), turns[: len(turns) // 2].sum()
+    assert 0.5 < lower / upper < 2
+
+
+def test_a_vertex_is_held_itself_and_edges_keep_their_lengths():
+    """A grown tree, and a crown that is one surface, whose other branches tear when one of their bones bends alone."""
+    sample = make_sample(3, "sapling")
+    spectrum = voxel_spectrum(sample)[1]
+    for mesh, sway, share, growth in ((sample.mesh, spectrum, 95, 0.01), (*ball_on_a_pole(), 50, 0.07)):
+        tree = InteractiveTree(modal_system(sway), rig_of(mesh, sway), mesh.faces)
+        edges = edges_of(mesh.faces)
+        rest = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+        height, rng, errors, growths = mesh.height_m, np.random.default_rng(0), [], []
+        high = np.flatnonzero(mesh.vertices[:, 2] > mesh.vertices[:, 2].min() + 0.4 * height)
+        for vertex in rng.choice(high, 20, replace=False):
+            x, y = 0.1 * height * np.array([np.cos(vertex), np.sin(vertex)])
+            answer = pulled(tree, 0, (x, y, 0.0), at=tree.contact_at_vertex(mesh.vertices, int(vertex)))
+            (moved,) = tree.bent(answer, mesh.vertices, tree.rig.vertices)
+            np.testing.assert_allclose(moved[vertex], answer.reached[0].reached_m, atol=1e-4 * height)
+            if answer.reached[0].beyond_m == 0:
+                errors.append(np.linalg.norm(moved[vertex] - [x, y, 0]) / (0.1 * height))
+            now = mesh.vertices + moved
+            long = np.linalg.norm(now[edges[:, 0]] - now[edges[:, 1]], axis=1)
+            growths.append(np.percentile(np.abs(long / rest - 1)[rest > 1e-4], 99))
+        assert len(errors) > 10
+        assert np.percentile(errors, 95) < 0.01
+        assert np.percentile(growths, share) < growth
+
+
+def ball_on_a_pole():
+    """One surface of 3 m with a crown, swaying."""
+    turn, up = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.linspace(0, 1, 40), indexing="ij")
+    radius = np.where(up < 0.4, 0.06, 0.06 + 0.8 * np.sqrt(np.clip(1 - ((up - 0.7) / 0.31) ** 2, 0, 1)))
+    places = np.stack([radius * np.cos(turn), radius * np.sin(turn), 3 * up], axis=2)
+    corner = np.arange(24 * 40).reshape(24, 40)
+    beside = np.roll(corner, -1, axis=0)
+    quads = [(corner[:, :-1], beside[:, :-1], beside[:, 1:]), (corner[:, :-1], beside[:, 1:], corner[:, 1:])]
+    faces = np.concatenate([np.stack(three, axis=2).reshape(-1, 3) for three in quads])
+    mesh = TriangleMesh(vertices=places.reshape(-1, 3).astype(np.float32), faces=faces.astype(np.int32))
+    grid = voxelize(mesh, 64).grid
+    coefficients = np.zeros((len(grid), 2, 3), np.complex64)
+    coefficients[:, 1, 0] = 0.02 * grid.centres_m[:, 2] ** 2
+    return mesh, SparseVoxelSpectrum(grid=grid, coefficients=coefficients)
+
+
+def test_small_pushes_of_one_branch_are_the_plain_answer(forked):
+    """To first order in the forces the bones follow the modes, also where the push fades towards the root."""
+    tree, parts = forked
+    group = ForceGroup(locality=Locality(seed_voxel=int(parts["right"][-1]), falloff_m=FALLOFF_M))
+    answer = respond(tree.system, [group], dt_s=DT_S, num_frames=1)
+    q = 1e-3 * np.exp(1j * np.arange(tree.system.num_modes))[None, None]
+    answer = replace(answer, q=q)
+    plain, bent = (next(tree.voxels(answer, warp=warp)) for warp in (False, True))
+    tip = parts["right"][-3:]
+    np.testing.assert_allclose(bent[tip], plain[tip], atol=0.15 * np.linalg.norm(plain[tip[-1]]))
+    assert np.linalg.norm(bent[parts["left"]], axis=1).max() < np.linalg.norm(plain[parts["right"]], axis=1).max()
+
+
+def test_joints_bend_in_the_shape_that_forces_give(forked, rng):
+    tree, _ = forked
+    skeleton, joints = tree.bones.skeleton, tree.joints
+    theta = 0.2 * rng.normal(size=(1, len(skeleton), 3)).astype(np.float32)
+    stance, bends = poses(skeleton, theta), np.zeros((len(joints.parent), 3))
+    joint = int(joints.parent[-1])
+    bends[joint] = [0.3, -0.2, 0.5]
+    points = tree.system.grid.centres_m
+    before = points + carried(skeleton, stance, 0, points, tree.bones.voxels)
+    after = points + carried(skeleton, joints.bent(stance, bends), 0, points, tree.bones.voxels)
+    beyond = np.array([joint in joints.chain(v) for v in range(len(points))])
+    whole = beyond & np.isin(tree.bones.voxels.rows, np.flatnonzero(joints.of_bone > joint)).any(axis=1)
+    turn, at = Rotation.from_rotvec(bends[joint]), joints.place_m[joint]
+    far = beyond & (tree.bones.voxels.shares.max(axis=1) == 1) & whole
+    assert far.sum() > 10
+    np.testing.assert_allclose(after[far], turn.apply(before[far] - at) + at, atol=1e-5)
+    np.testing.assert_allclose(after[~beyond], before[~beyond], atol=0.05)
 
 
 def test_it_is_let_go_without_a_jump_in_position_or_velocity(forked):
@@ -111,16 +207,26 @@ def test_it_is_let_go_without_a_jump_in_position_or_velocity(forked):
     assert velocity[20] < 0.2 * velocity.max(), "it begins to move from rest"
 
 
-def test_it_rings_at_the_branchs_own_frequency_and_dies_out(forked):
+def test_each_joint_rings_at_its_own_frequency_and_dies_out(forked):
     tree, parts = forked
     row = int(parts["right"][-1])
-    answer = pulled(tree, row, (0.0, 0.3, 0.0), num_frames=1200, duration_s=DT_S)
-    path = path_of(tree, row, answer)[:, 1]
-    crossings = np.flatnonzero(np.diff(np.sign(path)) != 0) * DT_S
-    half_period = np.diff(crossings[:6]).mean()
-    expected = np.pi / own_omega(tree.system, contact_at_voxel(tree.system.grid, row))
-    assert half_period == pytest.approx(expected, rel=0.1)
-    assert np.abs(path[-120:]).max() < 0.1 * np.abs(path).max()
+    bends = pulled(tree, row, (0.0, 0.3, 0.0), num_frames=1200, duration_s=DT_S).bends[0]
+    omega = tree.joints.omega(tree.system, tree.joints.chain(row))
+    for joint in (0, len(omega) // 2, -1):
+        turn = bends[:, joint, np.abs(bends[0, joint]).argmax()]
+        crossings = np.flatnonzero(np.diff(np.sign(turn)) != 0) * DT_S
+        half_period = np.diff(crossings[:6]).mean()
+        assert half_period == pytest.approx(np.pi / (omega[joint] * np.sqrt(1 - 0.05**2)), rel=0.02)
+    assert np.abs(bends[-120:]).max() < 0.1 * np.abs(bends).max()
+
+
+def test_twigs_ring_faster_than_the_trunk():
+    sample = make_sample(4, "columnar")
+    spectrum = voxel_spectrum(sample, 64)[1]
+    tree = InteractiveTree(modal_system(spectrum), rig_of(sample.mesh, spectrum), sample.mesh.faces)
+    ends = [tree.joints.omega(tree.system, tree.joints.chain(v))[[0, -1]] for v in range(0, 800, 40)]
+    tip, root = np.transpose(ends)
+    assert np.median(tip / root) > 1.2
 
 
 def test_a_pull_goes_on_over_two_calls(forked):

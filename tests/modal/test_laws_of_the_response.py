@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from dynamictree.devoxelize.shares import voxel_shares
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
-from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
+from dynamictree.modal.interactive_tree import ForceGroup, Locality
 from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.step import State
 from dynamictree.modal.system import displacement, modal_system, with_physics
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample, voxel_spectrum
-from tests.modal.trees import fork
+from tests.modal.trees import fork, rigged_fork
 
 DT_S = 1 / 60
 
@@ -25,8 +24,8 @@ def voxels(tree, answer, *, warp=False):
 
 @pytest.fixture(scope="module")
 def tree():
-    spectrum, parts = fork()
-    return InteractiveTree(modal_system(spectrum, mass_kg=30.0)), parts
+    pulled, _, parts = rigged_fork()
+    return pulled, parts
 
 
 def grown_tree():
@@ -159,14 +158,14 @@ def test_reported_coordinates_begin_with_bin_zero(tree):
 @pytest.mark.parametrize("local", [False, True])
 def test_vertex_frames_are_the_loop_of_the_rig_at_any_coordinates(rng, local):
     mesh, spectrum = grown_tree()
-    rig, shares = rig_of(mesh, spectrum), voxel_shares(spectrum.grid, mesh)
-    vertices = VertexFrames(rig, mesh.vertices, shares)
+    rig = rig_of(mesh, spectrum)
+    vertices = VertexFrames(rig, mesh.vertices)
     q = rng.normal(size=(2, spectrum.num_frequencies - 1, 2)).view(np.complex128)[..., 0]
     at_vertices = 2 * rig.loop(mesh.vertices, rig.vertices)[:, 1:]
-    weights = rng.random((2, len(spectrum.grid))).astype(np.float32) if local else None
-    of_vertices = np.ones((2, mesh.num_vertices)) if weights is None else shares.mean(weights.T).T
+    weights = rng.random((2, len(rig.skeleton))) if local else np.ones((2, len(rig.skeleton)))
+    of_vertices = (weights[:, rig.vertices.rows] * rig.vertices.shares).sum(axis=2)
     expected = np.einsum("gn,gnc->nc", of_vertices, displacement(at_vertices, q))
-    frame = vertices.displacement(q, None if weights is None else vertices.weights(weights))
+    frame = vertices.displacement(q, vertices.weights(weights) if local else None)
     rms = np.sqrt((expected**2).mean())
     assert np.abs(frame - expected).max() < 1e-3 * rms
     assert np.sqrt(((frame - expected) ** 2).mean()) < 2e-4 * rms

@@ -2,6 +2,10 @@
 
 import numpy as np
 
+from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.modal.interactive_tree import InteractiveTree
+from dynamictree.modal.system import modal_system
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -34,3 +38,20 @@ def fork(num_frequencies: int = 8, *, fineness: int = 1) -> tuple[SparseVoxelSpe
         sway = lean * height**2 + np.where(out > 0, flutter[0], flutter[1]) * out**2
         coefficients[:, k] = sway[:, None] * along_y
     return SparseVoxelSpectrum(grid=grid, coefficients=coefficients.astype(np.complex64)), parts
+
+
+def rigged_fork(fineness: int = 1) -> tuple[InteractiveTree, TriangleMesh, dict[str, np.ndarray]]:
+    """The fork as a tree of ribbons, one through the voxels of each part, which may be pulled."""
+    spectrum, parts = fork(fineness=fineness)
+    half = np.array([0, 1.45 * spectrum.grid.voxel_size_m, 0])
+    ribbons = []
+    for name, rows in parts.items():
+        foot = parts["stem"][:0] if name == "stem" else parts["stem"][-1:]  # where it hangs
+        middle = spectrum.grid.centres_m[np.concatenate([foot, rows])].astype(np.float64)
+        vertices = np.stack([middle - half, middle + half], axis=1).reshape(-1, 3)
+        first = 2 * np.arange(len(middle) - 1)[:, None]
+        faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([1, 3, 2])])
+        ribbons.append(TriangleMesh(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32)))
+    mesh = joined(ribbons)
+    system = modal_system(spectrum, mass_kg=30.0, damping_ratio=0.05)
+    return InteractiveTree(system, rig_of(mesh, spectrum), mesh.faces), mesh, parts

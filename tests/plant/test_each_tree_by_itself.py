@@ -18,14 +18,15 @@ from dynamictree.mesh import StillPart, TriangleMesh, edges_of, joined
 from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
+from dynamictree.modal.joints import joints_of
 from dynamictree.modal.locality import default_falloff_m
-from dynamictree.modal.pull import carried_voxels
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.models.several_trees import tree_voxels
 from dynamictree.plant.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import CloudParams, ExportParams
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import Wind
 from tests.plant.stand import tree
 from tests.service.test_clouds import post_cloud
@@ -65,31 +66,24 @@ def test_a_pull_on_a_tree_leaves_the_others_still(pair: TriangleMesh) -> None:
     gap = cKDTree(voxels.grid.centres_m[other]).query(voxels.grid.centres_m[one])[0]
     pulled = int(one[np.argmin(gap)])
     drag = Drag(at=contact_at_voxel(system.grid, pulled), displacement_m=(1.0, 0.0, 0.0))
-    moved = []
-    for stand in (InteractiveTree(system), InteractiveTree(replace(system, tree=None))):
-        groups = group_forces([drag], falloff_m=default_falloff_m(system))
-        answer = respond(stand.system, groups, dt_s=1 / 30, num_frames=1, start="held", bent=stand)
-        moved.append(np.linalg.norm(next(iter(stand.voxels(answer, warp=True))), axis=1))
-    apart, together = moved
-    assert apart[pulled] > 0.8
-    assert apart[voxels.tree == 1].max() < 1e-6
-    assert together[voxels.tree == 1].max() > 0.05, "it says nothing: the crowns are too far apart"
+    stand = InteractiveTree(system, rig_of(pair, read_spectrum(io.BytesIO(stream.getvalue()))), pair.faces)
+    groups = group_forces([drag], falloff_m=default_falloff_m(system))
+    answer = respond(system, groups, dt_s=1 / 30, num_frames=1, start="held", bent=stand)
+    moved = np.linalg.norm(next(iter(stand.voxels(answer, warp=True))), axis=1)
+    assert moved[pulled] > 0.8
+    assert moved[voxels.tree == 1].max() < 1e-6
 
 
-def test_each_tree_has_a_root(pair: TriangleMesh) -> None:
+def test_each_tree_has_joints_of_its_own(pair: TriangleMesh) -> None:
     voxels = method.voxelize(pair)
     assert voxels.tree is not None
-    system = modal_system(method.generate(voxels, wind=Wind(), num_steps=1))
-    bones = bones_of(system)
-    root = np.arange(len(bones.parent))
-    for bone, above in enumerate(bones.parent):
-        root[bone] = bone if above < 0 else root[above]
-    of_voxel = root[bones.bone_of_voxel]
-    assert [set(voxels.tree[of_voxel == foot].tolist()) for foot in np.flatnonzero(bones.parent < 0)] in (
-        [{0}, {1}],
-        [{1}, {0}],
-    )
-    assert carried_voxels(bones)[bones.parent < 0].sum() == len(voxels.grid)
+    spectrum = method.generate(voxels, wind=Wind(), num_steps=1)
+    joints = joints_of(bones_of(rig_of(pair, spectrum)), pair.faces, spectrum.coefficients[:, 1:])
+    trees_of: dict[int, set[int]] = {}
+    for voxel, number in enumerate(voxels.tree.tolist()):
+        for joint in joints.chain(voxel).tolist():
+            trees_of.setdefault(joint, set()).add(number)
+    assert set(map(frozenset, trees_of.values())) == {frozenset({0}), frozenset({1})}
 
 
 def test_the_products_of_a_stand_keep_lengths_in_each_tree(pair: TriangleMesh, tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ from service.app import create_app
 from service.http.caller import ANYONE
 from service.http.request_headers import SAFETENSORS
 from service.interact.forces import MAX_FORCES
-from service.interact.ready_tree import ReadyTree, bone_ties, vertex_shares
 from service.interact.tree_cache import living_tree
 from service.services import Services
 from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
@@ -93,11 +92,11 @@ def read_binary(response) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("locality", ["none", "geodesic"])
 @pytest.mark.parametrize("warp", [False, True])
 def test_voxels_are_the_librarys(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, locality: str, warp: bool
+    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, poke: dict, locality: str, warp: bool
 ) -> None:
     options = {"output": "voxels", "locality": locality, "warp": warp, "num_frames": 5}
     arrays = read_binary(post(client, spectrum_id, poke, accept="*/*", **options))
-    tree = InteractiveTree(modal_system(spectrum))
+    tree = InteractiveTree(modal_system(spectrum), rig_of(grown.mesh, spectrum), grown.mesh.faces)
     at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
     falloff = None if locality == "none" else default_falloff_m(tree.system)
     groups = group_forces([Impulse(at=at, impulse_n_s=(3.0, 1.0, 0.0))], falloff_m=falloff)
@@ -345,15 +344,15 @@ def test_vertices_of_still_parts_do_not_move_under_pushes(
     grown, spectrum: SparseVoxelSpectrum, poke: dict, warp: bool
 ) -> None:
     mesh = on_a_plane(grown.mesh)
-    ready = ReadyTree(InteractiveTree(modal_system(spectrum)), expires_at=0.0)
+    rig = rig_of(mesh, spectrum)
+    tree = InteractiveTree(modal_system(spectrum), rig, mesh.faces)
     push = Impulse(at=contact_at_voxel(spectrum.grid, poke["at"]["voxel"]), impulse_n_s=(60.0, 1.0, 0.0))
     for falloff_m in (None, 2.0):
-        answer = respond(ready.tree.system, group_forces([push], falloff_m=falloff_m), dt_s=1 / 60, num_frames=3)
+        answer = respond(tree.system, group_forces([push], falloff_m=falloff_m), dt_s=1 / 60, num_frames=3)
         if warp:
-            frames = np.stack(list(ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))))
+            frames = np.stack(list(tree.bent(answer, mesh.vertices, rig.vertices)))
         else:
-            vertices = VertexFrames(rig_of(mesh, spectrum), mesh.vertices, vertex_shares(ready, mesh))
-            frames = np.stack(list(ready.tree.superposed(answer, vertices)))
+            frames = np.stack(list(tree.superposed(answer, VertexFrames(rig, mesh.vertices))))
         assert not frames[:, -4:].any()
         assert np.abs(frames[-1, :-4]).max() > 1e-4
 

@@ -12,6 +12,7 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from recipes.modes_reference import Modes
 from tests.service.pushed import grown, poke, post, spectrum, spectrum_id  # noqa: F401
@@ -23,8 +24,10 @@ import { Modes } from "REFERENCE";
 const [modesPath, requestPath] = process.argv.slice(2);
 const file = readFileSync(modesPath);
 const modes = new Modes(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
-const { q, weights, bends } = JSON.parse(readFileSync(requestPath, "utf8"));
-const { rotation, place } = modes.poses(q, weights, bends && Float64Array.from(bends));
+const { q, weights, places, bends } = JSON.parse(readFileSync(requestPath, "utf8"));
+const reaches = places.map((at) => at && modes.reach(at.seed_voxel, at.falloff_m));
+const still = new Float64Array(3 * modes.joint_parent.length);
+const { rotation, place } = modes.poses(modes.theta(q, reaches), bends ? Float64Array.from(bends) : still);
 const payload = { voxels: modes.voxels(q, weights), rotation, place };
 console.log(JSON.stringify(payload, (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value)));
 """
@@ -38,12 +41,24 @@ def modes(client: TestClient, spectrum_id: str) -> bytes:
 
 
 def evaluated(client: TestClient, spectrum_id: str, *forces: object, **options: object):
-    """Last frame's coordinates [G, K, 2] and weights [G, V], as a client gets them."""
+    """Last frame's coordinates [G, K, 2], weights [G, V] and localities, as a client gets them."""
     payload = post(client, spectrum_id, *forces, **options).json()
     q = np.array([group["q"][-1] for group in payload["groups"]])
-    weights = [reach(client, spectrum_id, group["locality"]) for group in payload["groups"]]
-    length = max((len(row) for row in weights if row is not None), default=0)
-    return q, weights, length
+    places = [group["locality"] for group in payload["groups"]]
+    return q, [reach(client, spectrum_id, place) for place in places], places
+
+
+def turned(reference: Modes, q: np.ndarray, places: list[dict | None]) -> np.ndarray:
+    return reference.theta(q, [place and reference.reach(**place) for place in places])
+
+
+def carried(reference: Modes, theta: np.ndarray, bends: np.ndarray, grown, spectrum: SparseVoxelSpectrum) -> np.ndarray:
+    """Displacement of the voxels, each the mean of the bones that carry it."""
+    rotation, place = reference.poses(theta, bends)
+    weights, points = rig_of(grown.mesh, spectrum).voxels, spectrum.grid.centres_m
+    arm = points[:, None] - reference.foot[weights.rows]
+    there = np.einsum("vwij,vwj->vwi", rotation[weights.rows], arm) + place[weights.rows]
+    return np.einsum("vw,vwi->vi", weights.shares, there) - points
 
 
 def reach(client: TestClient, spectrum_id: str, locality: dict | None) -> np.ndarray | None:
@@ -84,28 +99,28 @@ def test_the_python_reference_gives_the_servers_voxels(
 
 
 def test_the_python_reference_bends_as_the_server_does(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes
+    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes
 ) -> None:
     options = {"num_frames": 12, "falloff_m": 2.0}
     forces = pushes(poke, spectrum)
     response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", warp=True, **options)
     expected = load(response.content)["displacement"][-1]
-    q, rows, _ = evaluated(client, spectrum_id, *forces, **options)
+    q, _, places = evaluated(client, spectrum_id, *forces, **options)
     reference = Modes(modes)
-    rotation, place = reference.poses(q, weights_of(rows, len(expected)))
-    bone, points = reference.file["bone_of_voxel"], spectrum.grid.centres_m
-    arm = points - reference.file["bone_joint_m"][bone]
-    moved = np.einsum("vij,vj->vi", rotation[bone], arm) + place[bone] - points
+    still = reference.bends(0, np.zeros((0, 3)))
+    moved = carried(reference, turned(reference, q, places), still, grown, spectrum)
     np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
 
 
-def in_node(modes: bytes, q: np.ndarray, weights: np.ndarray, folder: Path, bends: np.ndarray | None = None) -> dict:
+def in_node(
+    modes: bytes, q: np.ndarray, weights: np.ndarray, places: list, folder: Path, bends: np.ndarray | None = None
+) -> dict:
     """What the JavaScript reference gives."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed: the JavaScript reference needs it")
     (folder / "modes").write_bytes(modes)
-    request = {"q": q.reshape(len(q), -1).tolist(), "weights": weights.tolist()}
+    request = {"q": q.reshape(len(q), -1).tolist(), "weights": weights.tolist(), "places": places}
     if bends is not None:
         request["bends"] = bends.ravel().tolist()
     (folder / "request.json").write_text(json.dumps(request))
@@ -117,11 +132,11 @@ def in_node(modes: bytes, q: np.ndarray, weights: np.ndarray, folder: Path, bend
 def test_the_javascript_reference_is_the_python_one(
     client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, tmp_path: Path
 ) -> None:
-    q, rows, num_voxels = evaluated(client, spectrum_id, *pushes(poke, spectrum), num_frames=12, falloff_m=2.0)
-    weights = weights_of(rows, num_voxels)
-    payload = in_node(modes, q, weights, tmp_path)
+    q, rows, places = evaluated(client, spectrum_id, *pushes(poke, spectrum), num_frames=12, falloff_m=2.0)
+    weights = weights_of(rows, len(spectrum.grid))
+    payload = in_node(modes, q, weights, places, tmp_path)
     reference = Modes(modes)
-    rotation, place = reference.poses(q, weights)
+    rotation, place = reference.poses(turned(reference, q, places), reference.bends(0, np.zeros((0, 3))))
     np.testing.assert_allclose(np.reshape(payload["voxels"], (-1, 3)), reference.voxels(q, weights), atol=1e-6)
     np.testing.assert_allclose(np.reshape(payload["rotation"], (-1, 3, 3)), rotation, atol=1e-6)
     np.testing.assert_allclose(np.reshape(payload["place"], (-1, 3)), place, atol=1e-5)
@@ -156,7 +171,7 @@ def drag(poke: dict) -> dict:
 
 
 def test_the_references_bend_joints_as_the_server_does(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, drag: dict, modes: bytes, tmp_path: Path
+    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, drag: dict, modes: bytes, tmp_path: Path
 ) -> None:
     options = {"num_frames": 2, "falloff_m": 2.0, "start": "held", "warp": True}
     file = load(post(client, spectrum_id, drag, accept="*/*", output="voxels", **options).content)
@@ -169,16 +184,15 @@ def test_the_references_bend_joints_as_the_server_does(
     bends = reference.bends(drag["at"]["voxel"], np.array(group["bend"][-1]))
     assert np.abs(bends).max() > 0.01
     q = np.array([group["q"][-1]])
-    rotation, place = reference.poses(q, weights, bends)
-    bone, points = reference.file["bone_of_voxel"], spectrum.grid.centres_m
-    arm = points - reference.file["bone_joint_m"][bone]
-    moved = np.einsum("vij,vj->vi", rotation[bone], arm) + place[bone] - points
+    theta = turned(reference, q, [group["locality"]])
+    moved = carried(reference, theta, bends, grown, spectrum)
     np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
     (reached,) = answer["reached"]
     np.testing.assert_allclose(expected[drag["at"]["voxel"]], reached["reached_m"], atol=1e-4)
     assert reached["error_m"] < 0.05 * np.linalg.norm(reached["wanted_m"])
     assert reached["why"] is None
-    payload = in_node(modes, q, weights, tmp_path, bends)
+    rotation, place = reference.poses(theta, bends)
+    payload = in_node(modes, q, weights, [group["locality"]], tmp_path, bends)
     np.testing.assert_allclose(np.reshape(payload["rotation"], (-1, 3, 3)), rotation, atol=1e-5)
     np.testing.assert_allclose(np.reshape(payload["place"], (-1, 3)), place, atol=1e-5)
 

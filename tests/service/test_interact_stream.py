@@ -18,6 +18,7 @@ from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTr
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import modal_system
+from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.clients.keys import create_key, revoke_key
 from jobs.database.tables import assets, jobs
@@ -146,13 +147,14 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
 
 
 def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(
-    spectrum: SparseVoxelSpectrum,
+    grown, spectrum: SparseVoxelSpectrum
 ) -> None:
-    tree = InteractiveTree(modal_system(spectrum, damping_ratio=0.1))
+    rig = rig_of(grown.mesh, spectrum)
+    tree = InteractiveTree(modal_system(spectrum, damping_ratio=0.1), rig, grown.mesh.faces)
     system, dt_s = tree.system, 1 / 60
     row = int(np.argmax(spectrum.grid.coords[:, 2]))
     session = interact_session.Session(system=system, step=exact_step(system, dt_s))
-    grips = interact_session.Grips(tree, system)
+    grips = interact_session.Grips(lambda: tree, system)
     force_of = partial(
         interact_session.force_of,
         system=system,

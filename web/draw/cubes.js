@@ -32,8 +32,8 @@ export function visibleVoxels({ coords, V }) {
   return rows;
 }
 
-/** A box for each of `rows`: its centre, and the vertex and the bone that it moves with. */
-function cubeGeometry({ centres, bone_of_voxel, voxelSize }, vertexOf, rows) {
+/** A box for each of `rows`: its centre, and the vertex and the joint that it moves with. */
+function cubeGeometry({ centres, joint_of_voxel, voxelSize }, vertexOf, rows) {
   const box = new THREE.BoxGeometry(voxelSize, voxelSize, voxelSize);
   const geometry = new THREE.InstancedBufferGeometry();
   geometry.setIndex(box.index);
@@ -43,6 +43,6 @@ function cubeGeometry({ centres, bone_of_voxel, voxelSize }, vertexOf, rows) {
     geometry.setAttribute(name, new THREE.InstancedBufferAttribute(values, width));
   };
   perCube("centre", 3, (v) => [...centres.subarray(3 * v, 3 * v + 3)]);
-  perCube("carrier", 2, (v) => [vertexOf[v], bone_of_voxel[v]]);
+  perCube("carrier", 2, (v) => [vertexOf[v], joint_of_voxel[v]]);
   return geometry;
 }

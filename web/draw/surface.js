@@ -1,6 +1,7 @@
 // The mesh as it is drawn: geometry from a surface file, materials whose vertices follow the field and the bones.
 
 import * as THREE from "three";
+import { carriersOf } from "../motion/grip.js";
 import { readTensors } from "../motion/tensors.js";
 import { softenFoliage } from "./foliage.js";
 
@@ -60,9 +61,25 @@ export function nearBox(box, whole) {
 }
 
 function setBones(geometry, surface) {
-  const still = (width) => new Uint8Array(width * surface.N);
-  geometry.setAttribute("boneRows", new THREE.BufferAttribute(surface.bone_rows ?? new Uint16Array(4 * surface.N), 4));
-  geometry.setAttribute("boneWeights", new THREE.BufferAttribute(surface.bone_weights ?? still(4), 4, true));
+  surface.bone_rows ??= new Float32Array(4 * surface.N); // WebGL takes no 32-bit integers here
+  surface.bone_weights ??= new Uint8Array(4 * surface.N);
+  geometry.setAttribute("boneRows", new THREE.BufferAttribute(surface.bone_rows, 4));
+  geometry.setAttribute("boneWeights", new THREE.BufferAttribute(surface.bone_weights, 4, true));
+}
+
+/** The joints of what is pulled that carry each vertex; none for what is no plant. */
+export function carryByJoints(surface, modes) {
+  const { N, bone_rows, bone_weights, turn_bone, geometry } = surface;
+  for (let v = 0; v < N; v++) {
+    if (!turn_bone[v]) continue;
+    const [joints, weights] = carriersOf(modes, surface, v);
+    bone_rows.set(joints, 4 * v);
+    bone_weights.set(
+      weights.map((w) => Math.round(255 * w)),
+      4 * v,
+    );
+  }
+  geometry.attributes.boneRows.needsUpdate = geometry.attributes.boneWeights.needsUpdate = true;
 }
 
 /** Faces sorted by material: one draw each. */

@@ -11,7 +11,7 @@ import { Field, PoseTexture, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { LEAST } from "./resolution.js";
 import { leavesItsShadow, sampleMotion } from "./shadow.js";
-import { nearBox } from "./surface.js";
+import { carryByJoints, nearBox } from "./surface.js";
 
 export class Tree {
   constructor(stage) {
@@ -25,7 +25,7 @@ export class Tree {
       bent: { value: 0 },
       coloured: { value: 0 },
     };
-    this.groups = []; // of pushes: { q, perBone }
+    this.groups = []; // of pulls: { seed, bend }
     Object.assign(this, { view: "surface", q: null, turn: 0 });
   }
 
@@ -78,8 +78,9 @@ export class Tree {
 
   setModes(modes) {
     this.modes = modes;
-    this.poses = new PoseTexture(modes.B);
+    this.poses = new PoseTexture(modes.J);
     this.uniforms.poses.value = this.poses.texture;
+    carryByJoints(this.surface, modes);
     this.field = new Field(this.surface);
     this.uniforms.moved.value = this.field.texture;
   }
@@ -186,8 +187,8 @@ export class Tree {
     this.groups = groups;
     this.uniforms.bent.value = groups.length ? 1 : 0;
     if (groups.length) {
-      this.boneMotion ??= new Float32Array(12 * this.modes.B);
-      this.poses.set(this.modes.poses(groups, this.boneMotion));
+      this.jointMotion ??= new Float32Array(12 * this.modes.J);
+      this.poses.set(this.modes.poses(groups, this.jointMotion));
     }
     Object.assign(this.stage, { stale: true, swift: groups.length > 0 || this.blown || leavesItsShadow(this) });
   }
@@ -211,7 +212,7 @@ export class Tree {
   /** Where a voxel is now [m]. */
   voxelNow(v) {
     const at = plus(rowOf(this.modes.centres, v), displaced(this.surface, this.vertexOf[v], this.swings));
-    return this.groups.length ? carried(this.boneMotion, this.modes.bone_of_voxel[v], at) : at;
+    return this.groups.length ? carried(this.jointMotion, this.modes.joint_of_voxel[v], at) : at;
   }
 
   // ---- the end

@@ -1,24 +1,31 @@
-// A place of the tree that is pulled: the vertex that is drawn there, and the bones that carry it.
+// A place of the tree that is pulled: the vertex that is drawn there, and the joints that carry it.
 
 import { carried } from "./modes.js";
 import { displaced } from "./swing.js";
-import { nearest, plus, rowOf } from "./vectors.js";
+import { nearest, plus, rowOf, scaled } from "./vectors.js";
 
 /**
- * The place to pull at a voxel of a Tree: the nearest vertex that is of the plant, `{ voxel, vertex, rest, bones, weights }`.
- * Leaves and twigs move with the bone of the place where they hang, so the voxel to pull at is the nearest of the vertex'
- * strongest bone. Gaussians ride on the same vertices.
+ * The place to pull at a voxel of a Tree: the nearest vertex that is of the plant, `{ voxel, vertex, rest, joints,
+ * weights }`. The voxel to pull at is the nearest of the vertex' joint, or of the next towards the root that has one.
+ * Gaussians ride on the same vertices.
  */
 export function gripAt({ modes, surface }, voxel) {
-  const { vertices, bone_rows, bone_weights } = surface;
-  const at = rowOf(modes.centres, voxel);
-  const vertex = nearest(vertices, at, (v) => bone_weights[4 * v] > 0);
-  const four = (values) => Array.from(values.subarray(4 * vertex, 4 * vertex + 4));
-  const [bones, weights] = [four(bone_rows), four(bone_weights).map((byte) => byte / 255)];
-  const strongest = bones[weights.indexOf(Math.max(...weights))];
+  const { vertices, turn_bone, turn_share } = surface;
+  const vertex = nearest(vertices, rowOf(modes.centres, voxel), (v) => turn_bone[v] > 0);
+  const [joints, weights] = carriersOf(modes, surface, vertex);
   const rest = rowOf(vertices, vertex);
-  const pulled = nearest(modes.centres, rest, (v) => modes.bone_of_voxel[v] === strongest);
-  return { voxel: pulled ?? voxel, vertex, rest, bones, weights };
+  let pulled = null;
+  for (let j = joints[turn_share[vertex] > 0.5 ? 1 : 0]; pulled === null && j > 0; j = modes.joint_parent[j]) {
+    pulled = nearest(modes.centres, rest, (v) => modes.joint_of_voxel[v] === j);
+  }
+  return { voxel: pulled ?? voxel, vertex, rest, joints, weights };
+}
+
+/** Joints of the two bones that carry a vertex, and their shares. */
+export function carriersOf({ joint_of_bone }, { turn_bone, turn_parent, turn_share }, vertex) {
+  const bone = turn_bone[vertex];
+  const joints = [joint_of_bone[bone], joint_of_bone[Math.max(turn_parent[bone], 0)]];
+  return [joints, [1 - turn_share[vertex], turn_share[vertex]]];
 }
 
 /** Where the wind alone has a place that is pulled [m]. */
@@ -27,17 +34,9 @@ export const gripInWind = ({ surface, swings }, { vertex, rest }) => plus(rest, 
 /** Where it is now [m]. */
 export function gripNow(tree, place) {
   const at = gripInWind(tree, place);
-  return tree.groups.length ? carriedPoint(tree.boneMotion, place, at) : at;
+  return tree.groups.length ? carriedPoint(tree.jointMotion, place, at) : at;
 }
 
-/** Where the bones carry a point [m]; what no bone carries stays. */
-export function carriedPoint(poses, { bones, weights }, point) {
-  const left = 1 - weights.reduce((sum, w) => sum + w, 0);
-  return bones.reduce(
-    (sum, b, i) => {
-      const at = carried(poses, b, point);
-      return sum.map((x, c) => x + weights[i] * at[c]);
-    },
-    point.map((x) => left * x),
-  );
-}
+/** Where the joints carry a point [m]. */
+export const carriedPoint = (poses, { joints, weights }, point) =>
+  joints.reduce((sum, j, i) => plus(sum, scaled(carried(poses, j, point), weights[i])), [0, 0, 0]);

@@ -11,7 +11,6 @@ const AT_REST = 0.01; // of the bend
 /** A source for page/hand.js of a Tree. */
 export const localSource = (tree) => ({
   push: (options) => new LocalPush(tree, options),
-  reach: async () => new Float32Array(tree.modes.V).fill(1),
 });
 
 class LocalPush {
@@ -31,7 +30,7 @@ class LocalPush {
     const rest = rowOf(modes.centres, voxel);
     this.began = null;
     if (this.pin?.voxel !== voxel) {
-      this.pin = new Pin(modes, { voxel, rest, bones: [modes.bone_of_voxel[voxel]], weights: [1] });
+      this.pin = new Pin(modes, { voxel, rest, joints: [modes.joint_of_voxel[voxel]], weights: [1] });
     }
     this.pin.hold([], rest, plus(rest, displacement_m));
     this._give(1);

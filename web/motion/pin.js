@@ -1,19 +1,17 @@
 // A place that stays under the pointer: a last small bend of its joints, on top of what the service answers.
 //
 // The service's answer is some milliseconds old and knows nothing of the wind on this page. The bends κ of the joints
-// between the place and the root that make up for it are those of least cost, |gap|² / ε + Σ |κ_b|² / g_b, as in
-// dynamictree/modal/pull.py: Levenberg-Marquardt, in which each round solves a 3 × 3 system for the force λ that holds
-// the place.
+// between the place and the root that make up for it are those of least energy: `held` of dynamictree/modal/pull.py says how, and
+// tests/modal/pulls.json holds answers that both must give.
 
-import { carriedPoint } from "./grip.js";
-import { carried } from "./modes.js";
-import { cross, dot, length, minus, plus, scaled } from "./vectors.js";
+import { turned } from "./modes.js";
+import { cross, dot, length, minus, plus, rowOf, scaled } from "./vectors.js";
 
 const ROUNDS = 12; // a frame; the next frame goes on from there
-const STEP_RAD = 0.3;
-const MOST_RAD = 1;
-const TOLERANCE = 1e-6; // ε of the compliance: a direction in which nothing gives way is not followed
-const DAMPING = { least: 1e-3, first: 1e-2, most: 1e4 };
+const LARGEST_BEND = 0.5;
+const TOLERANCE = 1e-8;
+const [STEP_RAD, SETTLED] = [0.5, 3e-4];
+const DAMPING = { first: 0.1, least: 1e-9, most: 1e8, sure: 1e-2 };
 const [ACCEPT, REFUSE] = [0.25, 6]; // factors of the damping
 const LET_GO_S = 0.08; // once nothing is pinned, the bend goes like a critically damped spring of this time
 
@@ -23,68 +21,19 @@ export class Pin {
     const { voxel } = grip;
     Object.assign(this, { modes, grip, voxel });
     this.chain = modes.chain(voxel);
-    const size = modes.carriedVoxels();
-    const ends = [modes.centres.subarray(3 * voxel, 3 * voxel + 3), ...this.chain.map((b) => jointOf(modes, b))];
-    this.give = this.chain.map((b, i) => length(minus(ends[i], jointOf(modes, b))) / size[b]);
-    this.under = this.chain.map((b) => grip.weights.map((w, i) => (modes.isUnder(grip.bones[i], b) ? w : 0)));
     this.group = { seed: voxel, bend: this.chain.map(() => [0, 0, 0]) };
-    this.poses = new Float32Array(12 * modes.B);
-    this.damping = DAMPING.first;
   }
 
   /** Bend so that `point`, where the wind has it, is carried to `target`; `groups` are those of the service. */
   hold(groups, point, target) {
-    const { chain, group } = this;
+    const { chain, group, modes } = this;
     if (!chain.length) return;
-    let best = this._linear(groups, point, target);
-    for (let round = 1; round < ROUNDS && length(best.gap) > 0.01 * this.modes.voxelSize; round++) {
-      group.bend = this._stepped(best);
-      const tried = this._linear(groups, point, target, best.tolerance);
-      const better = tried.cost < best.cost;
-      this.damping = clamp(this.damping * (better ? ACCEPT : REFUSE), DAMPING.least, DAMPING.most);
-      if (better) best = tried;
-    }
-    group.bend = best.bend;
-  }
-
-  /** The problem around the bend of now: `arms[b]` are the three rows of ∂place/∂κ_b. */
-  _linear(groups, point, target, tolerance) {
-    const { modes, chain, give, group, grip } = this;
-    modes.poses([...groups, group], this.poses);
-    const gap = minus(target, carriedPoint(this.poses, grip, point));
-    const arms = chain.map((b, i) => this._arms(b, this.under[i], point));
-    const epsilon = tolerance ?? TOLERANCE * arms.reduce((sum, rows, i) => sum + give[i] * sumOfSquares(rows), 1e-30);
-    const energy = group.bend.reduce((sum, k, i) => sum + (give[i] > 0 ? dot(k, k) / give[i] : 0), 0);
-    return { gap, arms, bend: group.bend, tolerance: epsilon, cost: dot(gap, gap) / epsilon + energy };
-  }
-
-  /** How the point moves where the joint of bone b turns: the arm is Σ w (x − joint), over the bones that turn with it. */
-  _arms(b, weights, point) {
-    const { modes, poses, grip } = this;
-    const joint = carried(poses, b, jointOf(modes, b));
-    const arm = grip.bones.reduce(
-      (sum, bone, i) => {
-        return weights[i] ? plus(sum, scaled(minus(carried(poses, bone, point), joint), weights[i])) : sum;
-      },
-      [0, 0, 0],
-    );
-    return AXES.map((axis) => modes.inFrame(modes.bone_parent[b], cross(arm, axis)));
-  }
-
-  /** The bend after a step to the least cost of the linear problem plus `damping` times the energy of the step. */
-  _stepped({ gap, arms, bend, tolerance }) {
-    const share = 1 / (1 + this.damping);
-    const soft = this.give.map((g) => share * g);
-    const aim = arms.reduce((sum, rows, i) => plus(sum, scaled(applied(rows, bend[i]), share)), gap);
-    const force = solved(compliance(arms, soft, tolerance), aim);
-    const steps = arms.map((rows, i) =>
-      plus(scaled(applied(transposed(rows), force), soft[i]), scaled(bend[i], -share)),
-    );
-    const taken = Math.min(1, STEP_RAD / Math.max(...steps.map(length), 1e-9));
-    return bend.map((k, i) => {
-      const next = plus(k, scaled(steps[i], taken));
-      return scaled(next, Math.min(1, MOST_RAD / Math.max(length(next), 1e-9)));
-    });
+    const bends = modes.bends(groups);
+    const base = chain.map((j) => rowOf(bends, j));
+    group.bend = held(segmentsOf(modes, this.grip, chain, point), minus(target, point), {
+      base,
+      bend: group.bend,
+    }).bend;
   }
 
   /** After the release: the bend goes, at first slowly, or the place would jump; whether some is left. */
@@ -97,13 +46,97 @@ export class Pin {
   }
 }
 
-const AXES = [0, 1, 2].map((i) => [0, 1, 2].map((j) => Number(i === j)));
+/** What a chain's joints carry of a point: `{ segments, give }`, as `grip_at` of pull.py. */
+export function segmentsOf(modes, { joints, weights }, chain, point) {
+  const segments = chain.map(() => [0, 0, 0]);
+  const carried = chain.map(() => 0); // share of the point beyond each joint
+  joints.forEach((joint, i) => {
+    let own = joint;
+    while (own > 0 && !chain.includes(own)) own = modes.joint_parent[own];
+    if (own <= 0) return;
+    const at = chain.indexOf(own);
+    segments[at] = plus(segments[at], scaled(minus(point, modes.jointAt(own)), weights[i]));
+    for (let n = at; n < chain.length; n++) carried[n] += weights[i];
+  });
+  const step = (n) => minus(n ? modes.jointAt(chain[n - 1]) : point, modes.jointAt(chain[n]));
+  for (let n = 1; n < chain.length; n++) segments[n] = plus(segments[n], scaled(step(n), carried[n - 1]));
+  return { segments, give: chain.map((j, n) => modes.joint_give[j] * length(step(n))) };
+}
 
-const jointOf = (modes, b) => modes.bone_joint_m.subarray(3 * b, 3 * b + 3);
-const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
+/** `{ bend, reached }` of least energy that hold the point at `target` [m from rest]; `base` are bends under them. */
+export function held({ segments, give }, target, { bend, base = null, rounds = ROUNDS }) {
+  let arm = [0, 0, 0];
+  const size = segments.reduce((sum, s, i) => {
+    arm = plus(arm, s);
+    return sum + 2 * give[i] * dot(arm, arm);
+  }, 0);
+  const problem = { segments, give, base, tolerance: TOLERANCE * size, target };
+  let now = linear(problem, bend);
+  if (!(problem.tolerance > 0)) return now;
+  let damping = DAMPING.first;
+  for (let round = 0; round < rounds && damping <= DAMPING.most; round++) {
+    const tried = linear(problem, stepped(problem, now, damping));
+    if (tried.cost < now.cost) {
+      const last = length(minus(tried.reached, now.reached)) < SETTLED * length(target) && damping < DAMPING.sure;
+      now = tried;
+      damping = Math.max(damping * ACCEPT, DAMPING.least);
+      if (last) break;
+    } else damping *= REFUSE;
+  }
+  return now;
+}
+
+/** The problem around a bend: where the point is, how it moves with each bend, and what it costs. */
+function linear({ segments, give, base, tolerance, target }, bend) {
+  const frames = [IDENTITY]; // of what carries each joint, from the root
+  const arms = [];
+  let reached = [0, 0, 0];
+  for (let n = segments.length - 1; n >= 0; n--) {
+    const frame = product(frames[0], turned(base ? plus(bend[n], base[n]) : bend[n]));
+    arms.unshift(applied(frame, segments[n]));
+    reached = plus(reached, minus(arms[0], segments[n]));
+    frames.unshift(frame);
+  }
+  let arm = [0, 0, 0];
+  const rows = bend.map((k, n) => {
+    arm = plus(arm, arms[n]);
+    const total = base ? plus(k, base[n]) : k;
+    return IDENTITY.map((axis) => leftJacobianOf(total, appliedInverse(frames[n + 1], cross(arm, axis))));
+  });
+  const gap = minus(target, reached);
+  const folded = bend.map((k) => dot(k, k) / LARGEST_BEND ** 2);
+  const energy = bend.reduce((sum, k, n) => (give[n] > 0 ? sum + (dot(k, k) * (1 + folded[n] / 2)) / give[n] : sum), 0);
+  const soft = give.map((g, n) => g / (1 + folded[n]));
+  return { bend, reached, rows, gap, soft, cost: dot(gap, gap) / tolerance + energy };
+}
+
+/** The bend after a step to the least cost of the linear problem plus `damping` times the energy of the step. */
+function stepped({ tolerance }, { bend, rows, gap, soft }, damping) {
+  const share = 1 / (1 + damping);
+  const give = soft.map((g) => share * g);
+  const aim = rows.reduce((sum, three, n) => plus(sum, scaled(applied(three, bend[n]), share)), gap);
+  const force = solved(compliance(rows, give, tolerance), aim);
+  const steps = rows.map((three, n) =>
+    plus(scaled(applied(transposed(three), force), give[n]), scaled(bend[n], -share)),
+  );
+  const taken = Math.min(1, STEP_RAD / Math.max(...steps.map(length), 1e-12));
+  return bend.map((k, n) => plus(k, scaled(steps[n], taken)));
+}
+
+const IDENTITY = [0, 1, 2].map((i) => [0, 1, 2].map((j) => Number(i === j)));
+
 const applied = (rows, v) => rows.map((row) => dot(row, v));
 const transposed = (rows) => rows.map((_, j) => rows.map((row) => row[j]));
-const sumOfSquares = (rows) => rows.reduce((sum, row) => sum + dot(row, row), 0);
+const appliedInverse = (rows, v) => applied(transposed(rows), v);
+const product = (a, b) => a.map((row) => applied(transposed(b), row));
+
+/** A row times the left Jacobian of exp[v]×. */
+function leftJacobianOf(v, row) {
+  const a = length(v);
+  const [d, e] =
+    a > 1e-3 ? [(1 - Math.cos(a)) / a ** 2, (a - Math.sin(a)) / a ** 3] : [0.5 - a ** 2 / 24, 1 / 6 - a ** 2 / 120];
+  return plus(row, plus(scaled(cross(row, v), d), scaled(cross(cross(row, v), v), e)));
+}
 
 /** Σ g J Jᵀ + ε I: displacement of the place over the force there. */
 function compliance(arms, give, tolerance) {

@@ -23,14 +23,10 @@ export class Hand {
     for (const name of ["pointerup", "pointercancel"]) place.addEventListener(name, (event) => this._up(event), true);
   }
 
-  /**
-   * Pull at this tree. `source.push(options)` opens a push, `source.reach(locality)` gives the weights [V] of a group;
-   * see motion/remote.js and motion/modes.js.
-   */
+  /** Pull at this tree. `source.push(options)` opens a push: see motion/remote.js and motion/local.js. */
   take(tree, source) {
     this.leave();
     Object.assign(this, { tree, source });
-    this.weights = new Map(); // of groups' bones, by locality
   }
 
   /** Share of critical damping; what swings is let go. */
@@ -144,17 +140,5 @@ export class Hand {
     const right = new THREE.Vector3().setFromMatrixColumn(stage.camera.matrixWorld, 0).multiplyScalar(Math.sign(px));
     this.flung = { px: 0, at };
     this.onFling(Math.atan2(right.y, right.x));
-  }
-
-  /** Weights of a group's bones; null until they have come. */
-  weightsOf(locality) {
-    const key = JSON.stringify(locality);
-    const { tree, weights } = this;
-    if (!weights.has(key)) {
-      weights.set(key, null);
-      const store = (perVoxel) => weights.set(key, tree.modes.boneWeights(perVoxel));
-      this.source.reach(locality).then(store, this.onProblem);
-    }
-    return weights.get(key);
   }
 }

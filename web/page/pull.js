@@ -7,7 +7,7 @@ import { Pin } from "../motion/pin.js";
 const EASE_S = 0.1; // in which a grip that was picked beside the pointer comes under it
 
 export class Pull {
-  /** `hand` has the tree, the source of pushes, their damping, and the weights of groups by locality. */
+  /** `hand` has the tree, the source of pushes, and their damping. */
   constructor(hand) {
     Object.assign(this, { hand, groups: [], frame: 0 });
     this.grip = null; // { place, pointer, plane, target, beside }; pointer is null where it stays without a hand
@@ -87,10 +87,8 @@ export class Pull {
   _frame({ frame, groups, reached }) {
     this.frame = frame;
     this.missing = reached?.why ? reached.wanted_m.map((x, i) => x - reached.reached_m[i]) : null;
-    const ready = groups.map(({ locality, q, bend }) => {
-      return { q, bend, seed: locality?.seed_voxel, perBone: this.hand.weightsOf(locality) };
-    });
-    this.groups = ready.filter(({ perBone }) => perBone);
+    const bent = groups.filter(({ bend }) => bend);
+    this.groups = bent.map(({ locality, bend }) => ({ seed: locality.seed_voxel, bend }));
   }
 
   /** The tree has come to rest, maybe just as it is pulled again; without a message, the connection has ended. */

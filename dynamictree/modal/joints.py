@@ -1,0 +1,194 @@
+"""Joints that a pull bends: places of the rig where all beyond can turn without tearing the surface.
+
+A bone that hangs at one point and carries nothing, as a card does, has the joint of what it hangs on. Bones of equal
+depth that edges of the mesh join, and those that carry them, as in a wide trunk or a crown that is one surface, have
+one joint. A bend κ_j turns all beyond joint j, in the shape x' that wind and forces give the tree:
+
+    A_j = A_i exp[κ_j]×,      p_j = p_i + A_i (j_j - j_i),      x'' = Σ_b w_b (p_j(b) + A_j(b) (x'_b - j_j(b)))
+
+with i the joint that carries j, j_j its place at rest, and x'_b where bone b alone carries the point.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import no_type_check
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Complex64, Float64, Int32, Int64
+from scipy.sparse.csgraph import connected_components
+
+from dynamictree.mesh import edges_of
+from dynamictree.modal.bones import Bones
+from dynamictree.modal.system import ModalSystem
+from dynamictree.parallel import compiled
+from dynamictree.rig.pose import Poses, Skeleton
+
+ABSOLUTE = 0.01  # of a mode's motion counts as if the joint did not move with it: a tip has little beyond it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joints:
+    """J joints, what carries a joint before it; the first is the ground, which never bends."""
+
+    parent: Int32[np.ndarray, " J"]  # -1 of the ground
+    place_m: Float64[np.ndarray, "J 3"]
+    of_bone: Int32[np.ndarray, " B"]
+    of_voxel: Int32[np.ndarray, " V"]
+    num_carried: Int64[np.ndarray, " J"]  # voxels beyond
+    moved: Float64[np.ndarray, "J M"]  # e_k of what lies beyond
+
+    def chain(self, voxel: int) -> Int64[np.ndarray, " n"]:
+        """The joint of a voxel and those that carry it, which give way to a pull there."""
+        rows, joint = [], int(self.of_voxel[voxel])
+        while joint > 0:
+            rows.append(joint)
+            joint = int(self.parent[joint])
+        return np.array(rows, np.int64)
+
+    def omega(self, system: ModalSystem, chain: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Frequency at which the modes move what lies beyond each joint of a chain [rad/s]: see `local_bend.py`."""
+        share = self.moved[chain] + np.finfo(np.float64).tiny
+        return np.asarray(np.sqrt(share @ system.omega**2 / share.sum(axis=1)))
+
+    @cached_property
+    def give(self) -> Float64[np.ndarray, " J"]:
+        """How far each joint bends under a moment, per metre to the next: so a pole bends evenly all along."""
+        return np.where(np.arange(len(self.parent)) > 0, 1 / np.maximum(self.num_carried, 1.0), 0.0)
+
+    def bent(self, stance: Poses, bends: Float64[np.ndarray, "J 3"]) -> Poses:
+        """Poses of the bones of one moment, bent."""
+        frame, place = _frames(np.maximum(self.parent, 0), self.place_m, bends)
+        own, joint = frame[self.of_bone], self.of_bone
+        arm = stance.place_m[0] - self.place_m[joint]
+        return Poses(
+            rotation=(own @ stance.rotation[0])[None],
+            place_m=(place[joint] + np.einsum("bij,bj->bi", own, arm))[None],
+        )
+
+
+def joints_of(bones: Bones, faces: Int32[np.ndarray, "F 3"], shapes: Complex64[np.ndarray, "V M 3"]) -> Joints:
+    """Find the joints of the bones of a mesh; `shapes` are those of the voxels."""
+    skeleton = bones.skeleton
+    of_bone = _together(skeleton, bones.stem, np.unique(np.sort(bones.stem[bones.of_vertex[edges_of(faces)]]), axis=0))
+    parent_bone = np.where(skeleton.parent < 0, -1, of_bone[skeleton.above])
+    outermost = parent_bone != of_bone  # whose parent has another joint
+    size = 1.0 + bones.num_carried
+    count = int(of_bone.max()) + 1
+    parent = np.full(count, -1, np.int32)
+    parent[of_bone[outermost]] = parent_bone[outermost]
+    total = np.bincount(of_bone[outermost], size[outermost], count)
+    feet = [np.bincount(of_bone[outermost], (size * column)[outermost], count) for column in skeleton.foot_m.T]
+    of_voxel = of_bone[bones.of_voxel].astype(np.int32)
+    return Joints(
+        parent=parent,
+        place_m=np.stack(feet, axis=1) / total[:, None],
+        of_bone=of_bone,
+        of_voxel=of_voxel,
+        num_carried=_beyond(parent, np.bincount(of_voxel, minlength=count)),
+        moved=_moved(parent, of_voxel, shapes),
+    )
+
+
+def _beyond(parent: Int32[np.ndarray, " J"], own: np.ndarray) -> np.ndarray:
+    """Of each joint, the sum over itself and all that it carries."""
+    total = own.copy()
+    for joint in range(len(parent) - 1, 0, -1):
+        total[parent[joint]] += total[joint]
+    return total
+
+
+def _moved(
+    parent: Int32[np.ndarray, " J"], of_voxel: Int32[np.ndarray, " V"], shapes: Complex64[np.ndarray, "V M 3"]
+) -> Float64[np.ndarray, "J M"]:
+    """How far each mode moves the voxels beyond each joint, against those where it is, and a little in all [m²]."""
+    count, of_joint = np.bincount(of_voxel, minlength=len(parent)), (of_voxel, np.arange(len(of_voxel)))
+    member = scipy.sparse.csr_array((np.ones(len(of_voxel)), of_joint), shape=(len(parent), len(of_voxel)))
+    total = (member @ shapes.reshape(len(shapes), -1)).reshape(len(parent), *shapes.shape[1:])
+    here = total / np.maximum(count, 1)[:, None, None]
+    for joint in range(1, len(parent)):
+        if count[joint] == 0:
+            here[joint] = here[parent[joint]]
+    square = _beyond(parent, member @ (np.abs(shapes) ** 2).sum(axis=2))
+    cross = (here.conj() * _beyond(parent, total)).real.sum(axis=2)
+    apart = square - 2 * cross + _beyond(parent, count)[:, None] * (np.abs(here) ** 2).sum(axis=2)
+    return np.asarray(np.maximum(apart, 0) + ABSOLUTE * square)
+
+
+def _together(
+    skeleton: Skeleton, stem: Int32[np.ndarray, " B"], joined: Int32[np.ndarray, "P 2"]
+) -> Int32[np.ndarray, " B"]:
+    """Joint of each bone, numbered by depth; `joined` are pairs of bones that edges join."""
+    above, depth = skeleton.above, skeleton.depths
+    one, other = joined.T
+    pairs = [np.stack([np.arange(len(stem)), stem])]
+    while len(one):
+        lower, upper = (
+            np.where(depth[one] >= depth[other], one, other),
+            np.where(depth[one] >= depth[other], other, one),
+        )
+        level = depth[lower] == depth[upper]
+        pairs.append(np.stack([lower[level], upper[level]]))
+        apart = lower != upper
+        one, other = above[lower][apart], np.where(level, above[upper], upper)[apart]
+        one, other = np.unique(np.stack([one, other]), axis=1) if len(one) else (one, other)
+    tied = np.concatenate(pairs, axis=1)
+    graph = scipy.sparse.coo_array((np.ones(tied.shape[1], np.int8), tied), shape=(len(stem), len(stem)))
+    label = connected_components(graph, directed=False)[1]
+    first = np.unique(label, return_index=True)[1]  # bones come in the order of their depth
+    number = np.empty(len(first), np.int32)
+    number[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
+    return np.asarray(number[label])
+
+
+@compiled
+@no_type_check  # numba compiles no checked function
+def _frames(above, joint, bends):
+    frame, place = np.empty((len(joint), 3, 3)), joint.copy()
+    frame[0] = np.eye(3)
+    for j in range(1, len(joint)):
+        i = above[j]
+        place[j] = place[i] + turned(frame[i], joint[j] - joint[i])
+        frame[j] = frame[i]
+        if bends[j].any():
+            frame[j] = product(frame[i], exponential(bends[j])[0])
+    return frame, place
+
+
+@compiled
+@no_type_check
+def exponential(v):
+    """exp[v]× by Rodrigues' formula, and its left Jacobian."""
+    angle = np.sqrt((v**2).sum())
+    if angle > 1e-3:
+        s, d, e = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    else:
+        s, d, e = 1 - angle**2 / 6, 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    cross = cross_matrix(v)
+    square = product(cross, cross)
+    return np.eye(3) + s * cross + d * square, np.eye(3) + d * cross + e * square
+
+
+@compiled
+@no_type_check
+def cross_matrix(v):
+    """The matrix of v x."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@compiled
+@no_type_check
+def product(a, b):
+    """Product of two matrices, 3 x 3."""
+    c = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            c[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+    return c
+
+
+@compiled
+@no_type_check
+def turned(a, v):
+    """A matrix times a vector."""
+    return np.array([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])
