@@ -68,7 +68,7 @@ class Reached:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class Rest:
     """A group at rest under a drag by displacement."""
 
     bend: Float64[np.ndarray, "n 3"]
@@ -182,7 +182,7 @@ class InteractiveTree:
             return np.zeros(0, np.int64)
         return self.joints.chain(int(contact_at_voxel(self.system.grid, group.locality.seed_voxel).rows[0]))
 
-    def hold(self, system: ModalSystem, group: ForceGroup, drag: Drag, *, near: "Held | None" = None) -> "Held":
+    def hold(self, system: ModalSystem, group: ForceGroup, drag: Drag, *, near: "Rest | None" = None) -> "Rest":
         """Hold a point by bends of the joints that carry it; without a locality, by the modes alone.
 
         Args:
@@ -201,7 +201,7 @@ class InteractiveTree:
                 grip_at(self.joints, self.chain(group), point), wanted, near=None if near is None else near.bend
             )
             reached = Reached(wanted_m=wanted, reached_m=pull.reached_m, beyond_m=pull.beyond_m)
-            return Held(bend=pull.bend, q=still, reached=reached)
+            return Rest(bend=pull.bend, q=still, reached=reached)
         q = generalised(system, drag.at, drag_force_n(system, drag)) / system.stiffness
         answer = Answer(
             groups=(group,), q=q[None, None], bends=(np.zeros((1, 0, 3)),), final=State.at_rest(0, 0), final_bends=()
@@ -209,7 +209,7 @@ class InteractiveTree:
         moved = next(
             self.bent(answer, point.point_m[None], Weights(rows=point.bones[None], shares=point.weights[None]))
         )[0].astype(np.float64)
-        return Held(bend=np.zeros((0, 3)), q=q, reached=Reached(wanted_m=wanted, reached_m=moved, beyond_m=0.0))
+        return Rest(bend=np.zeros((0, 3)), q=q, reached=Reached(wanted_m=wanted, reached_m=moved, beyond_m=0.0))
 
     def drawn(self, at: Contact) -> CarriedPoint:
         """The point that a drag by displacement holds: the one of the contact, else its first voxel."""

@@ -105,13 +105,13 @@ def _moved(
     count, of_joint = np.bincount(of_voxel, minlength=len(parent)), (of_voxel, np.arange(len(of_voxel)))
     member = scipy.sparse.csr_array((np.ones(len(of_voxel)), of_joint), shape=(len(parent), len(of_voxel)))
     total = (member @ shapes.reshape(len(shapes), -1)).reshape(len(parent), *shapes.shape[1:])
-    here = total / np.maximum(count, 1)[:, None, None]
+    mean = total / np.maximum(count, 1)[:, None, None]
     for joint in range(1, len(parent)):
         if count[joint] == 0:
-            here[joint] = here[parent[joint]]
+            mean[joint] = mean[parent[joint]]
     square = _beyond(parent, member @ (np.abs(shapes) ** 2).sum(axis=2))
-    cross = (here.conj() * _beyond(parent, total)).real.sum(axis=2)
-    apart = square - 2 * cross + _beyond(parent, count)[:, None] * (np.abs(here) ** 2).sum(axis=2)
+    cross = (mean.conj() * _beyond(parent, total)).real.sum(axis=2)
+    apart = square - 2 * cross + _beyond(parent, count)[:, None] * (np.abs(mean) ** 2).sum(axis=2)
     return np.asarray(np.maximum(apart, 0) + ABSOLUTE * square)
 
 

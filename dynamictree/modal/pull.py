@@ -12,7 +12,7 @@ cantilever, and no joint folds. ε only matters for a target that cannot be reac
     x = x_0 + Σ_i A_i s_i,        A_i = A_{i+1} exp[κ_i]×,        i counts from the tip, and A is 1 beyond the last
 
 s_i leads from joint i to the next one, or to the point, times the share that is carried beyond. Levenberg-Marquardt;
-since the point has three coordinates, each step solves a 3 × 3 system. `held` is also in JavaScript,
+since the point has three coordinates, each step solves a 3 × 3 system. `equilibrium` is also in JavaScript,
 `web/motion/pin.js`.
 """
 
@@ -88,10 +88,10 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np
     if grip.tolerance <= 0:
         return Pull(bend=still, reached_m=np.zeros(3), beyond_m=0.0)
     within, beyond = _within_length(grip.segments_m, target_m)
-    return replace(held(grip, within, still if near is None else near), beyond_m=beyond)
+    return replace(equilibrium(grip, within, still if near is None else near), beyond_m=beyond)
 
 
-def held(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
+def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
     """The bend of least energy that holds the point at a target within reach, from a first guess on."""
     damping, now = FIRST_DAMPING, _Linear(grip, bend, target_m)
     settled = SETTLED * float(np.linalg.norm(target_m))

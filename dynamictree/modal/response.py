@@ -135,12 +135,12 @@ def _solved(
             if not isinstance(force, Drag) or force.displacement_m is None or force.force_n is not None:
                 forces.append(force)
                 continue
-            held = bent.hold(system, group, force)
-            reached.append(held.reached)
+            equilibrium = bent.hold(system, group, force)
+            reached.append(equilibrium.reached)
             if group.locality is None:
                 forces.append(force)
                 continue
-            part = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)[:, None, None] * held.bend
+            part = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)[:, None, None] * equilibrium.bend
             aim = aim + part if aim.shape[1] else part
         solved.append(ForceGroup(locality=group.locality, forces=tuple(forces)))
         aims.append(aim)

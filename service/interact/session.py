@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from dynamictree.modal.force import Contact, Drag, generalised_force
-from dynamictree.modal.interactive_tree import ForceGroup, Held, InteractiveTree, Locality, Reached
+from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality, Reached, Rest
 from dynamictree.modal.local_bend import Bend, joints_step, ring
 from dynamictree.modal.response import group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, run
@@ -61,7 +61,7 @@ class Grips:
     def __init__(self, tree: Callable[[], InteractiveTree], system: ModalSystem) -> None:
         self.tree = tree  # with its rig, which is found when something is pulled
         self.system = system
-        self._last: tuple[object, Held] | None = None
+        self._last: tuple[object, Rest] | None = None
 
     def hold(self, drag: Drag, group: ForceGroup) -> Hold:
         """Solve a drag by displacement in the bent shape."""
@@ -69,10 +69,10 @@ class Grips:
         key = (group.locality, drag.at.rows.tobytes(), drawn)
         near = self._last[1] if self._last is not None and self._last[0] == key else None
         tree = self.tree()
-        held = tree.hold(self.system, group, drag, near=near)
-        self._last = (key, held)
+        equilibrium = tree.hold(self.system, group, drag, near=near)
+        self._last = (key, equilibrium)
         omega = tree.joints.omega(self.system, tree.chain(group))
-        return Hold(q=held.q, bend=held.bend, omega=omega, reached=held.reached)
+        return Hold(q=equilibrium.q, bend=equilibrium.bend, omega=omega, reached=equilibrium.reached)
 
 
 def force_of(

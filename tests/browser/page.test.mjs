@@ -12,7 +12,7 @@ import { carriedPoint } from "../../web/motion/grip.js";
 import { verticesNear } from "../../web/motion/hang.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { Modes } from "../../web/motion/modes.js";
-import { held, Pin } from "../../web/motion/pin.js";
+import { equilibrium, Pin } from "../../web/motion/pin.js";
 import { binSizes, displaced, swingBones } from "../../web/motion/swing.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { proposals } from "../../web/page/doubt.js";
@@ -456,13 +456,13 @@ test("its answers are those of the service", () => {
     readFileSync("tests/modal/pulls.json", "utf8"),
   )) {
     const still = bend.map(() => [0, 0, 0]);
-    const pull = held({ segments: segments_m, give }, target_m, { bend: still, rounds: 120 });
+    const pull = equilibrium({ segments: segments_m, give }, target_m, { bend: still, rounds: 120 });
     assert.ok(distance(pull.reached, reached_m) < 1e-5, `${name}: ${pull.reached}`);
     for (const [i, k] of pull.bend.entries()) assert.ok(distance(k, bend[i]) < 1e-5, `${name} ${i}: ${k} ${bend[i]}`);
   }
 });
 
-test("a place in the very joint of its bone is held by the joints below", () => {
+test("a place in the very joint of its bone is carried by the joints below", () => {
   const modes = pole();
   modes.centres = Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 2, 0, 0, 2]);
   const joint = { voxel: 3, rest: [0, 0, 2], joints: [3, 0, 0, 0], weights: [1, 0, 0, 0] };

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.pull import _reach, grip_of, held
+from dynamictree.modal.pull import _reach, equilibrium, grip_of
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.pose import carried, poses
@@ -97,7 +97,7 @@ def test_the_derivatives_of_a_place_are_those_of_its_reach(rng):
 def test_the_answers_are_those_that_the_page_must_give(case):
     """tests/browser/page.test.mjs reads the same file."""
     grip = grip_of(np.array(case["segments_m"]), np.array(case["give"]))
-    pull = held(grip, np.array(case["target_m"]), np.zeros_like(grip.segments_m))
+    pull = equilibrium(grip, np.array(case["target_m"]), np.zeros_like(grip.segments_m))
     np.testing.assert_allclose(pull.bend, case["bend"], atol=1e-5)
     np.testing.assert_allclose(pull.reached_m, case["reached_m"], atol=1e-5)
 
@@ -120,7 +120,7 @@ def test_a_pulled_pole_bends_evenly_and_not_at_the_ground(forked):
     assert 0.5 < lower / upper < 2
 
 
-def test_a_vertex_is_held_itself_and_edges_keep_their_lengths():
+def test_a_vertex_itself_is_pulled_and_edges_keep_their_lengths():
     """A grown tree, and a crown that is one surface, whose other branches tear when one of their bones bends alone."""
     sample = make_sample(3, "sapling")
     spectrum = voxel_spectrum(sample)[1]

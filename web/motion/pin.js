@@ -1,7 +1,7 @@
 // A place that stays under the pointer: a last small bend of its joints, on top of what the service answers.
 //
 // The service's answer is some milliseconds old and knows nothing of the wind on this page. The bends κ of the joints
-// between the place and the root that make up for it are those of least energy: `held` of dynamictree/modal/pull.py says how, and
+// between the place and the root that make up for it are those of least energy: `equilibrium` of dynamictree/modal/pull.py says how, and
 // tests/modal/pulls.json holds answers that both must give.
 
 import { turned } from "./modes.js";
@@ -30,7 +30,7 @@ export class Pin {
     if (!chain.length) return;
     const bends = modes.bends(groups);
     const base = chain.map((j) => rowOf(bends, j));
-    group.bend = held(segmentsOf(modes, this.grip, chain, point), minus(target, point), {
+    group.bend = equilibrium(segmentsOf(modes, this.grip, chain, point), minus(target, point), {
       base,
       bend: group.bend,
     }).bend;
@@ -64,7 +64,7 @@ export function segmentsOf(modes, { joints, weights }, chain, point) {
 }
 
 /** `{ bend, reached }` of least energy that hold the point at `target` [m from rest]; `base` are bends under them. */
-export function held({ segments, give }, target, { bend, base = null, rounds = ROUNDS }) {
+export function equilibrium({ segments, give }, target, { bend, base = null, rounds = ROUNDS }) {
   let arm = [0, 0, 0];
   const size = segments.reduce((sum, s, i) => {
     arm = plus(arm, s);
