@@ -133,8 +133,8 @@ def _require_destination(owned: Owned, wanted: str) -> None:
     owner, prefixes = owned.caller.owner or "", owned.services.settings.destinations
     allowed = [prefix.replace("{owner}", owner).rstrip("/") + "/" for prefix in prefixes]
     if not wanted.startswith(tuple(allowed)) or not wanted.isprintable() or ".." in wanted.split("/"):
-        detail = f"{wanted!r} lies below none of the {len(allowed)} prefixes that the operator allows"
-        raise wrong_field("/destination", "not-allowed", detail)
+        below = f"send one below {' or '.join(allowed)}" if allowed else "no setting `destinations` allows any here"
+        raise ProblemError("forbidden", f"products are not copied to {wanted!r}; {below}")
 
 
 def _require_photos(body: JobRequest, asset: AssetRecord) -> None:

@@ -35,7 +35,7 @@ class AnimateRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
-    # where in a bucket that the operator allows products are copied to
+    # where in an allowed bucket products are copied to
     destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
@@ -133,7 +133,7 @@ class DiffuseRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
-    # where in a bucket that the operator allows products are copied to
+    # where in an allowed bucket products are copied to
     destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
@@ -643,7 +643,7 @@ class ReconstructRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
-    # where in a bucket that the operator allows products are copied to
+    # where in an allowed bucket products are copied to
     destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None
@@ -853,7 +853,7 @@ class VoxelizeRequest(Model):
     external_id: str | None = None
     # texts of yours, returned as they are
     metadata: dict[str, str] | None = None
-    # where in a bucket that the operator allows products are copied to
+    # where in an allowed bucket products are copied to
     destination: str | None = None
     # canceled if it has not ended by then, running or not [s]
     cancel_after_s: float | None = None

@@ -55,14 +55,14 @@ def _problem_of_framework(request: Request, error: HTTPException) -> ProblemErro
 
 
 def _methods(request: Request) -> list[str]:
-    """The methods of every route with this path; Starlette names those of the first alone."""
-    path, allowed_methods = request.scope["path"], set[str]()
+    """The methods of every route with this path, or that fits it; Starlette names those of the first alone."""
+    path, fitting = request.scope["path"], list[Route]()
     for included in request.app.routes:
         router = getattr(included, "original_router", None)  # FastAPI keeps included routers whole
-        for route in [included] if router is None else router.routes:
-            if isinstance(route, Route) and route.path_regex.match(path):
-                allowed_methods |= route.methods or set()
-    return sorted(allowed_methods)
+        routes = [included] if router is None else router.routes
+        fitting += [route for route in routes if isinstance(route, Route) and route.path_regex.match(path)]
+    own = [route for route in fitting if route.path == path] or fitting
+    return sorted(set[str]().union(*(route.methods or () for route in own)))
 
 
 async def _on_validation(request: Request, error: Exception) -> Response:

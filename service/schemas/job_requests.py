@@ -29,7 +29,7 @@ class _JobRequest(ModelParams):
     )
     metadata: Metadata = Field(default_factory=dict, description="texts of yours, returned as they are")
     destination: str | None = Field(
-        default=None, max_length=1024, description="where in a bucket that the operator allows products are copied to"
+        default=None, min_length=1, max_length=1024, description="where in an allowed bucket products are copied to"
     )
     cancel_after_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
         default=None, description="canceled if it has not ended by then, running or not [s]"

@@ -42,7 +42,7 @@ def test_products_are_copied_to_where_the_operator_allows(client: TestClient) ->
     body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
     for elsewhere in ("s3://others/out/a", "s3://trees/outside", "s3://trees/out/../products", "file:///etc"):
         refused = client.post("/v1/jobs", json=body | {"destination": elsewhere})
-        assert (refused.status_code, refused.json()["errors"][0]["pointer"]) == (422, "/destination"), elsewhere
+        assert (refused.status_code, refused.json()["code"]) == (403, "forbidden"), elsewhere
     job = client.post("/v1/jobs", json=body | {"destination": "s3://trees/out/a b/7"}).json()
     assert client.post("/v1/jobs/estimate", json=body).status_code == 200
     runtime = open_runtime(services.settings)
