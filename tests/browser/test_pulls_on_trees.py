@@ -56,7 +56,7 @@ WATCH = """async () => {
             return sum + weights[i] * (m[0] * at[0] + m[1] * at[1] + m[2] * at[2] + m[3]);
         }, left * x));
     };
-    const low = ({ V, centres, voxelSize, joint_place_m: [x, y] }) => { // of the trunk, not of branches that hang low
+    const low = ({ V, centres, voxelSize, joint_place_m: [, , , x, y] }) => { // of the trunk: joint 0 is the ground
         const all = [...Array(V).keys()], at = (v) => centres.subarray(3 * v, 3 * v + 3);
         const least = all.reduce((least, v) => Math.min(least, at(v)[2]), Infinity);
         const near = (v) => Math.hypot(at(v)[0] - x, at(v)[1] - y) < 4 * voxelSize;
