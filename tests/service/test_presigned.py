@@ -40,7 +40,8 @@ def test_products_are_copied_to_where_the_operator_allows(client: TestClient) ->
     services = client.app.state.services  # type: ignore[attr-defined]
     plain = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
     body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
-    for elsewhere in ("s3://others/out/a", "s3://trees/outside", "s3://trees/out/../products", "file:///etc"):
+    below = (f"s3://trees/out/{end}" for end in ("../products", "%2e%2e/products", "a/.%2E/b", "a?b", "a#b"))
+    for elsewhere in ("s3://others/out/a", "s3://trees/outside", "file:///etc", *below):
         refused = client.post("/v1/jobs", json=body | {"destination": elsewhere})
         assert (refused.status_code, refused.json()["code"]) == (403, "forbidden"), elsewhere
     job = client.post("/v1/jobs", json=body | {"destination": "s3://trees/out/a b/7"}).json()
@@ -51,8 +52,7 @@ def test_products_are_copied_to_where_the_operator_allows(client: TestClient) ->
     [listed] = client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"]
     [copied] = obstore.list(open_objects("s3://trees/out/a b/7")).collect()
     assert (copied["path"], copied["size"]) == (listed["name"], listed["bytes"])
-    again = client.post(f"/v1/jobs/{job['id']}/retry").json()
-    assert again["destination"] == "s3://trees/out/a b/7"
+    assert client.post(f"/v1/jobs/{job['id']}/retry").json()["destination"] == "s3://trees/out/a b/7"
     with pytest.raises(SettingsError, match="destinations"):
         read_settings(artifacts_url="file:///tmp/x", destinations=("s3://trees/out",))
 
