@@ -1,6 +1,6 @@
 """How much stronger each mode sways in other winds than its own, so that one spectrum serves all speeds.
 
-The gain g_k(U) of bin k is linear in the drag, U^1.4, between the speeds of a table; so it is exact at these speeds,
+The gain g_k(U) of bin k is linear in the drag D(U) between the speeds of a table; so it is exact at these speeds,
 continuous between them, 0 in no wind, and constant above the last one.
 """
 
@@ -14,9 +14,7 @@ from dynamictree.errors import InputError
 
 BANDS_M_S = {"calm": 1.0, "breeze": 4.0, "wind": 8.0, "gale": 14.0, "storm": 20.0}
 """Mean speeds that the model is asked for [m/s]."""
-DRAG_EXPONENT = 1.4
-"""Of the speed: plants bend out of the way, Vogel 1989. The simulator's U^1.6 and its saturation together are nearest
-to this law from 5 to 30 m/s (docs/decisions/diffusion.md)."""
+DRAG_EXPONENT = 1.4  # of the speed up to 12 m/s: plants bend out of the way, Vogel 1989
 SLOWEST_M_S, FASTEST_M_S = 0.1, 30.0
 
 
@@ -43,17 +41,21 @@ class WindBands:
 
     def at(self, speed_m_s: float) -> Float64[np.ndarray, " K"]:
         """Gain of each bin in a wind of this mean speed."""
-        drag, table = np.asarray(self.speeds_m_s) ** DRAG_EXPONENT, np.asarray(self.gains, np.float64)
-        now = max(speed_m_s, 0.0) ** DRAG_EXPONENT
-        return np.array([np.interp(now, drag, column) for column in table.T])
+        drags, table = drag(np.asarray(self.speeds_m_s)), np.asarray(self.gains, np.float64)
+        return np.array([np.interp(drag(np.float64(max(speed_m_s, 0.0))), drags, column) for column in table.T])
+
+
+def drag(speed_m_s: Float64[np.ndarray, "*S"] | np.float64) -> Float64[np.ndarray, "*S"]:
+    """D(U): U^1.4 up to 12 m/s; above, where crowns streamline, in proportion to U (docs/decisions/modal.md)."""
+    return np.asarray(speed_m_s * np.minimum(speed_m_s, 12.0) ** (DRAG_EXPONENT - 1))
 
 
 def power_law(speed_m_s: float, num_frequencies: int) -> WindBands:
-    """Gains of a spectrum that no other wind was generated for: (U / own)^1.4 for every bin, up to 30 m/s."""
+    """Gains of a spectrum that no other wind was generated for: D(U) / D(own) for every bin, up to 30 m/s."""
     own = max(speed_m_s, SLOWEST_M_S)
     speeds = (0.0, own) if own >= FASTEST_M_S else (0.0, own, FASTEST_M_S)
-    gains = [(speed / own) ** DRAG_EXPONENT for speed in speeds]
-    return WindBands(speeds_m_s=speeds, gains=tuple((gain,) * num_frequencies for gain in gains))
+    gains = drag(np.array(speeds)) / drag(np.float64(own))
+    return WindBands(speeds_m_s=speeds, gains=tuple((float(gain),) * num_frequencies for gain in gains))
 
 
 def bands_of_sizes(sizes: Mapping[float, Float64[np.ndarray, " K"]], own_m_s: float) -> WindBands:
@@ -68,6 +70,5 @@ def bands_of_sizes(sizes: Mapping[float, Float64[np.ndarray, " K"]], own_m_s: fl
     }
     speeds = sorted(rows)
     table = np.asarray([np.zeros_like(own), *(rows[speed] for speed in speeds)], np.float32)
-    return WindBands(
-        speeds_m_s=tuple(np.asarray([0.0, *speeds], np.float32).tolist()), gains=tuple(map(tuple, table.tolist()))
-    )
+    rounded = tuple(np.asarray([0.0, *speeds], np.float32).tolist())
+    return WindBands(speeds_m_s=rounded, gains=tuple(map(tuple, table.tolist())))

@@ -12,10 +12,15 @@ def wave_at(wave: dict[str, Any], seconds: float) -> float:
     return float(wave["mean"] + wave["limit"] * np.tanh(total / wave["limit"]))
 
 
+def drag(speed_m_s: np.ndarray) -> np.ndarray:
+    """Speed^1.4 up to 12 m/s; above, where crowns streamline, in proportion to the speed."""
+    return speed_m_s * np.minimum(speed_m_s, 12) ** 0.4
+
+
 def gains(bands: dict[str, Any], speed_m_s: float) -> np.ndarray:
-    """Factor [K] on each coordinate in a wind of this mean speed: linear in speed^1.4 between the bands."""
-    drag = np.array(bands["speeds_m_s"]) ** 1.4
-    return np.array([np.interp(speed_m_s**1.4, drag, column) for column in np.array(bands["gains"]).T])
+    """Factor [K] on each coordinate in a wind of this mean speed: linear in the drag between the bands."""
+    drags, now = drag(np.array(bands["speeds_m_s"])), drag(np.array(speed_m_s))
+    return np.array([np.interp(now, drags, column) for column in np.array(bands["gains"]).T])
 
 
 def coordinates(wind: dict[str, Any], seconds: float, speed_m_s: float | None = None) -> np.ndarray:

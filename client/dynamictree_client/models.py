@@ -883,7 +883,9 @@ class Wind(Model):
 
 
 class WindBands(Model):
-    """How much stronger each mode is in other winds. Between two speeds the gain is linear in speed^1.4."""
+    """How much stronger each mode is in other winds. Between two speeds the gain is linear in the drag.  The drag is
+    speed^1.4 up to 12 m/s, and in proportion to the speed above.
+    """
 
     # [B] rising from 0; above the last the gains stay
     speeds_m_s: list[float]

@@ -28,7 +28,7 @@ from dynamictree.rig.branch_pivots import BranchPivots
 from dynamictree.rig.pose import Skeleton
 from dynamictree.rig.rig import Rig
 from dynamictree.up_axis import up_rotation
-from dynamictree.wind_bands import DRAG_EXPONENT
+from dynamictree.wind_bands import drag
 
 VERSION = 4
 SHADERS = (
@@ -174,7 +174,7 @@ def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
     text = text.replace("TEXTUREvec2", f"Texture2D {source}, SamplerState point_sampler, vec2" if hlsl else "vec2")
     text = text.replace("TEXTURES ", f"{source}, point_sampler, " if hlsl else "")
     gains = np.asarray(wind.bands.gains).reshape(-1, 1)
-    drags = np.asarray(wind.bands.speeds_m_s)[:, None] ** DRAG_EXPONENT
+    drags = drag(np.asarray(wind.bands.speeds_m_s)[:, None])
     for table, rows in (("GUSTS", gusts), ("PARTIALS", partials), ("DRAGS", drags), ("GAINS", gains)):
         text = text.replace(f"{table}_TABLE", _table(table, rows, hlsl=hlsl))
     text = text.replace("OWN_M_S", _number(wind.wind.speed_m_s))

@@ -6,11 +6,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.spectrum import Wind
+from dynamictree.wind_bands import DRAG_EXPONENT
 
 REFERENCE_SPEED = 5.0  # [m/s]
-DRAG_EXPONENT = 1.4
-"""Of the speed: what sizes are divided by before a network learns them (Vogel 1989). The simulator's drag goes with
-U^1.6: networks that see the speed learn the rest."""
 MIN_SPEED = 0.1  # [m/s]
 MIN_GUST = 0.01
 
@@ -23,7 +21,7 @@ def wind_axes(wind: Wind) -> Float32[np.ndarray, "3 3"]:
 
 
 def log_drag(wind: Wind) -> float:
-    """Ln of the drag over the drag at REFERENCE_SPEED."""
+    """Ln of what sizes are divided by before a network learns them, over that at REFERENCE_SPEED."""
     return DRAG_EXPONENT * math.log(max(wind.speed_m_s, MIN_SPEED) / REFERENCE_SPEED)
 
 

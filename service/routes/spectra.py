@@ -18,7 +18,10 @@ router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
 
 
 class WindBandsPayload(Payload):
-    """How much stronger each mode is in other winds. Between two speeds the gain is linear in speed^1.4."""
+    """How much stronger each mode is in other winds. Between two speeds the gain is linear in the drag.
+
+    The drag is speed^1.4 up to 12 m/s, and in proportion to the speed above.
+    """
 
     speeds_m_s: list[float] = Field(description="[B] rising from 0; above the last the gains stay")
     gains: list[list[float]] = Field(description="[B][K] over the size in the spectrum's own wind; bin 0 is the lean")

@@ -371,6 +371,7 @@ test("gains are the model's at its speeds, rise between them, and stay above the
   const law = powerLaw(2, 6);
   assert.equal(bandGains(law, 6)[1], 1);
   assert.ok(Math.abs(bandGains(law, 12)[1] - 2 ** 1.4) < 1e-12);
+  assert.ok(Math.abs(bandGains(law, 24)[1] - 2 ** 2.4) < 1e-12, "linear above 12 m/s");
 });
 
 test("a voxel whose vertex moves in one bin alone sways at its frequency", () => {

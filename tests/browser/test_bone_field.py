@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
+from dynamictree.wind_bands import drag
 from recipes.wind_reference import feet, half_turns, turned
 from tests.browser.conftest import Viewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 Open = Callable[..., Viewer]
-STORM_GAIN = 7.0  # of the drag from 5 to 20 m/s
+STORM_GAIN = float(drag(np.float64(20.0)) / drag(np.float64(5.0)))
 TURN_RAD = 0.7
 DISPLACED = """async ({ path, q, turn }) => {
     const THREE = await import("three");

@@ -71,7 +71,7 @@ def test_three_moves_vertices_as_the_reference_does(browser: Browser, tmp_path: 
     attributes = document.meshes[0].primitives[0].attributes
     places, lookup = accessor(document, attributes.POSITION), accessor(document, attributes.TEXCOORD_1)
     assert spectrum.wind is not None
-    runs = [(0.0, spectrum.wind.speed_m_s), (3.7, 1.0), (120.0, 20.0)]
+    runs = [(0.0, spectrum.wind.speed_m_s), (3.7, 1.0), (120.0, 16.0)]
     page = browser.new_page(offline=True)
     page.goto(paths["html"].as_uri(), timeout=120_000)  # brings three.js
     colours = np.concatenate([texels, np.ones((height, width, 1), np.float32)], axis=2).ravel().tolist()

@@ -99,7 +99,7 @@ def test_godot_moves_vertices_as_the_reference_does(browser: Browser, serve: Any
     sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
     spectrum = with_gains(voxel_spectrum(sample, 32)[1])
     assert spectrum.wind is not None
-    runs = [(0.0, spectrum.wind.speed_m_s), (3.7, 1.0), (120.0, 20.0)]
+    runs = [(0.0, spectrum.wind.speed_m_s), (3.7, 1.0), (120.0, 16.0)]
     product = zipfile.ZipFile(write_products(sample.mesh, spectrum, ExportParams(formats=("wind",)), tmp_path)["wind"])
     engine = {path.name: path.read_bytes() for path in ENGINE.glob("index*") if path.suffix in (".js", ".wasm")}
     origin = serve({"page.html": PAGE, "game.zip": game(product, runs, tmp_path), **engine})

@@ -22,7 +22,7 @@ from tests.service.pushed import spectrum as of_one_wind  # noqa: F401
 
 GAINS = [4.0, *(6.0 - k / 8 for k in range(1, 16))]  # values that float32 holds
 TIMES_S = [0.0, 0.37, 59.9, 3600.25]
-SPEED_M_S = 12.0
+SPEED_M_S = 16.0
 MODULE = Path(__file__).parents[2] / "web" / "motion" / "turbulence.js"
 DRIVER = f"""
 import {{ turbulentCoordinates }} from "{MODULE.as_uri()}";

@@ -1,12 +1,13 @@
 // One gust that runs through the crown and dies away: with it a tree is shown, and the mouse can blow.
 
+import { drag } from "../motion/bands.js";
+
 const CROSSING_S = 1.4; // from one side of the crown to the other
 const SWELL_S = 0.8; // from its front to its height
 const LASTS_S = 7 * SWELL_S; // a hundredth is left
 const CALM = 0.3; // of the wind, before the first gust has come
 const STRONGEST_M_S = 14; // a gale: no gust makes more of a breeze
 const MOST = 2.5; // of the wind's own motion
-const DRAG_EXPONENT = 1.4; // as in motion/bands.js
 
 /** What a field's shader needs: `gustAt` gives the factor on the motion of a place. */
 export const GUST = /* glsl */ `
@@ -28,7 +29,7 @@ export class Gust {
     const delay = CROSSING_S / (2 * radius);
     this.along = [delay * Math.cos(angle), delay * Math.sin(angle)];
     this.begins = CROSSING_S / 2 - this.along[0] * middle.x - this.along[1] * middle.y;
-    const room = (STRONGEST_M_S / Math.max(speed_m_s, 1)) ** DRAG_EXPONENT - 1;
+    const room = drag(STRONGEST_M_S) / drag(Math.max(speed_m_s, 1)) - 1;
     this.strength = Math.min(Math.max(room, 0), MOST);
     this.calm = first ? CALM : 1;
     this.seconds = 0;

@@ -1,19 +1,19 @@
 // How much stronger each mode is in another wind: `wind_bands` of a spectrum, or a power law.
 
-/** The power nearest to the shipped model's answer: a crown yields, so it grows with U^1.4, not U² (Vogel). */
-const DRAG_EXPONENT = 1.4;
 const FASTEST_M_S = 30;
+
+/** Nearest to the shipped model's answer: speed^1.4 up to 12 m/s; above, where crowns streamline, in proportion to speed. */
+export const drag = (speed) => speed * Math.min(Math.max(speed, 0), 12) ** 0.4;
 
 /** Bands of a motion that no other wind was asked for. */
 export function powerLaw(K, reference) {
   const own = Math.max(reference, 0.1);
   const speeds_m_s = [0, own, Math.max(FASTEST_M_S, own + 1)];
-  return { speeds_m_s, gains: speeds_m_s.map((speed) => Array(K).fill((speed / own) ** DRAG_EXPONENT)) };
+  return { speeds_m_s, gains: speeds_m_s.map((speed) => Array(K).fill(drag(speed) / drag(own))) };
 }
 
-/** Gain of each bin at a mean speed [m/s]: linear in speed^1.4 between two bands, constant above the last. */
+/** Gain of each bin at a mean speed [m/s]: linear in the drag between two bands, constant above the last. */
 export function bandGains({ speeds_m_s: speeds, gains }, speed) {
-  const drag = (value) => Math.max(value, 0) ** DRAG_EXPONENT;
   const above = speeds.findIndex((one) => speed < one);
   if (above < 0) return gains.at(-1);
   if (above === 0) return gains[0];

@@ -6,7 +6,7 @@ float wave(int first, float mean, float limit, float t) {
 }
 float gain(int k, float mean_speed) { // of bin k over its size at the speed the motion was made for
   DRAGS_TABLE GAINS_TABLE
-  float sum = 0.0, drag = pow(max(mean_speed, 0.0), 1.4);
+  float sum = 0.0, drag = mean_speed * pow(clamp(mean_speed, 0.0, 12.0), 0.4); // speed^1.4, above 12 m/s linear
   for (int b = 1, row = k; b < NUM_BANDS; b++, row += NUM_BINS + 1)
     sum += (GAINS[row + NUM_BINS + 1] - GAINS[row]) * clamp((drag - DRAGS[b - 1]) / (DRAGS[b] - DRAGS[b - 1]), 0.0, 1.0);
   return sum;
