@@ -17,12 +17,12 @@ from dynamictree.photo_requests import LearningParams
 from dynamictree.request_model import Request
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from dynamictree.weights import list_weights
-from jobs.lifecycle.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
+from jobs.lifecycle.attempts import offer, publish_stage, start_stage, touch_blob
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JobType
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
-from jobs.storage.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
+from jobs.storage.intermediates import RESULT_SOURCES, find_stored, intermediate_key, remember_intermediate
 from jobs.storage.object_storage import open_objects, reporting_refusals
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from worker.cancellation import Watch
@@ -148,7 +148,7 @@ class Attempt:
                 for a in published
             )
         key = stage_key(self.job, stage, self.hashes)
-        cached = self._cached(key)
+        cached = find_stored(self.runtime.store, self.runtime.artifacts, key)
         start_stage(self.runtime.store, self.watch.claimed, stage)
         files = self._run(stage) if cached is None else cached
         publish_stage(
@@ -175,15 +175,6 @@ class Attempt:
             self.watch.check()
             with reporting_refusals():
                 obstore.put(bucket, artifact.name, self.files[artifact.name])
-
-    def _cached(self, key: str) -> tuple[OutputFile, ...] | None:
-        """Files that any job made from the same inputs, if all their bytes are stored."""
-        files = cached_stage(self.runtime.store, key)
-        if files is None:
-            return None
-        for file in files:
-            touch_blob(self.runtime.store, file.sha256, file.bytes)
-        return files if all(self.runtime.artifacts.exists(file.sha256) for file in files) else None
 
     def _run(self, stage: JobType) -> tuple[OutputFile, ...]:
         """Run a stage; files that it wrote before a failure are published too, since they may explain it."""
@@ -238,10 +229,10 @@ class Attempt:
 
     def _remembered(self, key: str, path: Path) -> OutputFile | None:
         """An earlier job's result, fetched to a path."""
-        file = find_intermediate(self.runtime.store, self.runtime.artifacts, key)
-        if file is not None:
-            self.runtime.artifacts.fetch(file.sha256, path)
-        return file
+        files = find_stored(self.runtime.store, self.runtime.artifacts, key)
+        if files:
+            self.runtime.artifacts.fetch(files[0].sha256, path)
+        return files[0] if files else None
 
     def _computed(self, name: str, path: Path, make: Callable[[Path], None]) -> OutputFile:
         make(path)

@@ -7,7 +7,7 @@ from types import TracebackType
 
 from dynamictree.errors import Cancelled
 from jobs.errors import StorageFullError
-from jobs.lifecycle.attempts import canceling, report_progress
+from jobs.lifecycle.attempts import canceling, is_in_the_way, report_progress
 from jobs.records import Claim
 from jobs.settings import Settings
 from jobs.states import JobType
@@ -15,7 +15,7 @@ from worker.runtime import Runtime
 
 
 class HandedBack(Exception):
-    """The worker was asked to stop; another one is to begin the next attempt."""
+    """The worker was asked to stop, or has something better to do; the next attempt is to begin later."""
 
 
 class Watch:
@@ -42,12 +42,14 @@ class Watch:
         Raises:
             Cancelled: someone asked the job to stop.
             FencedError: the attempt is no longer ours.
-            HandedBack: this worker is to stop.
+            HandedBack: this worker is to stop, or this job gives way.
         """
         if canceling(self.resources.store, self.claimed):
             raise Cancelled(f"job {self.claimed.job.id} was asked to stop")
         if self._stopping():
             raise HandedBack(f"the worker stops; job {self.claimed.job.id} goes to another")
+        if is_in_the_way(self.resources.store, self.claimed):
+            raise HandedBack(f"job {self.claimed.job.id} has low priority and gives way to one that waits")
 
     def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:
         """Check whether to go on, and report how much of a stage is done; the disk and the report not too often.

@@ -14,7 +14,7 @@ from jobs.database.retry import patient
 from jobs.errors import FencedError
 from jobs.lifecycle.rows import end, read_job
 from jobs.records import Claim, OutputFile
-from jobs.states import JobState, JobType
+from jobs.states import JobState, JobType, queues_of
 from jobs.store import Store, new_id
 
 
@@ -70,6 +70,19 @@ def canceling(store: Store, claimed: Claim) -> bool:
     if state is None:
         raise _fenced(claimed.job.id, claimed.attempt)
     return bool(state == JobState.CANCELING)
+
+
+@patient
+def is_in_the_way(store: Store, claimed: Claim) -> bool:
+    """Whether this job is of low priority and another one has waited for a worker, so long that all are busy."""
+    if claimed.job.priority != "low":
+        return False
+    busy_s = 1.0
+    first = queues_of(claimed.job.queue.removesuffix("-low"))[:-1]
+    waits = t.jobs.c.queue.in_(first) & (t.outbox.c.created_at < store.clock() - busy_s)
+    query = sa.select(t.jobs.c.id).join(t.outbox, t.outbox.c.job_id == t.jobs.c.id).where(waits).limit(1)
+    with store.reading() as connection:
+        return connection.execute(query).one_or_none() is not None
 
 
 @patient
@@ -182,9 +195,7 @@ def fail(store: Store, claimed: Claim, *, code: str, message: str) -> JobState:
 @patient
 def finish_cancel(store: Store, claimed: Claim) -> None:
     """End the attempt because it was asked to stop."""
-    with store.writing() as connection:
-        _state(connection, claimed)
-        end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
+    _end(store, claimed, JobState.CANCELED)
 
 
 @patient

@@ -28,13 +28,12 @@ def intermediate_key(name: str, job: JobRecord, sources: Iterable[str], choice: 
     return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()
 
 
-def find_intermediate(store: Store, artifacts: ArtifactStore, key: str) -> OutputFile | None:
-    """The file of a result, if it was computed before and its bytes are there."""
+def find_stored(store: Store, artifacts: ArtifactStore, key: str) -> tuple[OutputFile, ...] | None:
+    """Files that any job made from the same inputs, of a stage or the one of a result, if all their bytes are there."""
     files = cached_stage(store, key)
-    if not files:
-        return None
-    touch_blob(store, files[0].sha256, files[0].bytes)
-    return files[0] if artifacts.exists(files[0].sha256) else None
+    for file in files or ():
+        touch_blob(store, file.sha256, file.bytes)
+    return files if all(artifacts.exists(file.sha256) for file in files or ()) else None
 
 
 @patient

@@ -14,7 +14,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.records import ArtifactRecord
 from jobs.storage.assets import read_asset
-from jobs.storage.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key
+from jobs.storage.intermediates import RESULT_SOURCES, find_stored, intermediate_key
 from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM
 from service.http.problems import ProblemError
 from service.http.routing import is_id
@@ -84,8 +84,8 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
         return None
     choice = CloudParams.part_of(job.params).model_dump(mode="json")
     key = intermediate_key(name, job, [digests[source] for source in RESULT_SOURCES[name]], choice)
-    file = find_intermediate(owned.store, owned.services.artifacts, key)
-    return None if file is None else _stored(owned, file.sha256, f"{name} of spectrum {spectrum_id}")
+    files = find_stored(owned.store, owned.services.artifacts, key)
+    return _stored(owned, files[0].sha256, f"{name} of spectrum {spectrum_id}") if files else None
 
 
 def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:

@@ -20,7 +20,7 @@ import urllib.request
 import webbrowser
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import redis
 import typer
@@ -67,7 +67,7 @@ def serve(
         with one_line("serve"):
             settings = settings_of(state_dir=state_dir, worker_threads=threads)
             require_keys_beyond_loopback(host, settings)
-            stack.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
+            stack.enter_context(locked(settings.state_dir.resolve() / "serve.lock"))
             listening = stack.enter_context(closing(listen(host, port)))
             Store.open(settings.resolved_database_url).close()
         set_up_logging(settings)
@@ -188,27 +188,20 @@ def listen(host: str, port: int) -> socket.socket:
     return opened
 
 
-class LockedFile:
-    """Lock file of one process; the lock ends with the process.
+def locked(path: Path) -> TextIO:
+    """A lock file of this process, until it is closed or the process ends.
 
     Raises:
         OSError: another process has it.
     """
-
-    def __init__(self, path: Path) -> None:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._stream = path.open("a")
-        try:
-            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._stream.close()
-            raise OSError(
-                f"{path.parent} is in use by another `dynamictree serve`; choose another --state-dir"
-            ) from error
-
-    def close(self) -> None:
-        """Give it up."""
-        self._stream.close()
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    stream = path.open("a")
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        stream.close()
+        raise OSError(f"{path.parent} is in use by another `dynamictree serve`; choose another --state-dir") from error
+    return stream
 
 
 class Announcer:

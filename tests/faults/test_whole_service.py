@@ -103,20 +103,22 @@ def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
 
 
 @needs_weights
-def test_a_cancel_is_honoured_within_a_step(service: Service) -> None:
+def test_a_job_of_low_priority_gives_way_goes_on_and_is_canceled_within_a_step(service: Service) -> None:
     asset_id = service.upload("tree.obj", bumpy_sphere(60, seed=4, width=0.2))
-    url = service.create(type="diffuse", asset_id=asset_id, params={"num_steps": 1000})
-    stage = wait_for(
-        lambda: next(
-            (s for s in service.client.get(url).json()["stages"] if s["progress"] and s["name"] == "diffuse"), None
-        ),
-        "a step",
-    )
+    url = service.create(type="diffuse", asset_id=asset_id, priority="low", params={"num_steps": 1000})
+
+    def reached(attempt: int) -> float:
+        job = service.client.get(url).json()
+        return float(job["stages"][1]["progress"]) if job["attempt"] == attempt else 0.0
+
+    wait_for(lambda: reached(1), "a step")
+    other = service.finish(service.create(type="voxelize", asset_id=asset_id, params={"resolution": 32}))
+    assert (other["state"], service.client.get(url).json()["state"]) == ("succeeded", "running")
+    progress = wait_for(lambda: reached(2), "a step of its next attempt")
     assert service.client.post(url + "/cancel").json()["state"] == "canceling"
     job = service.finish(url)
     assert job["state"] == "canceled"
-    reached = job["stages"][1]["progress"]  # type: ignore[index]
-    assert reached - stage["progress"] < 0.02  # 20 of 1,000 steps
+    assert job["stages"][1]["progress"] - progress < 0.02  # type: ignore[index]
 
 
 @pytest.mark.slow

@@ -13,15 +13,7 @@ from jobs.settings import Settings
 from jobs.storage.stage_files import HALF_DONE
 from service.local.doctor import doctor, examine
 from service.local.keys import app as keys
-from service.local.serve import (
-    LockedFile,
-    clear_scratch,
-    listen,
-    plans,
-    redis_plan,
-    require_keys_beyond_loopback,
-    serve,
-)
+from service.local.serve import clear_scratch, listen, locked, plans, redis_plan, require_keys_beyond_loopback, serve
 from service.local.stored_state import backup, erase, restore, scrub
 from service.services import open_services
 
@@ -113,11 +105,11 @@ def test_connections_do_not_wait_for_acknowledgements() -> None:
 
 
 def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
-    lease = LockedFile(tmp_path / "serve.lock")
+    lease = locked(tmp_path / "serve.lock")
     with pytest.raises(OSError, match="in use"):
-        LockedFile(tmp_path / "serve.lock")
+        locked(tmp_path / "serve.lock")
     lease.close()
-    LockedFile(tmp_path / "serve.lock").close()
+    locked(tmp_path / "serve.lock").close()
 
 
 def test_half_done_reconstructions_outlast_a_restart(tmp_path: Path) -> None:
@@ -131,7 +123,7 @@ def test_half_done_reconstructions_outlast_a_restart(tmp_path: Path) -> None:
 
 def test_only_the_owner_of_the_process_reads_what_is_stored(tmp_path: Path) -> None:
     settings = Settings(state_dir=tmp_path / "new")
-    LockedFile(settings.state_dir / "serve.lock").close()
+    locked(settings.state_dir / "serve.lock").close()
     redis_plan(settings)
     with open_services(settings):
         pass

@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 34_226,
+    "lines in dynamictree": 34_225,
     "lines in lab": 6_341,
-    "lines in service, jobs and worker": 15_083,
-    "lines in tests": 40_327,
-    "names bound to numbers in dynamictree": 772,
+    "lines in service, jobs and worker": 15_082,
+    "lines in tests": 40_323,
+    "names bound to numbers in dynamictree": 771,
     "functions of dynamictree with more than 6 arguments": 7,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
