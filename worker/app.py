@@ -17,7 +17,6 @@ share_one_arena()  # Celery's threads start after this import
 stopping = multiprocessing.Event()
 """Set in every process of this worker when it was asked to stop; made before the pool forks."""
 
-
 TOUCH_S = 5.0
 
 

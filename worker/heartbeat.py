@@ -57,7 +57,7 @@ class Heartbeat:
         with self._waiting:  # it says so once; of two threads that read, one would wait for ever
             while (died := self._process.poll() is not None) or not self._beats:
                 if died:
-                    self._end()
+                    self.leave()
                     self._process, self._beats = self._start(), False
                 assert self._process.stdout is not None
                 self._beats = self._process.stdout.readline() == READY
@@ -70,10 +70,6 @@ class Heartbeat:
         """Stop renewing the lease."""
         self._tell({})
 
-    def leave(self) -> None:
-        """End the process; it deletes this worker's lease."""
-        self._end()
-
     def _start(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "worker.heartbeat"]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -82,7 +78,8 @@ class Heartbeat:
         process.stdin.flush()
         return process
 
-    def _end(self) -> None:
+    def leave(self) -> None:
+        """End the process; it deletes this worker's lease."""
         try:
             self._process.communicate()
         except BrokenPipeError:

@@ -31,7 +31,6 @@ from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
 
 logger = logging.getLogger(__name__)
 
-
 TYPED = (GoneError, StorageAwayError, StorageFullError)
 """Of the job store's errors, those that say why a job failed."""
 

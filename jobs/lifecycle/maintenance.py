@@ -24,7 +24,6 @@ REROUTE_S = 60.0
 
 HOUSEKEEPER_LEASE = "housekeeper"
 
-
 RUN_JOB = "dynamictree.run_job"
 
 
@@ -147,17 +146,14 @@ def mark_sent(store: Store, message: RunJob) -> None:
 def reap(store: Store, *, max_lost_attempts: int) -> list[tuple[str, JobState]]:
     """End attempts whose lease expired: start the next attempt or fail the job; return id and state."""
     reaped = []
-    for job_id in _stale(store):
+    with store.reading() as connection:
+        stale = connection.execute(sa.select(t.jobs.c.id).where(_is_stale(store.clock()))).scalars().all()
+    for job_id in stale:
         with store.writing() as connection:
             state = _reap_one(connection, job_id, store.clock(), max_lost_attempts)
         if state is not None:
             reaped.append((job_id, state))
     return reaped
-
-
-def _stale(store: Store) -> list[str]:
-    with store.reading() as connection:
-        return list(connection.execute(sa.select(t.jobs.c.id).where(_is_stale(store.clock()))).scalars())
 
 
 def _is_stale(now: float) -> sa.ColumnElement[bool]:

@@ -14,7 +14,6 @@ from jobs.states import JobState, JobType, states_before
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
 """Columns of a job that its record does not show."""
 
-
 _ID: sa.BindParameter[str] = sa.bindparam("id")
 _JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
 _STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.c.position)

@@ -148,12 +148,9 @@ def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -
 def announced_bytes(store: Store) -> list[int]:
     """What is still to come of uploads that have begun, a sum for each owner [bytes]."""
     begun = (t.uploads.c.state == "receiving") & (t.uploads.c.expires_at >= store.clock())
-    left = sa.func.sum(t.uploads.c.length - t.uploads.c.received)
+    left = sa.select(sa.func.sum(t.uploads.c.length - t.uploads.c.received)).where(begun).group_by(t.uploads.c.owner)
     with store.reading() as connection:
-        return [
-            int(sum_ or 0)
-            for sum_ in connection.execute(sa.select(left).where(begun).group_by(t.uploads.c.owner)).scalars()
-        ]
+        return [int(total or 0) for total in connection.execute(left).scalars()]
 
 
 def expired_uploads(store: Store, *, limit: int) -> list[str]:

@@ -63,7 +63,6 @@ logger = logging.getLogger(__name__)
 MAX_DISPLACEMENT_BYTES = 128 * 1024**2
 """Of one answer in voxels, vertices or Gaussians: 110 frames of 100,000 vertices, 33 of 100,000 Gaussians."""
 
-
 MAX_WORK = 60_000_000
 """Groups times frames times points of one answer. 64 groups, 600 frames and 10,138 voxels took 26 s of a processor
 (67 ns for each of these products), so this is 4 s."""

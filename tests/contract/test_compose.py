@@ -67,11 +67,6 @@ def test_only_the_api_is_reachable_and_only_from_this_machine() -> None:
     }
 
 
-def test_a_worker_runs_one_job_at_a_time() -> None:
-    command = SERVICES["worker"]["command"]
-    assert command[command.index("-c") + 1] == "1"
-
-
 def test_secrets_are_made_once(tmp_path: Path) -> None:
     make_secrets = runpy.run_path(str(ROOT / "docker" / "make_secrets.py"))["main"]
     make_secrets(tmp_path / "secrets")
@@ -151,14 +146,13 @@ def test_object_storage_shows_nothing_but_s3() -> None:
 
 def test_the_image_has_what_runs_in_it_and_nothing_else() -> None:
     """Every file is checked by its hash but torch's, whose hash depends on the backend; versions are the tests' own."""
-    tested = dict(re.findall(r"^([a-z0-9-]+)==([^ \n]+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
     text = (ROOT / "docker" / "requirements.lock").read_text()
     locked = re.findall(r"^([a-z0-9-]+)==([^ \n]+)", text, re.MULTILINE)
     versions = re.findall(r"^([a-z0-9-]+)==([^ \n]+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
     assert set(locked) <= set(versions)
     assert text.count("--hash=sha256:") >= len(locked)
     assert not {"mypy", "pytest", "playwright", "swift", "ruff", "torch", "transformers"} & dict(locked).keys()
-    assert (ROOT / "docker" / "requirements-torch.lock").read_text().strip() == f"torch=={tested['torch']}"
+    assert (ROOT / "docker" / "requirements-torch.lock").read_text().strip() == f"torch=={dict(versions)['torch']}"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = ("photos", "postgres", "telemetry", "usd", "video")
     needed = project["dependencies"] + [name for extra in extras for name in project["optional-dependencies"][extra]]
@@ -167,8 +161,9 @@ def test_the_image_has_what_runs_in_it_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize("queue", ["cpu", "gpu"])
-def test_a_worker_listens_to_every_priority(queue: str) -> None:
+def test_a_worker_runs_one_job_at_a_time_of_every_priority(queue: str) -> None:
     command = SERVICES["worker" if queue == "cpu" else "worker-gpu"]["command"]
+    assert command[command.index("-c") + 1] == "1"
     assert command[command.index("-Q") + 1] == ",".join(queues_of(queue))
 
 

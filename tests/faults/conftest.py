@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import httpx
 import pytest
@@ -16,8 +15,6 @@ import pytest
 from jobs.settings import Settings
 from jobs.store import Store
 from tests.servers import wait_for
-
-T = TypeVar("T")
 
 SHORT = {
     "DYNAMICTREE_LEASE_S": "3",

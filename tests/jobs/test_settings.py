@@ -7,11 +7,6 @@ from jobs.errors import SettingsError
 from jobs.settings import Settings, read_settings, unknown_variables
 
 
-def test_settings_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DYNAMICTREE_LEASE_S", "30")
-    assert read_settings().lease_s == 30
-
-
 def test_a_secret_comes_from_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "dynamictree_database_url").write_text("postgresql://tree@host/jobs")
     monkeypatch.setenv("DYNAMICTREE_SECRETS_DIR", str(tmp_path))

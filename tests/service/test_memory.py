@@ -1,0 +1,34 @@
+import subprocess
+import sys
+
+import pytest
+
+MEASURE = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+import numpy as np, psutil
+from service.app import return_freed_memory
+
+if sys.argv[1] == "returned":
+    return_freed_memory()
+np.ones(2**20).sum()  # freed: glibc's threshold rises to 8 MiB
+together = Barrier(8)
+
+def answer(_):
+    values = np.ones(5 * 2**17)  # 5 MiB
+    together.wait()
+    del values
+    together.wait()
+
+with ThreadPoolExecutor(8) as threads:
+    before = psutil.Process().memory_full_info().uss
+    list(threads.map(answer, range(8)))
+    print((psutil.Process().memory_full_info().uss - before) / 2**20)
+"""
+
+
+@pytest.mark.parametrize(("how", "least_mib", "most_mib"), [("returned", -1, 8), ("left to glibc", 20, 50)])
+def test_a_thread_returns_the_memory_of_its_answer(how: str, least_mib: float, most_mib: float) -> None:
+    done = subprocess.run([sys.executable, "-c", MEASURE, how], capture_output=True, text=True, check=True)
+    assert least_mib < float(done.stdout) < most_mib
