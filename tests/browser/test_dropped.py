@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from playwright.sync_api import expect
 
 from dynamictree.formats.gltf.writer import write_glb
@@ -45,9 +46,8 @@ def stl_of(mesh: TriangleMesh) -> bytes:
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One sapling in every format, and a splat."""
     mesh, folder = make_sample(3, "sapling").mesh, tmp_path_factory.mktemp("dropped")
-    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply", "xyz", "las", "laz")} | {
-        "splat": folder / "splat.ply"
-    }
+    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply", "xyz", "las", "laz")}
+    paths["splat"] = folder / "splat.ply"
     with paths["glb"].open("wb") as stream:
         write_glb(mesh, stream)
     with paths["ply"].open("wb") as stream:
@@ -106,6 +106,18 @@ def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files:
     assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []
 
 
+# The size of the stage in each frame, and whether its shadow is drawn anew
+RARE_SHADOWS = """async () => {
+    const { Stage } = await import("/web/draw/stage.js"), { _render } = Stage.prototype;
+    window.drawn = [];
+    Stage.prototype._render = function (scale, shadow) {
+        drawn.push([this.radius, shadow]);
+        this.resolution.frame = 0; // with the fewest pixels, which software has, the next shadow comes in four frames
+        return _render.call(this, scale, shadow);
+    };
+}"""
+
+
 @pytest.mark.parametrize("up_axis", ["-Y", "+Z"])
 def test_a_splat_stands_as_its_file_says(
     view: Open, url: str, files: dict[str, Path], tmp_path: Path, up_axis: str
@@ -117,10 +129,14 @@ def test_a_splat_stands_as_its_file_says(
     viewer = view(640, 480)
     viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
     viewer.open(url)
+    viewer.page.evaluate(RARE_SHADOWS)
+    viewer.wait_frames(1)
     viewer.page.set_input_files("#files", str(tmp_path / "tall.ply"))
     while not (size := viewer.page.evaluate(SIZE_OF_DRAFT)):
         viewer.page.wait_for_timeout(200)
     assert size[2] > 3 * max(size[:2])
+    drawn = viewer.page.evaluate("drawn")
+    assert next(shadow for radius, shadow in drawn if radius != drawn[0][0]), "the welcome's shadow lies there"
 
 
 def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tmp_path: Path) -> None:
@@ -135,8 +151,10 @@ def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tm
     (tmp_path / "ball.mtl").write_bytes(library + b"Ks 0.5 0.5 0.5\nNs 96\n")  # as Blender writes
     with (tmp_path / "ball.glb").open("wb") as stream:
         write_glb(mesh, stream)
+    for texture in ("bark.png", "leaf.png"):
+        Image.new("RGB", (8, 8)).save(tmp_path / texture)
     seen = []
-    for names in (("ball.glb",), ("ball.obj", "ball.mtl")):
+    for names in (("ball.glb",), ("ball.obj", "ball.mtl", "bark.png", "leaf.png")):
         viewer = view(900, 620)
         viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
         viewer.open(url)
@@ -146,6 +164,7 @@ def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tm
         viewer.wait_sharp()
         viewer.picture()
         seen.append(pixels(viewer))
+        assert viewer.page.locator("#photos img").count() == 0, "textures are no photos"
     assert changed(*seen) < 0.005
 
 

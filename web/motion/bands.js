@@ -1,14 +1,12 @@
 // How much stronger each mode is in another wind: `wind_bands` of a spectrum, or a power law.
 
-const FASTEST_M_S = 30;
-
 /** Nearest to the shipped model's answer: speed^1.4 up to 12 m/s; above, where crowns streamline, in proportion to speed. */
 export const drag = (speed) => speed * Math.min(Math.max(speed, 0), 12) ** 0.4;
 
-/** Bands of a motion that no other wind was asked for. */
+/** Bands of a motion that no other wind was asked for, up to 30 m/s. */
 export function powerLaw(K, reference) {
   const own = Math.max(reference, 0.1);
-  const speeds_m_s = [0, own, Math.max(FASTEST_M_S, own + 1)];
+  const speeds_m_s = [0, own, Math.max(30, own + 1)];
   return { speeds_m_s, gains: speeds_m_s.map((speed) => Array(K).fill(drag(speed) / drag(own))) };
 }
 

@@ -47,7 +47,7 @@ export class Scene {
   /** Photos as photos: something to look at while the tree is reconstructed. */
   photos(files) {
     const pictures = files.filter(({ name }) => /\.(jpe?g|png|webp)$/i.test(name));
-    if (pictures.length < files.length / 2) return;
+    if (pictures.length < files.length / 2 || files.some(({ name }) => /\.(gltf|obj|dae)$/i.test(name))) return; // textures
     const blobs = pictures.slice(0, MOST_PHOTOS).map((file) => file.content ?? file);
     $("photos").replaceChildren(...blobs.map((blob) => element("img", { src: URL.createObjectURL(blob), alt: "" })));
   }
