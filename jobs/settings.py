@@ -72,6 +72,7 @@ class Settings(BaseSettings):
     max_queued_jobs: int = Field(default=1000, ge=1)
     max_parsers: int = Field(default=2, ge=1)
     min_free_bytes: int = Field(default=1 * GIB, ge=0)
+    state_size_bytes: int | None = Field(default=None, ge=1)
     upload_idle_s: float = Field(default=60.0, gt=0)
     parser_memory_bytes: int = Field(default=8 * GIB, ge=256 * MIB)
     parser_cpu_s: int = Field(default=120, ge=1)
@@ -102,6 +103,7 @@ class Settings(BaseSettings):
     embed_origins: tuple[Annotated[str, Field(pattern=r"^(\*|https?://[A-Za-z0-9.*:\[\]-]+)$")], ...] = ()
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     log_format: Literal["text", "json"] = "text"
+    ops_address: str | None = Field(default=None, pattern=r"^\S+:\d{1,5}$")
     otlp_endpoint: str | None = Field(default=None, pattern=r"^https?://")
 
     @model_validator(mode="after")

@@ -111,7 +111,8 @@ class Store:
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
                     return rows.read_job(connection, rows.same_job(connection, client_key)), False
                 self._require_quota(connection, max_active, counted=1)
-            rows.add_stages(connection, job.id, stages)
+            begun = {"job_id": job.id, "state": "queued", "progress": 0.0, "cached": False}
+            connection.execute(t.stages.insert(), [begun | {"name": n, "position": i} for i, n in enumerate(stages)])
             connection.execute(t.outbox.insert().values(job_id=job.id, attempt=job.attempt, created_at=job.created_at))
             return rows.read_job(connection, job.id), True
 
@@ -240,7 +241,7 @@ class Store:
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
         """Artifacts of a job so far, in order of creation."""
         with self.reading() as connection:
-            return rows.artifacts_of(connection, job_id)
+            return [ArtifactRecord(**row._mapping) for row in connection.execute(rows.ARTIFACTS, {"id": job_id})]
 
     def artifact(self, artifact_id: str) -> ArtifactRecord:
         """One artefact.

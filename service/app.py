@@ -17,6 +17,7 @@ from fastapi.responses import Response
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
+from service import operations
 from service.http import problem_handlers
 from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
@@ -32,9 +33,7 @@ from service.routes import (
     job_events,
     jobs,
     links,
-    metrics,
     modes,
-    ops,
     pages,
     spectra,
     surface,
@@ -46,7 +45,7 @@ from service.uploads.ingest import Ingest
 
 ROUTES = (
     *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream, modes),
-    *(surface, pages, webhooks, catalogue, health, metrics, ops),
+    *(surface, pages, webhooks, catalogue, health),
 )
 """A module a resource; a new one is added here."""
 
@@ -84,7 +83,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     webhooks.describe_events(app)
     app.openapi = partial(described, app)  # type: ignore[method-assign]
     app.state.settings = settings
-    for resource in ROUTES:
+    for resource in (*ROUTES, *(operations.ROUTES if settings.ops_address is None else ())):
         app.include_router(resource.router)
     problem_handlers.install(app)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
@@ -132,10 +131,11 @@ def return_freed_memory() -> None:
 async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
     with open_services(app.state.settings) as services:
         app.state.services = services
-        ingest = asyncio.create_task(Ingest(services).run())
-        yield {"max_connections_per_address": services.settings.max_connections_per_address}
-        ingest.cancel()
-        await asyncio.gather(ingest, return_exceptions=True)
+        with operations.serve_operations(app):
+            ingest = asyncio.create_task(Ingest(services).run())
+            yield {"max_connections_per_address": services.settings.max_connections_per_address}
+            ingest.cancel()
+            await asyncio.gather(ingest, return_exceptions=True)
 
 
 def _warm_up() -> None:

@@ -1,6 +1,5 @@
 """Cancellation check, called between steps, while a heartbeat renews the lease."""
 
-import shutil
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -11,6 +10,7 @@ from jobs.lifecycle.attempts import canceling, is_in_the_way, report_progress
 from jobs.records import Claim
 from jobs.settings import Settings
 from jobs.states import JobType
+from jobs.storage.disk import free_bytes
 from worker.runtime import Runtime
 
 
@@ -74,7 +74,7 @@ def require_free_disk(settings: Settings) -> None:
     Raises:
         StorageFullError: it is.
     """
-    free = shutil.disk_usage(settings.scratch_dir).free
+    free = free_bytes(settings)
     if free < settings.min_free_bytes // 2:
         raise StorageFullError(
             f"the worker's disk has {free:,} bytes left, of {settings.min_free_bytes:,} in reserve; try again later"

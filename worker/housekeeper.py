@@ -47,6 +47,7 @@ from jobs.states import AUTO
 from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.storage.assets import read_asset
 from jobs.storage.backup import BACKUP_LEASE
+from jobs.storage.disk import free_bytes
 from jobs.storage.references import forget_blob, unreferenced_blobs
 from jobs.storage.stage_files import HALF_DONE
 from jobs.storage.upload_parts import PartStore, open_parts
@@ -152,15 +153,12 @@ class Housekeeper:
         """Delete what was left a day ago; half-done work also where its asset is gone or the disk is full."""
         old = time.time() - left.stat().st_mtime > SCRATCH_AGE_S
         if left.name.startswith(HALF_DONE) and left.is_dir():
-            if old or self._short_of_disk() or not self._has_asset(asset_of(left)):
+            if old or free_bytes(self.settings) < self.settings.min_free_bytes or not self._has_asset(asset_of(left)):
                 discard(left)
         elif old and left.is_dir() and not left.is_symlink():
             shutil.rmtree(left)
         elif old:
             left.unlink(missing_ok=True)
-
-    def _short_of_disk(self) -> bool:
-        return shutil.disk_usage(self.settings.scratch_dir).free < self.settings.min_free_bytes
 
     def _has_asset(self, asset_id: str) -> bool:
         try:

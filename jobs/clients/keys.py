@@ -103,12 +103,6 @@ def note_use(store: Store, key: KeyRecord) -> None:
             connection.execute(t.api_keys.update().where((t.api_keys.c.id == key.id) & stale).values(last_used_at=now))
 
 
-def is_valid(store: Store, key_id: str) -> bool:
-    """Whether a key is still valid."""
-    key = key_of_id(store, key_id)
-    return key is not None and key.valid(store.clock())
-
-
 def keys(store: Store) -> list[KeyRecord]:
     """Every key, oldest first."""
     with store.reading() as connection:

@@ -14,8 +14,6 @@ from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError
 from jobs.store import Store
 
-SECRET_PREFIX = "whsec_"
-SECRET_BYTES = 24
 MAX_ENDPOINTS = 20
 ROTATION_OVERLAP_S = 86400.0
 """So long an old secret signs beside the new one."""
@@ -76,7 +74,7 @@ class Delivery:
 
 def new_secret() -> str:
     """A random signing secret, as Standard Webhooks writes it."""
-    return SECRET_PREFIX + base64.b64encode(secrets.token_bytes(SECRET_BYTES)).decode()
+    return "whsec_" + base64.b64encode(secrets.token_bytes(24)).decode()
 
 
 # -- endpoints

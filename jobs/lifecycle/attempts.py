@@ -51,9 +51,8 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
         FencedError: it is no longer ours.
     """
     with store.writing() as connection:
-        change = (
-            t.jobs.update().where(_running_attempt(job_id, attempt, owner)).values(lease_until=store.clock() + lease_s)
-        )
+        mine = _running_attempt(job_id, attempt, owner)
+        change = t.jobs.update().where(mine).values(lease_until=store.clock() + lease_s)
         if connection.execute(change).rowcount == 0:
             raise _fenced(job_id, attempt)
 

@@ -9,7 +9,7 @@ from jobs.database import tables as t
 from jobs.database.counters import count
 from jobs.errors import NotFoundError, ReusedKeyError
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
-from jobs.states import JobState, JobType, states_before
+from jobs.states import JobState, states_before
 
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
 """Columns of a job that its record does not show."""
@@ -17,7 +17,7 @@ HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "
 _ID: sa.BindParameter[str] = sa.bindparam("id")
 _JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
 _STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.c.position)
-_ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
+ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
 
 
 def move(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
@@ -58,15 +58,6 @@ def end(
     return True
 
 
-def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...]) -> None:
-    """Write a job's stages, all queued."""
-    rows = [
-        {"job_id": job_id, "name": name, "position": i, "state": "queued", "progress": 0.0, "cached": False}
-        for i, name in enumerate(names)
-    ]
-    connection.execute(t.stages.insert(), rows)
-
-
 def standing_of(
     connection: sa.Connection, page: Sequence[JobRecord]
 ) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
@@ -91,11 +82,6 @@ def standing_of(
         for row in connection.execute(artifacts):
             offered.setdefault(row.job_id, []).append(ArtifactRecord(**row._mapping))
     return {job.id: (positions.get(job.id), offered.get(job.id, [])) for job in page}
-
-
-def artifacts_of(connection: sa.Connection, job_id: str) -> list[ArtifactRecord]:
-    """Artifacts of a job so far, in order of creation."""
-    return [ArtifactRecord(**row._mapping) for row in connection.execute(_ARTIFACTS, {"id": job_id})]
 
 
 def read_job(connection: sa.Connection, job_id: str) -> JobRecord:

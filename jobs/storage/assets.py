@@ -32,10 +32,9 @@ def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
 
 def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
     """Find the undeleted asset with this fingerprint."""
+    this = t.assets.c.live_fingerprint == _live(store, fingerprint)
     with store.reading() as connection:
-        row = connection.execute(
-            sa.select(t.assets).where(t.assets.c.live_fingerprint == _live(store, fingerprint))
-        ).one_or_none()
+        row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
     return None if row is None else _asset(row)
 
 

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, contextmanager
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.clients.keys import is_valid
+from jobs.clients.keys import key_of_id
 from jobs.store import Store
 from service.http.caller import Caller
 from service.http.problems import ProblemError
@@ -99,7 +99,8 @@ async def until_revoked(store: Store, caller: Caller) -> None:
         if not caller.key_id:
             continue
         try:
-            if not await run_in_threadpool(is_valid, store, caller.key_id):
+            key = await run_in_threadpool(key_of_id, store, caller.key_id)
+            if key is None or not key.valid(store.clock()):
                 return
         except sa.exc.SQLAlchemyError:
             continue  # the database is away; it will tell later

@@ -27,7 +27,6 @@ SETTLED_M = 1e-4
 WINDOW = 8
 """Frames that may be sent without an acknowledgement: 130 ms at 60 Hz."""
 
-
 FOLLOW_S = 0.015
 """Time constant with which a grip follows its pointer: a frame at 60 Hz covers two thirds of what is left."""
 

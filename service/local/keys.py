@@ -71,16 +71,8 @@ def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")
 
 
 def _key_facts(key: KeyRecord) -> dict[str, object]:
-    return {
-        "id": key.id,
-        "owner": key.owner,
-        "name": key.name,
-        "scopes": list(key.scopes),
-        "limits": dict(key.limits),
-        "valid": key.valid(time.time()),
-        "expires_at": key.expires_at,
-        "last_used_at": key.last_used_at,
-    }
+    fields = ("id", "owner", "name", "scopes", "limits", "expires_at", "last_used_at")
+    return {name: getattr(key, name) for name in fields} | {"valid": key.valid(time.time())}
 
 
 def _time(seconds: float) -> str:

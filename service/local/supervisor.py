@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 logger = logging.getLogger(__name__)
@@ -20,9 +21,7 @@ STEADY_S = 30.0
 
 KILL_AFTER_S = 5.0
 _PR_SET_PDEATHSIG = 1
-_LIBC = (
-    ctypes.CDLL(None) if sys.platform == "linux" else None
-)  # opened before the fork, where another thread may own a lock
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # before the fork: another thread may own a lock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,10 +100,8 @@ class Child:
     def _end_group(self) -> None:
         """End the remaining processes of the child's group."""
         assert self._process is not None
-        try:
+        with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            return
 
 
 class Supervisor:

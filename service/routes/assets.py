@@ -118,9 +118,8 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
         asset, new = await make_asset(owned, uploads, fields)
         return _asset_response(asset, new, response)
     assert wanted.url is not None
-    await owned.services.outbound.check(
-        wanted.url
-    )  # tells at once what is wrong; what is connected to is checked again
+    # says at once what is wrong; what is connected to is checked again
+    await owned.services.outbound.check(wanted.url)
     now, allowed = owned.store.clock(), owned.caller.limits.get("bytes")
     record = UploadRecord(
         id=new_id(),

@@ -138,24 +138,14 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
             ProductPayload.of(product, format=name, options=sorted(product.options))
             for name, product in available_products().items()
         ],
-        min_photos=MIN_PHOTOS,
-        max_photos=MAX_PHOTOS,
         photo_qualities=[PhotoQualityPayload.of(limits, quality=name) for name, limits in QUALITIES.items()],
-        max_photo_bytes=intake.MAX_PHOTO_BYTES,
-        max_film_bytes=film.MAX_FILM_BYTES,
-        max_film_s=film.MAX_FILM_S,
-        max_film_pixels=film.MAX_FILM_PIXELS,
-        max_files=multipart.MAX_FILES,
-        max_archive_ratio=archives.MAX_RATIO,
-        max_vertices=MAX_VERTICES,
-        max_faces=MAX_FACES,
-        max_frames=MAX_FRAMES,
-        max_turbulent_frames=MAX_TURBULENT_FRAMES,
-        max_gaussians=MAX_GAUSSIANS,
-        max_sequence_bytes=MAX_SEQUENCE_BYTES,
-        max_forces=forces.MAX_FORCES,
-        max_force_groups=forces.MAX_GROUPS,
-        max_displacement_bytes=interact.MAX_DISPLACEMENT_BYTES,
+        **{"min_photos": MIN_PHOTOS, "max_photos": MAX_PHOTOS, "max_photo_bytes": intake.MAX_PHOTO_BYTES},
+        **{"max_film_bytes": film.MAX_FILM_BYTES, "max_film_s": film.MAX_FILM_S},
+        **{"max_film_pixels": film.MAX_FILM_PIXELS, "max_frames": MAX_FRAMES, "max_vertices": MAX_VERTICES},
+        **{"max_files": multipart.MAX_FILES, "max_archive_ratio": archives.MAX_RATIO, "max_faces": MAX_FACES},
+        **{"max_turbulent_frames": MAX_TURBULENT_FRAMES, "max_displacement_bytes": interact.MAX_DISPLACEMENT_BYTES},
+        **{"max_gaussians": MAX_GAUSSIANS, "max_sequence_bytes": MAX_SEQUENCE_BYTES},
+        **{"max_forces": forces.MAX_FORCES, "max_force_groups": forces.MAX_GROUPS},
     )
 
 

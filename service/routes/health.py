@@ -8,6 +8,7 @@ from fastapi import APIRouter, Response, status
 
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
+from jobs.storage.disk import free_bytes
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
@@ -87,8 +88,9 @@ def _redis(owned: Owned) -> Check:
 
 def _storage(owned: Owned) -> Check:
     try:
-        free = owned.services.artifacts.free_bytes()
+        in_storage, in_state = owned.services.artifacts.free_bytes(), free_bytes(owned.services.settings)
     except (OSError, StorageAwayError):
         logger.warning("the artefact storage is away", exc_info=True)
         return "unavailable"
-    return "full" if free is not None and free < owned.services.settings.min_free_bytes else "ok"
+    free = in_state if in_storage is None else min(in_storage, in_state)
+    return "full" if free < owned.services.settings.min_free_bytes else "ok"

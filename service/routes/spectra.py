@@ -3,18 +3,20 @@
 from dataclasses import replace
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Query
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from dynamictree.modal.turbulence import Wave, turbulent_wind
+from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.requests import MAX_SEED, Wind
-from dynamictree.wind_bands import WindBands
 from service.http.routing import Id, refusals
 from service.interact.stored_trees import load_spectrum
 from service.schemas.base import Payload
 from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
+
+Row = Annotated[list[float], BeforeValidator(lambda row: np.asarray(row).tolist())]
 
 
 class WindBandsPayload(Payload):
@@ -32,7 +34,7 @@ class SpectrumPayload(Payload):
 
     id: str
     num_frequencies: int = Field(description="K")
-    frequencies_hz: list[float]
+    frequencies_hz: Row
     num_voxels: int = Field(description="V")
     resolution: int
     voxel_size_m: float
@@ -62,14 +64,13 @@ def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
     return SpectrumPayload.of(
         spectrum,
         id=id,
-        frequencies_hz=[float(value) for value in spectrum.frequencies_hz],
         num_voxels=len(grid),
         resolution=grid.resolution,
         voxel_size_m=grid.voxel_size_m,
         origin_m=list(grid.origin_m),
         low_m=[float(o + c * grid.voxel_size_m) for o, c in zip(grid.origin_m, low, strict=True)],
         high_m=[float(o + c * grid.voxel_size_m) for o, c in zip(grid.origin_m, high, strict=True)],
-        wind_bands=None if spectrum.bands is None else _bands(spectrum.bands),
+        wind_bands=spectrum.bands,
         artifact_url=f"/v1/artifacts/{id}",
     )
 
@@ -79,9 +80,9 @@ class WavePayload(Payload):
 
     mean: float
     limit: float
-    frequency_hz: list[float]
-    amplitude: list[float]
-    phase_rad: list[float]
+    frequency_hz: Row
+    amplitude: Row
+    phase_rad: Row
 
 
 class TurbulentWindPayload(Payload):
@@ -93,8 +94,8 @@ class TurbulentWindPayload(Payload):
     natural_frequency_hz: float = Field(description="lowest, of a tree of this height")
     damping_ratio: float = Field(description="of a tree with this foliage")
     length_scale_m: float = Field(description="of the turbulence at the top of the tree")
-    frequencies_hz: list[float] = Field(description="of the K bins; bin 0 is the lean")
-    bandwidth_hz: list[float] = Field(description="half-width of each bin's line at half of its power")
+    frequencies_hz: Row = Field(description="of the K bins; bin 0 is the lean")
+    bandwidth_hz: Row = Field(description="half-width of each bin's line at half of its power")
     partial_hz: list[list[float]] = Field(description="[K - 1][J] from bin 1")
     partial_phase_rad: list[list[float]] = Field(description="[K - 1][J] from bin 1")
     strength: WavePayload = Field(description="factor on the coordinates of bins 1 to K - 1")
@@ -122,37 +123,11 @@ def get_wind(
 ) -> TurbulentWindPayload:
     """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
     spectrum = load_spectrum(owned, id)
-    wind = spectrum.wind or Wind()
-    wind = replace(
-        wind,
-        gust=wind.gust if gust is None else gust,
-        speed_m_s=wind.speed_m_s if speed_m_s is None else speed_m_s,
-    )
-    turbulent = turbulent_wind(spectrum, seed=seed, wind=wind)
+    chosen = {name: value for name, value in (("gust", gust), ("speed_m_s", speed_m_s)) if value is not None}
+    turbulent = turbulent_wind(spectrum, seed=seed, wind=replace(spectrum.wind or Wind(), **chosen))
     return TurbulentWindPayload.of(
         turbulent,
         spectrum_id=id,
-        seed=seed,
-        frequencies_hz=turbulent.frequencies_hz.tolist(),
-        bandwidth_hz=turbulent.bandwidth_hz.tolist(),
         partial_hz=turbulent.partial_hz[1:].tolist(),
         partial_phase_rad=turbulent.partial_phase_rad[1:].tolist(),
-        strength=_wave(turbulent.strength),
-        lean=_wave(turbulent.lean),
-        bands=_bands(turbulent.bands),
-        turn_rad=_wave(turbulent.turn_rad),
-    )
-
-
-def _bands(bands: WindBands) -> WindBandsPayload:
-    return WindBandsPayload(speeds_m_s=list(bands.speeds_m_s), gains=[list(row) for row in bands.gains])
-
-
-def _wave(wave: Wave) -> WavePayload:
-    return WavePayload(
-        mean=wave.mean,
-        limit=wave.limit,
-        frequency_hz=wave.frequency_hz.tolist(),
-        amplitude=wave.amplitude.tolist(),
-        phase_rad=wave.phase_rad.tolist(),
     )

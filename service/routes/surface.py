@@ -115,15 +115,8 @@ def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree) -> dict[str, np.nd
 
 
 def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:
-    materials = [
-        {
-            "name": material.name,
-            "base_color": material.base_color,
-            "alpha_cutoff": material.alpha_cutoff,
-            "double_sided": material.double_sided,
-        }
-        for material in mesh.look.materials
-    ]
+    fields = ("name", "base_color", "alpha_cutoff", "double_sided")
+    materials = [{name: getattr(material, name) for name in fields} for material in mesh.look.materials]
     metadata = {"format": "tree-surface", "version": "1", "unit": "m", "up_axis": "+Z"}
     metadata["materials"] = json.dumps(materials)
     content = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata)

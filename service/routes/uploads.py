@@ -36,8 +36,6 @@ PART_BYTES = 64 * 1024**2
 
 _LOOK_S = 0.25
 
-_HEX = frozenset("0123456789abcdef")
-
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
 _BODY = {
     "requestBody": {
@@ -153,12 +151,8 @@ async def append_to_upload(
     _require_version(tus_resumable)
     if content_type is None or content_type.partition(";")[0].strip() != CONTENT_TYPE:
         raise ProblemError("unsupported-format", f"Content-Type is {content_type!r}; send {CONTENT_TYPE}")
-    if upload_offset is None or not (upload_offset.isascii() and upload_offset.isdecimal()) or len(upload_offset) > 18:
-        raise ProblemError(
-            "bad-request", f"Upload-Offset is {upload_offset!r}; send the number of bytes that are there"
-        )
+    offset = _bytes_of("Upload-Offset", upload_offset, "the number of bytes that are there")
     record = await run_in_threadpool(upload, owned.store, id)
-    offset = int(upload_offset)
     if record.state != "receiving":
         if offset != record.received:
             raise stands_elsewhere(offset, record.received)
@@ -254,16 +248,23 @@ def _require_promised(owned: Owned, record: UploadRecord) -> None:
 
 def _require_version(given: str | None) -> None:
     if given != TUS_VERSION:
-        value = "is not sent" if given is None else f"is {given!r}"
-        detail = f"Tus-Resumable {value}; {TUS_VERSION} is spoken here"
+        detail = f"Tus-Resumable {_as_sent(given)}; {TUS_VERSION} is spoken here"
         raise ProblemError("precondition-failed", detail, headers={"Tus-Version": TUS_VERSION})
 
 
-def _length(header: str | None, owned: Owned) -> int:
+def _bytes_of(name: str, header: str | None, what: str) -> int:
     if header is None or not (header.isascii() and header.isdecimal()) or len(header) > 18:
-        value = "is not sent" if header is None else f"is {header!r}"
-        raise ProblemError("bad-request", f"Upload-Length {value}; send the size of the file in bytes")
-    length, allowed = int(header), owned.services.settings.max_upload_bytes
+        raise ProblemError("bad-request", f"{name} {_as_sent(header)}; send {what}")
+    return int(header)
+
+
+def _as_sent(header: str | None) -> str:
+    return "is not sent" if header is None else f"is {header!r}"
+
+
+def _length(header: str | None, owned: Owned) -> int:
+    length = _bytes_of("Upload-Length", header, "the size of the file in bytes")
+    allowed = owned.services.settings.max_upload_bytes
     if length > allowed:
         raise ProblemError("payload-too-large", f"Upload-Length is {length:,}; at most {allowed:,} are allowed")
     if length == 0:
@@ -283,13 +284,11 @@ def _metadata(header: str | None) -> dict[str, str]:
         try:
             pairs[name] = base64.b64decode(encoded.strip(), validate=True).decode()
         except (binascii.Error, ValueError) as error:
-            raise wrong_field(
-                f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
-            ) from error
+            raise _wrong(name, "not-base64", f"the value of {name!r} is no base64 of UTF-8") from error
     reading_options({name: pairs[name] for name in FIELDS if name in pairs}, where="metadata")
     metadata_of(pairs, where="metadata")
     promised = pairs.get("sha256")
-    if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
+    if promised is not None and (len(promised) != 64 or not set(promised) <= set("0123456789abcdef")):
         raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
     if pairs.get("asset", "auto") != "auto":
         raise _wrong("asset", "not-allowed", f"asset is {pairs['asset']!r}; only auto is allowed")

@@ -1,9 +1,9 @@
 """Checks before bytes arrive: free disk space, and the storage quota of one owner."""
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from jobs.storage.disk import free_bytes
 from jobs.storage.uploads import UploadRecord, add_upload, announced_bytes, drop_upload, require_bytes_in
 from jobs.store import new_id
 from service.http.connections import REQUEST_TIMEOUT_S
@@ -64,8 +64,7 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
         ProblemError: less than `min_free_bytes` would be left after `wanted` more.
     """
     settings = owned.services.settings
-    settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    free = shutil.disk_usage(settings.scratch_dir).free
+    free = free_bytes(settings)
     in_storage = owned.services.artifacts.free_bytes()
     promised = 0
     room = free - settings.min_free_bytes

@@ -63,7 +63,7 @@ def test_redis_keeps_everything() -> None:
 
 def test_only_the_api_is_reachable_and_only_from_this_machine() -> None:
     assert {name: s["ports"] for name, s in SERVICES.items() if "ports" in s} == {
-        "api": ["127.0.0.1:${PORT:-8000}:8000"]
+        "api": ["127.0.0.1:${PORT:-8000}:8000", "127.0.0.1:${OPS_PORT:-9100}:9100"]
     }
 
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from jobs.lifecycle.statistics import Census, QueueLength
-from jobs.settings import Settings
+from jobs.settings import GIB, Settings
 from jobs.states import queues_of
 from service.routes.metrics import store_gauges
 
@@ -52,13 +52,14 @@ def test_the_check_finds_a_misspelt_field() -> None:
 
 
 @pytest.mark.parametrize("name", ["api", "worker", "worker-gpu", "housekeeper"])
-def test_a_pod_is_restricted(name: str) -> None:
+def test_a_pod_is_restricted_and_noticed_where_it_hangs(name: str) -> None:
     pod, container = _named("Deployment", name)["spec"]["template"]["spec"], _container(name)
     assert pod["securityContext"]["runAsNonRoot"] is True
     assert pod["automountServiceAccountToken"] is False
     assert container["securityContext"]["readOnlyRootFilesystem"] is True
     assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
     assert set(container["resources"]["limits"]) - {"nvidia.com/gpu"} == {"cpu", "memory"}
+    assert "livenessProbe" in container
     assert container.get("args", []) == COMPOSE[name].get("command", [])
 
 
@@ -92,7 +93,8 @@ def _value_of(trigger: Any, waiting: Mapping[str, int]) -> float:
     address = urlsplit(metadata["url"])
     service = _named("Service", "api")
     assert address.hostname == f"{service['metadata']['name']}.{KUSTOMIZATION['namespace']}.svc"
-    assert (address.port or 80, address.path) == (service["spec"]["ports"][0]["port"], "/metrics")
+    assert (address.port, address.path) == (_operations_port(), "/metrics")
+    assert service["spec"]["ports"][1] == {"name": "operations", "port": address.port, "targetPort": "operations"}
     name, label = re.fullmatch(r'(\w+)\{queue="([\w-]+)"\}', metadata["valueLocation"]).groups()
     queues = [QueueLength(name=queue, jobs=jobs, oldest_s=0, running=1) for queue, jobs in waiting.items()]
     now = Census(jobs={}, queues=tuple(queues), workers=0, has_housekeeper=True, unsent_messages=0, stored_bytes=0)
@@ -103,6 +105,29 @@ def _value_of(trigger: Any, waiting: Mapping[str, int]) -> float:
         if (sample.name, sample.labels.get("queue")) == (name, label)
     ]
     return float(value)
+
+
+def _operations_port() -> int:
+    return int(_named("ConfigMap", "settings")["data"]["DYNAMICTREE_OPS_ADDRESS"].removeprefix("0.0.0.0:"))
+
+
+def test_metrics_are_reached_by_keda_and_prometheus_alone() -> None:
+    ports = {port["name"]: port["containerPort"] for port in _container("api")["ports"]}
+    assert ports["operations"] == _operations_port()
+    notes = _named("Deployment", "api")["spec"]["template"]["metadata"]["annotations"]
+    assert notes["prometheus.io/port"] == str(_operations_port())
+    everybody, operators = _named("NetworkPolicy", "api")["spec"]["ingress"]
+    assert everybody == {"ports": [{"port": "http"}]}
+    assert (bool(operators["from"]), operators["ports"]) == (True, [{"port": "operations"}])
+
+
+@pytest.mark.parametrize("name", ["api", "worker", "worker-gpu", "housekeeper"])
+def test_the_service_knows_what_its_volume_may_take(name: str) -> None:
+    """statvfs of an emptyDir tells what the node has; beyond its sizeLimit the pod is evicted."""
+    volumes = _named("Deployment", name)["spec"]["template"]["spec"]["volumes"]
+    [limit] = [volume["emptyDir"]["sizeLimit"] for volume in volumes if volume["name"] == "state"]
+    said = _named("ConfigMap", "settings")["data"]["DYNAMICTREE_STATE_SIZE_BYTES"]
+    assert int(said) == int(limit.removesuffix("Gi")) * GIB
 
 
 @pytest.mark.parametrize("name", ["api", "worker"])
@@ -125,11 +150,6 @@ def test_what_is_not_ours_is_still_reached() -> None:
     [closed] = [policy for policy in policies if "ingress" not in policy]
     [chosen] = closed["podSelector"]["matchExpressions"]
     assert set(chosen["values"]) == {o["metadata"]["name"] for o in OBJECTS if o["kind"] == "Deployment"} - {"api"}
-
-
-@pytest.mark.parametrize("name", ["api", "worker", "worker-gpu", "housekeeper"])
-def test_a_pod_that_hangs_is_noticed(name: str) -> None:
-    assert "livenessProbe" in _container(name)
 
 
 def test_selectors_choose_their_pods() -> None:

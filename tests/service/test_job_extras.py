@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from jobs.clients.outbound import Outbound
 from jobs.lifecycle.attempts import report_progress, start_stage, succeed
-from jobs.lifecycle.maintenance import forget_expired, hold_lease, overdue, worker_lease
+from jobs.lifecycle.maintenance import hold_lease, overdue, worker_lease
 from jobs.records import AssetPart, AssetRecord
 from jobs.settings import Settings
 from jobs.states import stages_of
@@ -26,18 +26,9 @@ from tests import servers
 from tests.line import answering
 from tests.rows import asset_row, job_row
 from tests.servers import wait_for
-from tests.service.conftest import change_services, hold, publish
+from tests.service.conftest import change_services, hold
 from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import claimed, create
-
-
-def ended(services: Services, client: TestClient, asset: AssetRecord) -> str:
-    job = create(client, asset)
-    lease = hold(services, str(job["id"]))
-    publish(services, lease, "voxelize", f"{job['id']}.safetensors", b"voxels")
-    succeed(services.store, lease)
-    return str(job["id"])
-
 
 PLAIN_OBJ = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
 
@@ -124,16 +115,6 @@ def test_photos_tell_from_the_first_minute_when_they_end(
     resumed = client.get(f"/v1/jobs/{job.id}").json()
     assert 200 < resumed["eta_s"] < 300
     assert resumed["progress"] > 0.5
-
-
-def test_a_job_that_was_forgotten_is_gone(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    id = ended(services, client, asset)
-    assert client.get(f"/v1/jobs/{id}").json()["expires_at"] is not None
-    now = services.store.clock()
-    services.store.clock = lambda: now + 100
-    forget_expired(services.store, job_retention_s=50, cache_retention_s=50)
-    for path in (f"/v1/jobs/{id}", f"/v1/jobs/{id}/artifacts"):
-        assert client.get(path).status_code == 410
 
 
 def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Services, asset: AssetRecord) -> None:
