@@ -19,10 +19,9 @@ from pydantic import BaseModel, ConfigDict
 
 from dynamictree.errors import DynamicTreeError, FormatError, InputError
 from dynamictree.formats.film import ffmpeg_program
+from dynamictree.reconstruct.film_photos import Stretch, write_sharp_frames
 from dynamictree.reconstruct.input_cameras import InputCamera
-from dynamictree.reconstruct.photo_input import Given, OnPhoto, read_photos
-from dynamictree.reconstruct.photos import Photo, PhotoFile
-from dynamictree.reconstruct.video_frames import Stretch, write_sharp_frames
+from dynamictree.reconstruct.photos import Given, OnPhoto, Photo, PhotoFile, read_photos
 from jobs.storage.parser_process import FOLDER, child_environment
 from worker.confine import confine
 

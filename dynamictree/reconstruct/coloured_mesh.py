@@ -5,14 +5,16 @@ from dataclasses import replace
 
 import fast_simplification
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from dynamictree.errors import InputError, ReconstructionError
+from dynamictree.errors import InputError, MeshError, ReconstructionError
+from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
-from dynamictree.mesh import TriangleMesh, edges_of, vertex_normals
+from dynamictree.mesh import MeshLook, TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
+from dynamictree.reconstruct.cut import BESIDE
 from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
@@ -107,16 +109,13 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
         if (width, height) not in renderers:
             renderers[width, height] = Renderer(mesh, Look(width=width, height=height, shadows=False))
         nearest = renderers[width, height].buffers(view.camera).depth_m
-        x, y, depth = view.camera.project(mesh.vertices, width, height).T
-        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-        column, row = np.where(inside, x, 0).astype(int), np.where(inside, y, 0).astype(int)
-        toward = view.camera.position_m - mesh.vertices
-        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        squarely = np.clip((normals * toward).sum(axis=1), 0, 1) ** 2
+        at, inside = view.pixels_of(mesh.vertices)
+        row, column = at[0] * height // len(view.image), at[1] * width // view.image.shape[1]
+        away = mesh.vertices - view.camera.position_m
+        squarely = np.clip(-(normals * away).sum(axis=1) / np.linalg.norm(away, axis=1), 0, 1) ** 2
+        depth = away @ view.camera.world_to_camera[2]
         share = np.where(inside & (depth < nearest[row, column] + slack), squarely, 0)
-        at = np.minimum((np.stack([y, x]) / shrink).astype(int), np.array(view.image.shape[:2])[:, None] - 1)
-        at = np.where(inside, at, 0)
-        total += share[:, None] * view.image[at[0], at[1]]
+        total += share[:, None] * view.image[at]
         weight += share
     seen = weight > 1e-3
     color = np.full((mesh.num_vertices, 4), 255, np.uint8)
@@ -151,3 +150,33 @@ def _smoothed(surface: Surface) -> Surface:
         for step in _SMOOTHING:
             vertices = vertices + np.float32(step) * (links @ vertices / degree - vertices)
     return Surface(vertices.astype(np.float32), surface.faces)
+
+
+def mesh_of_plant(
+    scene: GaussianCloud, own: Bool[np.ndarray, " G"], whole: TriangleMesh, radius_m: float
+) -> TriangleMesh:
+    """Closed surface of the plant's Gaussians, in the colours of the whole mesh where that is near.
+
+    Args:
+        scene: all Gaussians.
+        own: which of them are the plant.
+        whole: mesh of the scene.
+        radius_m: of the region that the photos look at.
+
+    Raises:
+        InputError: the plant has no surface.
+    """
+    try:
+        mesh = mesh_of_cloud(scene.subset(own), cells_along=CELLS, max_faces=MAX_FACES)
+    except (InputError, MeshError, ValueError) as error:
+        raise InputError(f"{int(own.sum())} Gaussians have no surface: {error}; choose more of the scene") from error
+    surface = main_cluster(Surface(mesh.vertices, mesh.faces), GAP * radius_m)
+    if len(surface.faces) < 50:
+        raise InputError(f"the surface has {len(surface.faces)} faces; 50 are needed; choose more of the scene")
+    assert mesh.look.vertex_colors is not None
+    colors = mesh.look.vertex_colors[cKDTree(mesh.vertices).query(surface.vertices)[1]]
+    if whole.look.vertex_colors is not None:
+        gap, nearest = cKDTree(whole.vertices).query(surface.vertices, distance_upper_bound=BESIDE * radius_m)
+        near = np.isfinite(gap)
+        colors[near] = whole.look.vertex_colors[np.asarray(nearest)[near]]
+    return TriangleMesh(vertices=surface.vertices, faces=surface.faces, look=MeshLook(vertex_colors=colors))

@@ -13,14 +13,13 @@ from dynamictree.files import replacing
 from dynamictree.reconstruct.fusion import Box
 from dynamictree.reconstruct.sky import Foreground
 from dynamictree.reconstruct.stereo import (
-    DepthRange,
     Hypotheses,
     StereoView,
     agreed_depths,
     match_view,
     neighbours_of,
 )
-from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.reconstruct.views import SparseModel, View, nearest_pixels
 
 COARSE_SIDE_PX, FINE_SIDE_PX = 256, 720
 _COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 2
@@ -148,7 +147,7 @@ def _matched(
         return guess
     depth = points @ views[number].to_pixel[2, :3] + views[number].to_pixel[2, 3]
     low, high = np.percentile(depth, _DEPTH_PERCENTILES)
-    bounds = DepthRange(nearest=float(low) / _DEPTH_SLACK, farthest=float(high) * _DEPTH_SLACK)
+    bounds = float(low) / _DEPTH_SLACK, float(high) * _DEPTH_SLACK
     others = [views[other] for other in neighbours[number]]
     return match_view(views[number], others, guess, bounds, mask, num_iterations=num_iterations, seed=number)
 
@@ -168,11 +167,9 @@ def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypothes
 
 
 def _enlarged(planes: Hypotheses, shape: tuple[int, ...]) -> Hypotheses:
-    rows = (np.arange(shape[0]) * planes.inverse.shape[0]) // shape[0]
-    columns = (np.arange(shape[1]) * planes.inverse.shape[1]) // shape[1]
-    nearest = np.ix_(rows, columns)
-    slope = planes.slope[nearest] * np.float32(planes.inverse.shape[1] / shape[1])
-    return Hypotheses(planes.inverse[nearest], slope, np.full(shape, 3, np.float32))
+    height, width = shape
+    slope = nearest_pixels(planes.slope, height, width) * np.float32(planes.inverse.shape[1] / width)
+    return Hypotheses(nearest_pixels(planes.inverse, height, width), slope, np.full(shape, 3, np.float32))
 
 
 def _mask(view: View, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:

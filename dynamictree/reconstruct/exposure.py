@@ -7,7 +7,7 @@ are divided by a gain of its own, found from the points that photos share (gain 
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Float64, UInt8
 from scipy.ndimage import uniform_filter
 
 from dynamictree.reconstruct.views import SparseModel, View
@@ -68,12 +68,9 @@ def _mean(
 
 def _colors_at(view: View, points: Float64[np.ndarray, "P 3"]) -> Float64[np.ndarray, "P 3"]:
     """Mean colour of a small window; 0 of a point outside of the picture."""
-    height, width = view.image.shape[:2]
-    x, y, depth = view.camera.project(points, width, height).T
-    inside: Bool[np.ndarray, " P"] = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    at, inside = view.pixels_of(points)
     smooth = uniform_filter(view.image.astype(np.float32), size=(_WINDOW_PX, _WINDOW_PX, 1))
-    column, row = (np.where(inside, at, 0).astype(int) for at in (x, y))
-    return np.where(inside[:, None], smooth[row, column], 0).astype(np.float64)
+    return np.where(inside[:, None], smooth[at], 0).astype(np.float64)
 
 
 def _divided(view: View, log_gain: Float64[np.ndarray, " 3"]) -> UInt8[np.ndarray, "H W 3"]:

@@ -11,7 +11,7 @@ import resource
 import shutil
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, placed_markers
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.refine_poses import refined
-from dynamictree.reconstruct.unregistered import reasons
 
 DATABASES = ("features.db", "features-whole.db")
 """Of features within masks (everywhere without masks), and everywhere in spite of masks."""
@@ -307,6 +306,35 @@ def _end_with_parent() -> None:
     """Ask the kernel (Linux) to kill this process when its parent dies: a killed parent cannot."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, str]:
+    """A sentence for each photo that is not `placed`, by its name in the database."""
+    images = database.read_all_images()
+    others = [image.image_id for image in images if image.name in placed]
+    pairs = dict(zip(*database.read_two_view_geometry_num_inliers(), strict=True))
+    sentences = {}
+    for image in images:
+        if image.name in placed:
+            continue
+        numbers = (pairs.get(pycolmap.image_pair_to_pair_id(image.image_id, other), 0) for other in others)
+        sentences[image.name] = _reason(database.num_keypoints_for_image(image.image_id), max(numbers, default=0))
+    return sentences
+
+
+def _reason(num_features: int, num_shared: int) -> str:
+    few_features, few_shared = 200, 30  # COLMAP places a photo by at least so many points that it shares with others
+    if num_features < few_features:
+        return f"it has {num_features} features; {few_features} are few: it is blurred, dark or plain"
+    if num_shared < few_shared:
+        return (
+            f"it shares {num_shared} points with the photo most like it; {few_shared} are needed: "
+            "it was taken from too far aside, or shows something else"
+        )
+    return (
+        f"it shares {num_shared} points with another photo and fits at no place: something moved, looks "
+        "alike twice, or only what is far away is seen in both"
+    )
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from PIL import Image
 
 from dynamictree.gaussian.rasterize import draw
 from dynamictree.reconstruct.adam import adam_step
@@ -18,6 +17,7 @@ from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, cloud_of, unit_quaternions
+from dynamictree.reconstruct.views import nearest_pixels, resized
 from dynamictree.render.camera import Camera
 
 _DISCARDED_LOGIT = np.float32(-20)  # not drawn, and pruned by the next densification
@@ -202,18 +202,7 @@ def smaller(target: Target, side_px: int) -> Target:
     if by == 1:
         return target
     size = (round(width * by), round(height * by))
-    channels = [_resized(target.photo[..., c], size) for c in range(3)]
-    alpha = None if target.alpha is None else _resized(target.alpha, size)
-    depth = None if target.depth is None else _nearest(target.depth, size)
+    channels = [resized(target.photo[..., c], size) for c in range(3)]
+    alpha = None if target.alpha is None else resized(target.alpha, size)
+    depth = None if target.depth is None else nearest_pixels(target.depth, *size[::-1])
     return replace(target, photo=np.stack(channels, axis=2), alpha=alpha, depth=depth)
-
-
-def _resized(plane: Float32[np.ndarray, "H W"], size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
-    picture = Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BOX)
-    return np.array(picture, np.float32)
-
-
-def _nearest(plane: Float32[np.ndarray, "H W"], size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
-    rows = (np.arange(size[1]) * plane.shape[0]) // size[1]
-    columns = (np.arange(size[0]) * plane.shape[1]) // size[0]
-    return np.ascontiguousarray(plane[np.ix_(rows, columns)])

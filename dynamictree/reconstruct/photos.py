@@ -15,6 +15,7 @@ from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
 from dynamictree.formats.suffixes import MASKS
 from dynamictree.formats.texture import in_eight_bits
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES
+from dynamictree.reconstruct.input_cameras import InputCamera, find_input_cameras, fits
 
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
@@ -49,6 +50,11 @@ class PhotoFile:
     mask: Path | None = None  # a picture of the same size, white where the tree is
     side_px: int = QUALITIES["standard"].photo_px  # to which its long side is reduced
     as_stored: bool = False  # a given camera is of the picture as it is stored, whatever EXIF says of its top
+
+
+Given = tuple[InputCamera, ...] | None
+OnPhoto = Callable[[int, int], None]
+ReadPhotos = Callable[[Sequence[PhotoFile], Path | None, Path, OnPhoto], tuple[Given, list[Photo]]]
 
 
 def list_photos(
@@ -206,3 +212,25 @@ def _focal_35mm(image: Image.Image) -> float | None:
     if isinstance(focal, int) and _FOCAL_RANGE_MM[0] <= focal <= _FOCAL_RANGE_MM[1]:
         return float(focal)
     return None
+
+
+def read_photos(
+    photos: Sequence[PhotoFile], root: Path | None, folder: Path, on_photo: OnPhoto
+) -> tuple[Given, list[Photo]]:
+    """Return the cameras that came with the photos, if any, and the photos that `prepare_photos` wrote to `folder`.
+
+    Raises:
+        InputError: as `find_input_cameras` and `prepare_photos`.
+    """
+    given = None
+    if root is not None:
+        sizes = {photo.name: sizes_of(photo) for photo in sorted(photos, key=lambda photo: photo.name)}
+        given = find_input_cameras(root, sizes)
+    if given is not None:  # a photo is turned upright only if its camera saw it so: some programs heed EXIF
+        by_photo = {camera.photo: camera for camera in given}
+        photos = [
+            replace(photo, as_stored=fits(by_photo[photo.name], sizes[photo.name][0]))
+            for photo in photos
+            if photo.name in by_photo
+        ]
+    return given, prepare_photos(photos, folder, on_photo=on_photo)

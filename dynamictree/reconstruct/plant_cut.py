@@ -164,3 +164,21 @@ def minimum_cut(
     chosen = np.zeros(number + 2, np.bool_)
     chosen[breadth_first_order(residual, source, return_predecessors=False)] = True
     return chosen[:number]
+
+
+def faint_floaters(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
+    """Which of the chosen Gaussians hang in the air around the plant: faint ones away from all opaque ones, and strays.
+
+    Learning leaves them before a textured background that it shows not quite right. Where few are opaque, none is one.
+    """
+    together, stray = 8, 3.0  # the opaque ones that tell how dense they lie; times the usual distance: strays
+    rows = np.flatnonzero(own)
+    floaters = np.zeros(cloud.num_gaussians, np.bool_)
+    opaque = rows[cloud.opacity[rows] > 0.5]
+    if len(opaque) < max(together, 0.2 * len(rows)):
+        return floaters
+    spacing = np.asarray(cKDTree(cloud.means[opaque]).query(cloud.means[opaque], k=together)[0])[:, -1]
+    usual = float(np.median(spacing))
+    body = opaque[spacing <= stray * usual]
+    floaters[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > 0.5 * usual
+    return floaters

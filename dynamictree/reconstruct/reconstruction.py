@@ -18,14 +18,13 @@ from dynamictree.reconstruct.coloured_mesh import best_mesh_of
 from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.draft import Draft, OnFile, ignore_file
 from dynamictree.reconstruct.exposure import evenly_exposed
-from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames
+from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames, write_sharp_frames
 from dynamictree.reconstruct.input_cameras import files_with_cameras
 from dynamictree.reconstruct.markers import metres_per_unit
 from dynamictree.reconstruct.options import ReconstructOptions
 from dynamictree.reconstruct.photo_cameras import write_cameras
-from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
 from dynamictree.reconstruct.photo_previews import write_photo_previews
-from dynamictree.reconstruct.photos import PhotoFile, list_photos
+from dynamictree.reconstruct.photos import PhotoFile, ReadPhotos, list_photos, read_photos
 from dynamictree.reconstruct.progress import OnProgress, Progress, StageClock, expected_seconds, ignore_progress
 from dynamictree.reconstruct.report import photos_to_compare, quality_warnings, write_report_picture
 from dynamictree.reconstruct.result import MarkerReport, Reconstruction, Report
@@ -33,7 +32,6 @@ from dynamictree.reconstruct.scene import Scene, find_scene
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import cloud_of
-from dynamictree.reconstruct.video_frames import write_sharp_frames
 from dynamictree.reconstruct.views import SparseModel, read_model
 from dynamictree.reconstruct.work_folder import DEPTHS, PHOTOS, SPLAT, TIMES, alone_in_work, extend_work
 
@@ -193,7 +191,7 @@ def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, 
 
 
 def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Report:
-    """The report in the stage's frame, without times and without what `Reconstruction.write` adds."""
+    """The report in the stage's frame."""
     model, figures = scene.model, fit.figures
     cameras = {view.source: view.camera for view in model.views}
     circle = camera_circle(cameras)
@@ -208,13 +206,8 @@ def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Rep
         ground_found=scene.ground_found,
         scale="marker" if metres_per_unit(model.markers) else "unknown",
         markers=[MarkerReport(number=one.number, edge_m=one.edge, num_photos=one.num_photos) for one in model.markers],
-        height_m=0.0,
         radius_m=1.0,
         mesh_by=mesh_by,
-        num_vertices=0,
-        num_faces=0,
-        num_gaussians=0,
-        num_gaussians_scene=0,
         camera_azimuths_deg=dict(zip(circle.photos, circle.azimuths_deg.round(1).tolist(), strict=True)),
         largest_gap_deg=round(circle.largest_gap_deg, 1),
         beside_largest_gap=list(circle.beside_gap),
@@ -222,8 +215,6 @@ def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Rep
             *coverage_warnings(circle, len(cameras), len(photos)),
             *quality_warnings(figures["held_out_psnr_db"], figures["held_out_blank_psnr_db"]),
         ],
-        seconds={},
-        processor_seconds={},
         plant_psnr_db=None,
         without_plant_psnr_db=None,
         plant_blank_psnr_db=None,

@@ -13,11 +13,10 @@ from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
+from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
 from dynamictree.reconstruct.cut import of_the_mesh
-from dynamictree.reconstruct.cut_mesh import mesh_of_plant
-from dynamictree.reconstruct.floaters import faint_floaters
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
-from dynamictree.reconstruct.plant_cut import plant_of
+from dynamictree.reconstruct.plant_cut import faint_floaters, plant_of
 from dynamictree.reconstruct.report import PlantQuality, plant_quality, write_report_picture
 from dynamictree.reconstruct.result import Reconstruction
 

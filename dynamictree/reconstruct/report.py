@@ -76,7 +76,7 @@ def plant_quality(result: Reconstruction, folder: Path) -> PlantQuality | None:
     previews, scene, plant = read_photo_previews(folder), result.scene, result.own
     cameras = {one.photo: one.camera for one in result.cameras}
     names = [name for name in photos_to_compare(result.report["held_out"]) if name in previews]
-    photos = [(cameras[name], _shrunk(previews[name], _PLANT_SIDE_PX)) for name in names]
+    photos = [(cameras[name], shrunk(previews[name], _PLANT_SIDE_PX)) for name in names]
     values = []
     for camera, photo in photos:
         height, width = photo.shape[:2]
@@ -99,14 +99,15 @@ def comparison_row(
     mesh: TriangleMesh, scene: GaussianCloud, camera: Camera, photo: UInt8[np.ndarray, "H W 3"]
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A photo, the splat and the mesh side by side, from the same camera and at the same size."""
-    shrunk = _shrunk(photo, _REPORT_SIDE_PX)
-    height, width = shrunk.shape[:2]
+    small = shrunk(photo, _REPORT_SIDE_PX)
+    height, width = small.shape[:2]
     splat = render_cloud(scene, camera, width=width, height=height).over((0.0, 0.0, 0.0))
     surface = Renderer(mesh, Look(width=width, height=height, ground=False)).picture(camera=camera)
-    return np.concatenate([shrunk, splat, surface], axis=1)
+    return np.concatenate([small, splat, surface], axis=1)
 
 
-def _shrunk(picture: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray, "h w 3"]:
+def shrunk(picture: UInt8[np.ndarray, "H W 3"], side_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture of at most that many pixels a side."""
     image = Image.fromarray(picture)
-    image.thumbnail((width, width), Image.Resampling.LANCZOS)
+    image.thumbnail((side_px, side_px), Image.Resampling.LANCZOS)
     return np.array(image)

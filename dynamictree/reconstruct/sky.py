@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float32
 from PIL import Image
 from scipy.ndimage import binary_dilation, gaussian_filter, label
 
-from dynamictree.reconstruct.texture_hull import textured_mask
-from dynamictree.reconstruct.views import View
+from dynamictree.reconstruct.views import View, resized
+from dynamictree.reconstruct.visual_hull import textured_mask
 
 Mask = Bool[np.ndarray, "H W"]
 Picture = Float32[np.ndarray, "H W 3"]
@@ -108,15 +108,7 @@ def _mean_nearby(photo: Picture, chosen: Mask) -> Picture:
     weight = chosen.astype(np.float32)
     height, width = chosen.shape
     size = max(1, width // _COARSER), max(1, height // _COARSER)
-    sums = [
-        _resized(plane, size, Image.Resampling.BOX) for plane in (weight, *np.moveaxis(photo * weight[..., None], 2, 0))
-    ]
+    sums = [resized(plane, size) for plane in (weight, *np.moveaxis(photo * weight[..., None], 2, 0))]
     near = [gaussian_filter(plane, _REACH * max(size)) + np.float32(_FAR_WEIGHT * plane.mean()) for plane in sums]
     means = [plane / np.maximum(near[0], np.float32(1e-12)) for plane in near[1:]]
-    return np.stack([_resized(mean, (width, height), Image.Resampling.BILINEAR) for mean in means], axis=2)
-
-
-def _resized(
-    plane: Float32[np.ndarray, "H W"], size: tuple[int, int], how: Image.Resampling
-) -> Float32[np.ndarray, "h w"]:
-    return np.array(Image.fromarray(np.ascontiguousarray(plane)).resize(size, how), np.float32)
+    return np.stack([resized(mean, (width, height), Image.Resampling.BILINEAR) for mean in means], axis=2)

@@ -26,7 +26,7 @@ from dynamictree.reconstruct.result import SplatFigures
 from dynamictree.reconstruct.sky import Foreground
 from dynamictree.reconstruct.splat_start import first_table, sky_table
 from dynamictree.reconstruct.splat_state import SplatState
-from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.reconstruct.views import SparseModel, View, nearest_pixels
 
 START_GAUSSIANS = 25_000
 _INSIDE = 0.5  # alpha
@@ -156,11 +156,8 @@ def _target(view: View, depth: Float32[np.ndarray, "h w"] | None, sky: Foregroun
         alpha = None if view.alpha is None else view.alpha.astype(np.float32) / 255
     else:
         photo, alpha = sky.color, sky.cover
-    if depth is None:
-        return Target(camera=view.camera, photo=photo, alpha=alpha)
-    height, width = photo.shape[:2]
-    rows, columns = (np.arange(height) * depth.shape[0]) // height, (np.arange(width) * depth.shape[1]) // width
-    return Target(camera=view.camera, photo=photo, alpha=alpha, depth=depth[np.ix_(rows, columns)])
+    depth = None if depth is None else nearest_pixels(depth, *photo.shape[:2])
+    return Target(camera=view.camera, photo=photo, alpha=alpha, depth=depth)
 
 
 def _some_views(model: SparseModel, chosen: list[int]) -> SparseModel:
@@ -168,6 +165,4 @@ def _some_views(model: SparseModel, chosen: list[int]) -> SparseModel:
 
 
 def _some_depths(depths: DepthMaps, chosen: list[int]) -> DepthMaps:
-    return replace(
-        depths, views=[depths.views[view] for view in chosen], depths=[depths.depths[view] for view in chosen]
-    )
+    return DepthMaps(views=[depths.views[view] for view in chosen], depths=[depths.depths[view] for view in chosen])

@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 from dynamictree.reconstruct.depth import DepthMaps
 from dynamictree.reconstruct.sky import Foreground
 from dynamictree.reconstruct.splat_table import table_of_points
-from dynamictree.reconstruct.texture_hull import texture_points
 from dynamictree.reconstruct.views import SparseModel, View
-from dynamictree.reconstruct.visual_hull import hull_points
+from dynamictree.reconstruct.visual_hull import hull_points, texture_points
 
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _CROWN_SHARE = 0.4  # of the other points: in a thin crown there are none of them
@@ -134,13 +133,10 @@ def dome_points(
     points = distance * np.stack([side * np.cos(_GOLDEN * place), side * np.sin(_GOLDEN * place), z], axis=1)
     total, weight, seen = np.zeros((number, 3)), np.zeros(number), np.zeros(number)
     for row, view in enumerate(views):
-        height, width = view.image.shape[:2]
-        x, y, depth = view.camera.project(points, width, height).T
-        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-        at = y[inside].astype(int), x[inside].astype(int)
-        counts = np.ones(len(at[0])) if covers is None else covers[row][at] > _COVERED
-        total[inside] += counts[:, None] * view.image[at] / 255
-        weight[inside] += counts
+        at, inside = view.pixels_of(points)
+        counts = inside if covers is None else inside & (covers[row][at] > _COVERED)
+        total += counts[:, None] * view.image[at] / 255
+        weight += counts
         seen += inside
     colors = total / np.maximum(weight, 1e-9)[:, None]
     return points.astype(np.float32), colors.astype(np.float32), weight / np.maximum(seen, 1)

@@ -4,7 +4,6 @@ A hypothesis is the inverse depth at a pixel and its change a pixel to the right
 affine in the picture, so a hypothesis moves to a neighbour by adding, and a pixel to another view by a homography.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -42,14 +41,6 @@ class Hypotheses(NamedTuple):
     cost: Float32[np.ndarray, "H W"]  # 1 − correlation; 2 where nothing could be compared
 
 
-@dataclass(frozen=True, kw_only=True)
-class DepthRange:
-    """Where surfaces may lie [units of the cameras]."""
-
-    nearest: float
-    farthest: float
-
-
 class _Matching(NamedTuple):
     """What the sweeps over one view read."""
 
@@ -65,18 +56,21 @@ def match_view(
     reference: StereoView,
     neighbours: list[StereoView],
     first_guess: Hypotheses,
-    bounds: DepthRange,
+    bounds: tuple[float, float],
     mask: Bool[np.ndarray, "H W"],
     *,
     num_iterations: int = 4,
     seed: int = 0,
 ) -> Hypotheses:
-    """Find the planes on which a view looks most like its neighbours, where the mask is set."""
+    """Find the planes on which a view looks most like its neighbours, where the mask is set.
+
+    `bounds` are the least and the greatest depth of surfaces [units of the cameras].
+    """
     greys = np.zeros((len(neighbours), *np.max([view.grey.shape for view in neighbours], axis=0)), np.float32)
     for row, view in enumerate(neighbours):
         greys[row, : view.grey.shape[0], : view.grey.shape[1]] = view.grey
     focal_px = 1 / np.linalg.norm(reference.to_ray[:, 0])
-    limits = [1 / bounds.farthest, 1 / bounds.nearest, _STEEPEST / focal_px]
+    limits = [1 / bounds[1], 1 / bounds[0], _STEEPEST / focal_px]
     matching = _Matching(
         grey=reference.grey,
         greys=greys,

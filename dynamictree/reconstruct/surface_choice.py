@@ -10,12 +10,9 @@ from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.picture_loss import psnr
+from dynamictree.reconstruct.report import shrunk
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
-
-_SIDE_PX = 320
-_OPAQUE = 0.5
-_LEAST_GAIN_DB = 0.5  # of a later mesh over the first one
 
 
 def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: Sequence[View], radius: float) -> str:
@@ -36,24 +33,18 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
     own = np.any([of_the_mesh(scene, mesh, radius=radius) for mesh in meshes.values()], axis=0)
     scores: dict[str, list[float]] = {name: [] for name in meshes}
     for view in views:
-        shrink = min(1.0, _SIDE_PX / max(view.image.shape[:2]))
-        height, width = (round(side * shrink) for side in view.image.shape[:2])
-        photo = _resized(view, width, height)
+        photo = shrunk(view.image, 320).astype(np.float32) / 255
+        height, width = photo.shape[:2]
         drawn = {name: _drawn(mesh, view, width, height) for name, mesh in meshes.items()}
         behind = render_on_cpu(scene.subset(~own), view.camera, width=width, height=height).over((0.0, 0.0, 0.0))
-        counted = _seen(scene, own, view, width, height) | np.any([there for _, there in drawn.values()], axis=0)
+        counted = render_on_cpu(scene.subset(own), view.camera, width=width, height=height).alpha > 0.5
+        counted |= np.any([there for _, there in drawn.values()], axis=0)
         for name, (color, there) in drawn.items():
             picture = np.where(there[..., None], color, behind.astype(np.float32) / 255)
             scores[name].append(psnr(picture[counted], photo[counted]) if counted.any() else 0.0)
-    first = next(iter(meshes))
-    mean = {name: float(np.mean(values)) - (0 if name == first else _LEAST_GAIN_DB) for name, values in scores.items()}
+    first, least_gain_db = next(iter(meshes)), 0.5
+    mean = {name: float(np.mean(values)) - (0 if name == first else least_gain_db) for name, values in scores.items()}
     return max(mean, key=lambda name: mean[name])
-
-
-def _resized(view: View, width: int, height: int) -> Float32[np.ndarray, "h w 3"]:
-    rows = (np.arange(height) + 0.5) * view.image.shape[0] / height
-    columns = (np.arange(width) + 0.5) * view.image.shape[1] / width
-    return view.image[np.ix_(rows.astype(int), columns.astype(int))].astype(np.float32) / 255
 
 
 def _drawn(
@@ -64,11 +55,3 @@ def _drawn(
     face = Renderer(mesh, Look(width=width, height=height, shadows=False)).buffers(view.camera).face
     of_face = mesh.look.vertex_colors[mesh.faces, :3].mean(axis=1).astype(np.float32) / 255
     return of_face[face], face >= 0
-
-
-def _seen(
-    scene: GaussianCloud, own: Bool[np.ndarray, " G"], view: View, width: int, height: int
-) -> Bool[np.ndarray, "h w"]:
-    """Where Gaussians of the meshes are in front."""
-    alone = render_on_cpu(scene.subset(own), view.camera, width=width, height=height)
-    return alone.alpha > _OPAQUE

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from PIL import Image
 
 from dynamictree.reconstruct.markers import Marker
@@ -28,6 +28,28 @@ class View:
         """The camera, with the photo's name and size."""
         height, width = self.image.shape[:2]
         return PhotoCamera(photo=self.source, camera=self.camera, width=width, height=height)
+
+    def pixels_of(
+        self, points: Float64[np.ndarray, "P 3"]
+    ) -> tuple[tuple[Int64[np.ndarray, " P"], Int64[np.ndarray, " P"]], Bool[np.ndarray, " P"]]:
+        """Row and column of points in the picture, and whether they are in it; 0 for those that are not."""
+        height, width = self.image.shape[:2]
+        x, y, depth = self.camera.project(points, width, height).T
+        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        return (np.where(inside, y, 0).astype(np.int64), np.where(inside, x, 0).astype(np.int64)), inside
+
+
+def resized(
+    plane: Float32[np.ndarray, "H W"], size: tuple[int, int], how: Image.Resampling = Image.Resampling.BOX
+) -> Float32[np.ndarray, "h w"]:
+    """A picture of one channel with another width and height."""
+    return np.array(Image.fromarray(np.ascontiguousarray(plane)).resize(size, how), np.float32)
+
+
+def nearest_pixels(picture: Float32[np.ndarray, "H W *C"], height: int, width: int) -> Float32[np.ndarray, "h w *C"]:
+    """A picture at another size, no pixel mixed with another."""
+    rows, columns = (np.arange(new) * old // new for new, old in zip((height, width), picture.shape, strict=False))
+    return np.ascontiguousarray(picture[np.ix_(rows, columns)])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,12 @@
 """Visual hull: the part of space that the masks of the photos agree on (Laurentini 1994), refined from coarse cells."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
-from scipy.ndimage import distance_transform_cdt
+from scipy.ndimage import binary_dilation, distance_transform_cdt, gaussian_filter
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.reconstruct.views import View
@@ -18,6 +19,9 @@ _LEAST_SEEN = 1 / 2  # of the photos
 _REGION = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 2.0]])  # of the stage
 _FIRST_CELL, _FINEST_CELL_PX, _MOST_CELLS = 1 / 8, 1.5, 50_000
 _CANDIDATES = 8  # random places per wanted point
+_WINDOW_SHARE = 1 / 320  # of the longer side, standard deviation of the window in which contrast is measured
+_LEAST_CONTRAST = 8.0  # of 255: sky in JPEG has 1 to 3, leaves before it 20 and more
+_LOW, _HIGH, _RADIUS = 0.02, 2.0, 1.0  # of the stage's region, in whose middle the plant stands
 
 
 class _Mask(NamedTuple):
@@ -135,3 +139,32 @@ def _mean_colors(masks: list[_Mask], points: Float64[np.ndarray, "P 3"]) -> Floa
         weight += share
     colors: Float32[np.ndarray, "P 3"] = total / np.maximum(weight, 1e-6)[:, None]
     return colors
+
+
+def texture_points(
+    views: Sequence[View],
+    number: int,
+    rng: np.random.Generator,
+    covers: Sequence[Float32[np.ndarray, "H W"]] | None = None,
+) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
+    """Up to `number` random points of the region that photos show as textured, with the photos' mean colours.
+
+    `covers` are the shares of pixels that are not sky.
+    """
+    textured = [replace(view, alpha=textured_mask(view.image)) for view in views]
+    if covers is not None:
+        pairs = zip(textured, covers, strict=True)
+        textured = [replace(view, alpha=(view.alpha * cover).astype(np.uint8)) for view, cover in pairs]
+    points, colors = points_in_masks(textured, 4 * number, rng)
+    height, away = points[:, 2], np.linalg.norm(points[:, :2], axis=1)
+    rows = np.flatnonzero((away < _RADIUS) & (height > _LOW) & (height < _HIGH))
+    rows = rng.permutation(rows)[:number]
+    return points[rows], colors[rows]
+
+
+def textured_mask(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W"]:
+    """255 where the brightness varies around a pixel, dilated by the window."""
+    window = max(1.0, _WINDOW_SHARE * max(image.shape))
+    grey = image.astype(np.float32).mean(axis=2)
+    variance = gaussian_filter(grey * grey, window) - gaussian_filter(grey, window) ** 2
+    return np.where(binary_dilation(variance > _LEAST_CONTRAST**2, iterations=round(window)), 255, 0).astype(np.uint8)

@@ -14,7 +14,7 @@ from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.stage import camera_up, find_stage
-from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
+from dynamictree.reconstruct.stereo import Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 from tests.reconstruct.conftest import Orbit
@@ -60,7 +60,7 @@ def test_stereo_finds_the_depth_that_the_renderer_has(orbit):
         np.zeros((height, width, 2), np.float32),
         np.full((height, width), 3, np.float32),
     )
-    bounds = DepthRange(nearest=1.5, farthest=6.0)
+    bounds = 1.5, 6.0
     everywhere = np.ones((height, width), bool)
     others = [[1, 2], [0, 2], [0, 1]]
     planes = [match_view(views[v], [views[o] for o in others[v]], guess, bounds, everywhere, seed=v) for v in range(3)]
@@ -83,7 +83,7 @@ def test_stereo_is_the_same_in_every_run_and_leaves_the_masked_alone(orbit):
     )
     mask = np.zeros(shape, bool)
     mask[30:60, 40:80] = True
-    bounds = DepthRange(nearest=1.5, farthest=6.0)
+    bounds = 1.5, 6.0
     runs = [match_view(views[0], [views[1]], guess, bounds, mask, num_iterations=2) for _ in range(2)]
     assert np.array_equal(runs[0].inverse, runs[1].inverse)
     assert (runs[0].inverse[~mask] == np.float32(0.3)).all()

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.reconstruct.film_photos import Film, FilmPhotos
-from dynamictree.reconstruct.video_frames import Stretch, frame_name, frame_of, stretches_to_fill
+from dynamictree.reconstruct.film_photos import Film, FilmPhotos, Stretch, frame_name, frame_of, stretches_to_fill
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dynamictree.gaussian.cloud import joined
-from dynamictree.reconstruct.floaters import faint_floaters
+from dynamictree.reconstruct.plant_cut import faint_floaters
 from tests.reconstruct.planted import potted
 
 

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from dynamictree.reconstruct.densify import DensityRules, before_cameras
 from dynamictree.reconstruct.splat_start import first_table
 from dynamictree.reconstruct.splat_table import MEAN, table_of_points
-from dynamictree.reconstruct.texture_hull import texture_points, textured_mask
 from dynamictree.reconstruct.views import View
+from dynamictree.reconstruct.visual_hull import texture_points, textured_mask
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_coloured_mesh import model_of, views_of
 

@@ -6,8 +6,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dynamictree.reconstruct.mapping import leave_out_loose
-from dynamictree.reconstruct.unregistered import reasons
+from dynamictree.reconstruct.mapping import leave_out_loose, reasons
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import scipy.ndimage
 from PIL import Image
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.reconstruct.video_frames import chosen_frames, write_sharp_frames
+from dynamictree.reconstruct.film_photos import chosen_frames, write_sharp_frames
 from dynamictree.render.video import write_mp4
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")

@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 from dynamictree.errors import Cancelled, FormatError, InputError
-from dynamictree.reconstruct.video_frames import write_sharp_frames
+from dynamictree.reconstruct.film_photos import write_sharp_frames
 from tests.formats.films import write_film
 from worker.confined_reading import write_confined_frames
 

@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from dynamictree.errors import Cancelled, FormatError, ReconstructionError
-from dynamictree.reconstruct.photo_input import read_photos
-from dynamictree.reconstruct.photos import list_photos
+from dynamictree.reconstruct.photos import list_photos, read_photos
 from jobs.records import AssetPart
 from tests.rows import asset_row, job_row
 from worker.confined_reading import CHILD, read_confined
