@@ -23,7 +23,8 @@ MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
 MAX_FILE_BYTES = 1 << 30
 ACCEPTED = (
     "a triangle mesh as OBJ, PLY with faces, STL, OFF, 3MF, COLLADA, glTF or GLB is accepted, a splat as PLY, .splat, "
-    "SPZ, SOG, .ksplat or GLB, a scan as LAS, LAZ, PLY, PCD, XYZ, TXT, CSV, ASC or PTS, and photos as JPEG or PNG"
+    "SPZ, SOG, .ksplat or GLB, a scan as LAS, LAZ, PLY, PCD, XYZ, TXT, CSV, ASC or PTS, photos as JPEG, PNG, TIFF, "
+    "WebP or HEIC, and a film as MP4, MOV or M4V"
 )
 
 _HABITS = {"obj": "+Y", "ply": "+Z", "stl": "+Z", "off": "+Z"}

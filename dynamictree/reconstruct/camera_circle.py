@@ -12,9 +12,6 @@ from dynamictree.render.camera import Camera
 
 LARGEST_GAP_DEG = 40.0
 """Photos every 10 to 20° are asked for; SIFT matches two views up to 30 to 40° apart (Lowe 2004, section 5)."""
-LEAST_REGISTERED = 2 / 3
-"""Share of the photos, below which the sides that they show are missing."""
-_STEEPEST = 0.5  # cosine of 60°: a camera above the plant shows no side of it
 
 _MARGIN, _DOT = 0.16, 0.025  # of the drawing's side
 _WHITE, _GREY, _BLUE, _RED = (255, 255, 255), (120, 120, 120), (30, 90, 200), (250, 205, 200)
@@ -56,10 +53,11 @@ def camera_circle(cameras: Mapping[str, Camera]) -> CameraCircle:
     Args:
         cameras: by the names of their photos.
     """
+    steepest = 0.5  # cosine of 60°: a camera above the plant shows no side of it
     positions = np.array([camera.position_m for camera in cameras.values()])
     forward = np.array([camera.world_to_camera[2] for camera in cameras.values()])
     offset = positions - nearest_to_axes(positions, forward)
-    level = np.linalg.norm(offset[:, :2], axis=1) >= _STEEPEST * np.linalg.norm(offset, axis=1)
+    level = np.linalg.norm(offset[:, :2], axis=1) >= steepest * np.linalg.norm(offset, axis=1)
     azimuths = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) % 360
     rows = np.flatnonzero(level)
     rows = rows[np.argsort(azimuths[rows], kind="stable")]
@@ -69,8 +67,9 @@ def camera_circle(cameras: Mapping[str, Camera]) -> CameraCircle:
 
 def coverage_warnings(circle: CameraCircle, num_registered: int, num_photos: int) -> list[str]:
     """Warn of photos without a camera, and of a side of the plant that no photo shows."""
+    least_registered = 2 / 3  # share of the photos, below which the sides that they show are missing
     warnings = []
-    if num_registered < LEAST_REGISTERED * num_photos:
+    if num_registered < least_registered * num_photos:
         warnings.append(
             f"{num_registered} of {num_photos} photos have a camera: what only the others show is missing; "
             "left_out_because tells why; take more photos, one every 10 to 20 degrees"

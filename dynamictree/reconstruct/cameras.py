@@ -19,10 +19,6 @@ from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.views import SparseModel, read_model
 
-MIN_REGISTERED = 5
-EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
-_NEXT_PHOTOS = 8
-_LISTEN_S = 0.25  # between two calls of the caller's progress function
 _GRACE_S = 3.0  # from SIGTERM to SIGKILL
 _TIME_LIMIT_S = 3600.0
 _SHARES = {"features": (0.0, 0.5), "matches": (0.5, 0.4), "cameras": (0.9, 0.08), "undistort": (0.98, 0.02)}
@@ -49,6 +45,7 @@ def find_cameras(
         ReconstructionError: too few photos fit together, or the process took too long.
         CameraSearchError: the process failed.
     """
+    min_registered = 5
     cameras = None
     if given is not None:
         of_source = {photo.source: photo for photo in photos}
@@ -75,17 +72,19 @@ def find_cameras(
             raise CameraSearchError(f"the search for cameras ended with {child.returncode}: {_last_line(log.name)}")
     model = read_model(folder, {photo.name: photo.source for photo in photos})
     registered = len(model.views) if model is not None else 0
-    if model is None or registered < MIN_REGISTERED:
+    if model is None or registered < min_registered:
         problem = f"{registered} of {len(photos)} photos fit together"
-        raise ReconstructionError(f"{problem}; at least {MIN_REGISTERED} must; {ADVICE}")
+        raise ReconstructionError(f"{problem}; at least {min_registered} must; {ADVICE}")
     return model
 
 
 def pairs_to_match(number: int) -> list[tuple[int, int]]:
     """All pairs of a small set; in a large one, taken in order along a path, near ones and some far ones."""
-    if number <= EXHAUSTIVE_UP_TO:
+    next_photos = 8
+    exhaustive_up_to = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
+    if number <= exhaustive_up_to:
         return list(combinations(range(number), 2))
-    steps = [*range(1, _NEXT_PHOTOS + 1), *(2**power for power in range(4, number.bit_length()))]
+    steps = [*range(1, next_photos + 1), *(2**power for power in range(4, number.bit_length()))]
     return sorted({(i, i + step) for step in steps for i in range(number - step)})
 
 
@@ -97,6 +96,7 @@ def _delete_leftovers(folder: Path) -> None:
 
 
 def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None], until_s: float) -> None:
+    listen_s = 0.25  # between two calls of the caller's progress function
     assert child.stdout is not None
     done = 0.0
     with selectors.DefaultSelector() as selector:
@@ -105,7 +105,7 @@ def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None]
             on_progress(done)
             if time.monotonic() > until_s:
                 raise ReconstructionError(f"the search for cameras took too long; give fewer photos, or {ADVICE}")
-            if not selector.select(_LISTEN_S):
+            if not selector.select(listen_s):
                 continue
             line = child.stdout.readline()
             if not line:

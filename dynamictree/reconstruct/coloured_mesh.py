@@ -23,20 +23,16 @@ from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 
 MAX_FACES = 120_000
-_FINE_VOXELS = 240  # along the longest side
-_SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
-_SMOOTHING_ROUNDS = 4
-_COLOR_SIDE_PX = 640
 CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
 _REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # that the pictures hold
-_WIDEST, _FAINTEST = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
 
 
 def stereo_surface(scene: Scene) -> Surface:
     """Surface of the subject from the fine depth maps; empty where there are none."""
+    fine_voxels = 240  # along the longest side
     if scene.fine is None:
         return NOTHING
-    fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=_FINE_VOXELS)
+    fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=fine_voxels)
     return main_cluster(above(fused, scene.cut), GAP)
 
 
@@ -48,11 +44,12 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     Raises:
         ReconstructionError: no Gaussian is opaque enough.
     """
+    widest, faintest = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
     cloud = cloud_of(table)
     box = _REGION if scene.ground_found else scene.box
     low = np.maximum(box.low, [-np.inf, -np.inf, scene.cut])
     inside = ((cloud.means > low) & (cloud.means < box.high)).all(axis=1)
-    inside &= (cloud.scales.max(axis=1) < _WIDEST) & (cloud.opacity > _FAINTEST)
+    inside &= (cloud.scales.max(axis=1) < widest) & (cloud.opacity > faintest)
     try:
         mesh = mesh_of_cloud(cloud.subset(inside), cells_along=CELLS, max_faces=2 * MAX_FACES)
     except (InputError, ValueError) as error:
@@ -98,13 +95,14 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
 
     A vertex that no photo sees takes the colour of the nearest that one does.
     """
+    color_side_px = 640
     normals = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     total, weight = np.zeros((mesh.num_vertices, 3)), np.zeros(mesh.num_vertices)
     slack = 0.01 * mesh.height_m
     renderers: dict[tuple[int, int], Renderer] = {}
     for view in views:
-        shrink = min(1.0, _COLOR_SIDE_PX / max(view.image.shape[:2]))
+        shrink = min(1.0, color_side_px / max(view.image.shape[:2]))
         width, height = round(view.image.shape[1] * shrink), round(view.image.shape[0] * shrink)
         if (width, height) not in renderers:
             renderers[width, height] = Renderer(mesh, Look(width=width, height=height, shadows=False))
@@ -140,14 +138,16 @@ def _decimated(surface: Surface) -> Surface:
 
 
 def _smoothed(surface: Surface) -> Surface:
+    smoothing_rounds = 4
+    smoothing = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
     edges = edges_of(surface.faces)
     both = np.concatenate([edges, edges[:, ::-1]])
     number = len(surface.vertices)
     links = coo_array((np.ones(len(both), np.float32), (both[:, 0], both[:, 1])), shape=(number, number)).tocsr()
     degree = np.maximum(links.sum(axis=1), 1)[:, None]
     vertices: Float32[np.ndarray, "N 3"] = surface.vertices
-    for _ in range(_SMOOTHING_ROUNDS):
-        for step in _SMOOTHING:
+    for _ in range(smoothing_rounds):
+        for step in smoothing:
             vertices = vertices + np.float32(step) * (links @ vertices / degree - vertices)
     return Surface(vertices.astype(np.float32), surface.faces)
 

@@ -23,9 +23,6 @@ from dynamictree.reconstruct.views import SparseModel, View, nearest_pixels
 
 COARSE_SIDE_PX, FINE_SIDE_PX = 256, 720
 _COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 2
-_DEPTH_PERCENTILES, _DEPTH_SLACK = (1.0, 99.0), 1.25  # of a view's points
-_MOSTLY = 0.5
-_MIN_POINTS = 12  # that a view must see to be matched
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +95,11 @@ def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, DepthMaps | 
 
 def outside_sky(maps: DepthMaps, sky: Sequence[Foreground]) -> DepthMaps:
     """The same maps, unknown where more than half of a pixel is sky."""
+    mostly = 0.5
     depths = []
     for depth, view in zip(maps.depths, sky, strict=True):
         cover = Image.fromarray(view.cover).resize(depth.shape[::-1], Image.Resampling.BOX)
-        depths.append(np.where(np.asarray(cover) > _MOSTLY, depth, 0).astype(np.float32))
+        depths.append(np.where(np.asarray(cover) > mostly, depth, 0).astype(np.float32))
     return DepthMaps(views=maps.views, depths=depths)
 
 
@@ -142,12 +140,14 @@ def _matched(
     mask: Bool[np.ndarray, "H W"],
     num_iterations: int = _COARSE_ITERATIONS,
 ) -> Hypotheses:
+    min_points = 12  # that a view must see to be matched
+    depth_percentiles, depth_slack = (1.0, 99.0), 1.25  # of a view's points
     points = model.points[model.seen[model.seen[:, 0] == number, 1]]
-    if len(points) < _MIN_POINTS or not neighbours[number]:
+    if len(points) < min_points or not neighbours[number]:
         return guess
     depth = points @ views[number].to_pixel[2, :3] + views[number].to_pixel[2, 3]
-    low, high = np.percentile(depth, _DEPTH_PERCENTILES)
-    bounds = float(low) / _DEPTH_SLACK, float(high) * _DEPTH_SLACK
+    low, high = np.percentile(depth, depth_percentiles)
+    bounds = float(low) / depth_slack, float(high) * depth_slack
     others = [views[other] for other in neighbours[number]]
     return match_view(views[number], others, guess, bounds, mask, num_iterations=num_iterations, seed=number)
 

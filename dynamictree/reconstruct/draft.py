@@ -19,10 +19,6 @@ from dynamictree.reconstruct.views import SparseModel
 OnFile = Callable[[Path], None]
 DRAFT = "draft.splat"
 EVERY_S = 20.0
-_MOST_POINTS = 20_000
-_LEAST_POINTS = 4  # that have neighbours
-_SUBJECT = 1.2  # of the region's radius: what is farther away is background
-_WIDEST = 0.3  # of the region's radius
 _OPAQUE_LOGIT = np.float32(2)
 
 
@@ -40,9 +36,11 @@ class Draft:
 
     def show_points(self, model: SparseModel) -> None:
         """Show the points that the photos share; the model is in the stage's frame."""
-        rows = thinned(model.points, _MOST_POINTS, np.random.default_rng(0))
+        least_points = 4  # that have neighbours
+        most_points = 20_000
+        rows = thinned(model.points, most_points, np.random.default_rng(0))
         points, colors = model.points[rows].astype(np.float32), model.colors[rows] / np.float32(255)
-        if len(points) >= _LEAST_POINTS:
+        if len(points) >= least_points:
             self._write(table_of_points(points, colors, spacing(points), opacity=0.9, sh_degree=0))
 
     def show(self, state: SplatState) -> None:
@@ -60,8 +58,10 @@ class Draft:
         (self.folder / DRAFT).unlink(missing_ok=True)
 
     def _write(self, table: Float32[np.ndarray, "G P"]) -> None:
-        near = np.linalg.norm(table[:, MEAN], axis=1) < _SUBJECT
-        table = table[near & (table[:, LOG_SCALE].max(axis=1) < np.log(_WIDEST))]
+        widest = 0.3  # of the region's radius
+        subject = 1.2  # of the region's radius: what is farther away is background
+        near = np.linalg.norm(table[:, MEAN], axis=1) < subject
+        table = table[near & (table[:, LOG_SCALE].max(axis=1) < np.log(widest))]
         if len(table) == 0:
             return
         path = self.folder / DRAFT

@@ -12,11 +12,6 @@ from scipy.ndimage import uniform_filter
 
 from dynamictree.reconstruct.views import SparseModel, View
 
-_WINDOW_PX = 3
-_DARK, _BRIGHT = 12, 243  # of 255: outside, a pixel may be cut off
-_ROUNDS = 200  # photos of a walk share points with their neighbours only, so differences spread slowly
-_OUTLIER = 0.3  # of the logarithm: moving shadows, gloss and wrong pairs count as little as this
-_FEWEST = 30  # points that a photo must show in range, to be changed
 _SAME, _MOST = np.log(1.03), np.log(2.5)
 """Gains that no photo exceeds make no difference; and what is no exposure any more."""
 
@@ -43,16 +38,20 @@ def log_gains(model: SparseModel) -> Float64[np.ndarray, "V 3"]:
 
 
 def _log_gains_of(model: SparseModel, color: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, " V"]:
-    usable = (color >= _DARK) & (color <= _BRIGHT)
+    fewest = 30  # points that a photo must show in range, to be changed
+    outlier = 0.3  # of the logarithm: moving shadows, gloss and wrong pairs count as little as this
+    rounds = 200  # photos of a walk share points with their neighbours only, so differences spread slowly
+    dark, bright = 12, 243  # of 255: outside, a pixel may be cut off
+    usable = (color >= dark) & (color <= bright)
     view, point = model.seen[usable].T
     value = np.log(color[usable])
     number = len(model.views), len(model.points)
     gain, weight = np.zeros(number[0]), np.ones(len(value))
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         own = _mean(value - gain[view], point, weight, number[1])
         gain = _mean(value - own[point], view, weight, number[0])
-        weight = 1 / np.maximum(1, np.abs(value - own[point] - gain[view]) / _OUTLIER)
-    judged = np.bincount(view, minlength=number[0]) >= _FEWEST
+        weight = 1 / np.maximum(1, np.abs(value - own[point] - gain[view]) / outlier)
+    judged = np.bincount(view, minlength=number[0]) >= fewest
     if not judged.any():
         return np.zeros(number[0])
     return np.where(judged, gain - gain[judged].mean(), 0)
@@ -68,8 +67,9 @@ def _mean(
 
 def _colors_at(view: View, points: Float64[np.ndarray, "P 3"]) -> Float64[np.ndarray, "P 3"]:
     """Mean colour of a small window; 0 of a point outside of the picture."""
+    window_px = 3
     at, inside = view.pixels_of(points)
-    smooth = uniform_filter(view.image.astype(np.float32), size=(_WINDOW_PX, _WINDOW_PX, 1))
+    smooth = uniform_filter(view.image.astype(np.float32), size=(window_px, window_px, 1))
     return np.where(inside[:, None], smooth[at], 0).astype(np.float64)
 
 

@@ -17,10 +17,7 @@ from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnin
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel
 
-PROBE_PX = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film
 _REDUCED = "force_original_aspect_ratio=decrease:flags=lanczos"
-_WIDE_DEG, _FILLED_DEG = 20.0, 10.0  # between neighbouring frames, of the 10 to 20° that photos should have
-_CENTRE = 0.7  # of a stretch, in whose middle its frame is chosen, so that two chosen ones are not neighbours
 
 
 @dataclass(frozen=True)
@@ -100,14 +97,15 @@ def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) 
         frames: numbers of the frames so far, in order.
         azimuths_deg: of the cameras that were found, by frame.
     """
+    wide_deg, filled_deg = 20.0, 10.0  # between neighbouring frames, of the 10 to 20° that photos should have
     stretches = []
     for first, second in pairwise(frames):
-        angle = _FILLED_DEG
+        angle = filled_deg
         if first in azimuths_deg and second in azimuths_deg:
             angle = abs((azimuths_deg[second] - azimuths_deg[first] + 180) % 360 - 180)
-            if angle <= _WIDE_DEG:
+            if angle <= wide_deg:
                 continue
-        count = min(max(2, int(angle / _FILLED_DEG)), second - first - 1)
+        count = min(max(2, int(angle / filled_deg)), second - first - 1)
         if count > 0:
             stretches.append(Stretch(first + 1, second, count))
     return stretches
@@ -115,8 +113,9 @@ def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) 
 
 def chosen_frames(sharpness: Float64[np.ndarray, " F"], count: int) -> Int64[np.ndarray, " C"]:
     """Numbers of the sharpest frame about the middle of each of `count` parts of equal length."""
+    centre = 0.7  # of a stretch, in whose middle its frame is chosen, so that two chosen ones are not neighbours
     edges = np.linspace(0, len(sharpness), count + 1)
-    margin = (edges[1] - edges[0]) * (1 - _CENTRE) / 2
+    margin = (edges[1] - edges[0]) * (1 - centre) / 2
     chosen = []
     for low, high in zip(edges[:-1] + margin, edges[1:] - margin, strict=True):
         first, last = int(low), max(int(high), int(low) + 1)
@@ -126,11 +125,12 @@ def chosen_frames(sharpness: Float64[np.ndarray, " F"], count: int) -> Int64[np.
 
 def _sharpness(video: Path, on_work: Callable[[], None]) -> Float64[np.ndarray, " F"]:
     """Variance of the Laplacian of each frame: blur by motion or by focus takes it away."""
-    square = f"scale={PROBE_PX}:{PROBE_PX},format=gray"
+    probe_px = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film
+    square = f"scale={probe_px}:{probe_px},format=gray"
     values = []
     with decoded(video, "-vf", square, "-fps_mode", "passthrough", "-f", "rawvideo", "-") as pixels:
-        while frame := pixels.read(PROBE_PX**2):
-            grey = np.frombuffer(frame, np.uint8).reshape(PROBE_PX, PROBE_PX).astype(np.float32)
+        while frame := pixels.read(probe_px**2):
+            grey = np.frombuffer(frame, np.uint8).reshape(probe_px, probe_px).astype(np.float32)
             values.append(scipy.ndimage.laplace(grey).var())
             on_work()
             if len(values) > MAX_FILM_FRAMES:

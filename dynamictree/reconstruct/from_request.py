@@ -16,8 +16,6 @@ from dynamictree.reconstruct.reconstruction import Callbacks
 from dynamictree.reconstruct.recut import pack, recut, unpack
 from dynamictree.requests import ReconstructParams
 
-_LEARNING = 0.95  # of the progress; the rest is the cut
-
 Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
 
 
@@ -61,15 +59,16 @@ def reconstruct_capture(
         ReconstructionError: the photos do not fit together.
         CameraSearchError: the program that looks for cameras failed.
     """
+    learning = 0.95  # of the progress; the rest is the cut
     worked_s = 0.0
 
     def on_progress(progress: Progress) -> None:
         nonlocal worked_s
         worked_s = progress.worked_s
-        callbacks.on_progress(replace(progress, total=_LEARNING * progress.total))
+        callbacks.on_progress(replace(progress, total=learning * progress.total))
 
     def on_cut(share: float) -> None:
-        total = _LEARNING + (1 - _LEARNING) * share
+        total = learning + (1 - learning) * share
         callbacks.on_progress(Progress(stage="cut", share=share, total=total, worked_s=worked_s))
 
     def learn(archive: Path) -> None:

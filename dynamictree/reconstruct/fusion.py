@@ -12,7 +12,6 @@ from dynamictree.mesh import connected_parts
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.stereo import StereoView
 
-_SPECK_FACES = 24  # a piece of fewer is noise
 _TRUNCATION = 3.0  # voxels on both sides of a surface
 _CARVE_WEIGHT = 0.25  # of a view that looks through a voxel, against one that sees a surface there
 
@@ -74,10 +73,11 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
 
     Leaves and twigs seldom hang together in a mesh of photos, but they are near one another.
     """
+    speck_faces = 24  # a piece of fewer is noise
     if len(surface.faces) == 0:
         return surface
     piece_of_face = connected_parts(surface.faces, len(surface.vertices))[surface.faces[:, 0]]
-    large = np.flatnonzero((np.bincount(piece_of_face) >= _SPECK_FACES)[piece_of_face])
+    large = np.flatnonzero((np.bincount(piece_of_face) >= speck_faces)[piece_of_face])
     if len(large) == 0:
         return NOTHING
     centres = surface.vertices[surface.faces[large]].mean(axis=1)

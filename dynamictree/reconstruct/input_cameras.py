@@ -21,7 +21,6 @@ from dynamictree.rotation import quaternion_matrices
 TRANSFORMS, LLFF = "transforms.json", "poses_bounds.npy"
 COLMAP = ("cameras.bin", "images.bin"), ("cameras.txt", "images.txt")
 MAX_BYTES = 512 * 2**20
-MAX_JSON_BYTES = 16 * 2**20  # 50 kB for each of 300 photos; a byte of JSON becomes up to 30 in memory
 _MODELS = {  # COLMAP's number, name, number of parameters
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
@@ -84,8 +83,9 @@ def find_input_cameras(root: Path, sizes: Sizes) -> tuple[InputCamera, ...] | No
     Raises:
         FormatError: a file that cannot be read, or names no photo that is there.
     """
+    max_json_bytes = 16 * 2**20  # 50 kB for each of 300 photos; a byte of JSON becomes up to 30 in memory
     for path in sorted(root.rglob(TRANSFORMS)):
-        return _matched(_transforms(_read(path, MAX_JSON_BYTES), sizes), sizes, path.name)
+        return _matched(_transforms(_read(path, max_json_bytes), sizes), sizes, path.name)
     by_order = sorted(root.rglob(LLFF))
     for names in COLMAP:
         for path in sorted(root.rglob(names[0])):
@@ -97,7 +97,7 @@ def find_input_cameras(root: Path, sizes: Sizes) -> tuple[InputCamera, ...] | No
                 continue  # LLFF's reduced photos have other names, in the same order
             return _matched(cameras, sizes, path.name)
     for path in by_order:
-        return _llff(_read(path, MAX_JSON_BYTES), sizes)
+        return _llff(_read(path, max_json_bytes), sizes)
     return None
 
 

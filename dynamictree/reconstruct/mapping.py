@@ -28,17 +28,12 @@ from dynamictree.reconstruct.refine_poses import refined
 DATABASES = ("features.db", "features-whole.db")
 """Of features within masks (everywhere without masks), and everywhere in spite of masks."""
 MAX_MEMORY_BYTES = 12 * 2**30
-_MAX_FEATURES = 6000
-_PAIRS_AT_ONCE = 12
 _SEED = 1
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_POSE_INLIERS = ((30, 0.25), (15, 0.1))  # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
 _ENOUGH, _FEW = 0.9, 0.5  # of the photos
 _POINT_THRESHOLDS = (  # of COLMAP's triangulation
     *("create_max_angle_error", "continue_max_angle_error"),
     *("merge_max_reproj_error", "complete_max_reproj_error"),
 )
-_LEAST_POINTS = 50  # that a photo must see; those of that orbit see 200 and more
 _FLOWN = 30  # times as far from the middle of all cameras as half of them are
 
 
@@ -86,13 +81,14 @@ class _Search:
 
 
 def _match(search: _Search) -> None:
+    pairs_at_once = 12
     photos = search.photos
     pairs = pairs_to_match(len(photos))
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = search.threads
-    for first in range(0, len(pairs), _PAIRS_AT_ONCE):
+    for first in range(0, len(pairs), pairs_at_once):
         _tell("matches", first, len(pairs))
-        chunk = pairs[first : first + _PAIRS_AT_ONCE]
+        chunk = pairs[first : first + pairs_at_once]
         listing = search.folder / "pairs.txt"
         listing.write_text("".join(f"{photos[i].name} {photos[j].name}\n" for i, j in chunk))
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
@@ -107,9 +103,10 @@ def _tell(step: str, done: int, total: int) -> None:
 
 def _extract(search: _Search) -> None:
     """SIFT by groups of photos of one size and focal length, or of one known lens, which share a camera."""
+    max_features = 6000
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads = search.threads
-    extraction.sift.max_num_features = _MAX_FEATURES
+    extraction.sift.max_num_features = max_features
     cameras_by_name = {camera.photo: camera for camera in search.given or ()}
     done = _camera_ids(search.database)  # those of an interrupted search
     for photo, names in _camera_groups(search.photos, cameras_by_name):
@@ -164,8 +161,10 @@ def _camera_groups(photos: list[Photo], cameras_by_name: dict[str, InputCamera])
 
 def _map(search: _Search) -> pycolmap.Reconstruction | None:
     """The model of most photos: by COLMAP's own thresholds or, where they leave out many, by lower ones."""
+    # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
+    pose_inliers = ((30, 0.25), (15, 0.1))
     best = None
-    for min_inliers, min_ratio in _POSE_INLIERS:
+    for min_inliers, min_ratio in pose_inliers:
         models = _map_once(search, min_inliers, min_ratio)
         for model in models.values():
             leave_out_loose(model)
@@ -208,13 +207,14 @@ def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstr
 
 def leave_out_loose(model: pycolmap.Reconstruction) -> None:
     """Take out photos that hang on few points, or on a far hedge or clouds alone: their cameras may be anywhere."""
+    least_points = 50  # that a photo must see; those of that orbit see 200 and more
     posed = [image for image in model.images.values() if image.has_pose]
     if not posed:
         return
     positions = np.array([image.projection_center() for image in posed])
     away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
     for image, flown in zip(posed, away > _FLOWN * np.median(away), strict=True):
-        if flown or image.num_points3D < _LEAST_POINTS:
+        if flown or image.num_points3D < least_points:
             model.deregister_frame(image.frame_id)
 
 
@@ -304,8 +304,9 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
 
 def _end_with_parent() -> None:
     """Ask the kernel (Linux) to kill this process when its parent dies: a killed parent cannot."""
+    pr_set_pdeathsig = 1  # linux/prctl.h
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
 def reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, str]:

@@ -14,10 +14,6 @@ from pyapriltags import Detector
 from dynamictree.reconstruct.markers import Marker
 
 FAMILY = "tag36h11"
-_LEAST_MARGIN = 30.0  # of the library's scale: markers in photos have 50 and more, leaves that look like one 10
-_LEAST_VIEWS = 3
-_FITS_PX = 2.0  # between a corner and where a photo has it
-_LARGEST_SPREAD = 0.1  # between the longest and the shortest edge: more is no square, or cameras are wrong
 
 
 class Sighting(NamedTuple):
@@ -39,10 +35,11 @@ class MarkerFinder:
 
         Only markers count that are read without a wrong bit, and none whose number is there twice: both may be meant.
         """
+        least_margin = 30.0  # of the library's scale: markers in photos have 50 and more, leaves that look like one 10
         seen = [
             (int(tag.tag_id), np.array(tag.corners, np.float64))
             for tag in self._detector.detect(np.ascontiguousarray(grey))
-            if tag.hamming == 0 and tag.decision_margin >= _LEAST_MARGIN
+            if tag.hamming == 0 and tag.decision_margin >= least_margin
         ]
         numbers = [number for number, _ in seen]
         return {number: corners for number, corners in seen if numbers.count(number) == 1}
@@ -56,18 +53,21 @@ def placed_markers(sightings: Sequence[Sighting]) -> list[Marker]:
 
 
 def _placed(number: int, sightings: Sequence[Sighting]) -> Marker | None:
+    largest_spread = 0.1  # between the longest and the shortest edge: more is no square, or cameras are wrong
+    fits_px = 2.0  # between a corner and where a photo has it
+    least_views = 3
     options = pycolmap.EstimateTriangulationOptions()
     options.residual_type = pycolmap.TriangulationResidualType.REPROJECTION_ERROR
-    options.ransac.max_error, options.ransac.random_seed = _FITS_PX, 0
+    options.ransac.max_error, options.ransac.random_seed = fits_px, 0
     cameras, poses = [one.camera for one in sightings], [one.cam_from_world for one in sightings]
     seen = np.array([one.corners[number] for one in sightings])  # [V, 4, 2]
     estimates = [pycolmap.estimate_triangulation(seen[:, corner], poses, cameras, options) for corner in range(4)]
     corners = [one for one in estimates if one is not None]
     fits = np.all([one["inliers"] for one in corners], axis=0)
-    if len(corners) < 4 or fits.sum() < max(_LEAST_VIEWS, len(sightings) / 2):
+    if len(corners) < 4 or fits.sum() < max(least_views, len(sightings) / 2):
         return None
     places = np.array([one["xyz"] for one in corners])
     edges = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
-    if np.ptp(edges) > _LARGEST_SPREAD * edges.mean():
+    if np.ptp(edges) > largest_spread * edges.mean():
         return None
     return Marker(number=number, edge=float(edges.mean()), num_photos=int(fits.sum()))

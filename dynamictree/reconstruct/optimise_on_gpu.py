@@ -23,7 +23,6 @@ STEPS = 10
 """Of gsplat, for each one of the schedule."""
 _RATES = {"means": 1.6e-4, "quats": 1e-3, "scales": 5e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 1.25e-4}
 """Kerbl et al. 2023's learning rates; that of places is of the extent, and falls to a hundredth."""
-_REGULARITY = 0.01  # weights of mean opacity and scale in the loss, Kheradmand et al. 2024
 _COLUMNS = {"means": MEAN, "quats": QUATERNION, "scales": LOG_SCALE, "opacities": slice(LOGIT, LOGIT + 1)}
 
 Picture = Float[torch.Tensor, "3 H W"]
@@ -41,6 +40,7 @@ def optimise_on_gpu(
 
     The state is current whenever `on_step` gets it. A saved state continues with the moments of Adam at zero.
     """
+    regularity = 0.01  # weights of mean opacity and scale in the loss, Kheradmand et al. 2024
     torch.manual_seed(state.step)
     params = _params(state, device)
     optimizers = {
@@ -67,7 +67,7 @@ def optimise_on_gpu(
             target = targets[int(np.random.default_rng([2, turn]).permutation(len(targets))[place])]
             picture, wanted, information = _drawn(params, target, degree)
             loss = _loss(picture, wanted)
-            loss = loss + _REGULARITY * (params["opacities"].sigmoid().mean() + params["scales"].exp().mean())
+            loss = loss + regularity * (params["opacities"].sigmoid().mean() + params["scales"].exp().mean())
             loss.backward()
             for optimizer in optimizers.values():
                 optimizer.step()

@@ -18,7 +18,6 @@ _FORMAT, _VERSION = "tree-photos", "1"
 MOST_PHOTOS = 24
 """One per 15° of a walk around the plant: each side of it is seen in some."""
 SIDE_PX = 960
-_JPEG_QUALITY = 82
 
 
 def write_photo_previews(views: Sequence[View], folder: Path, *, needed: Collection[str] = ()) -> None:
@@ -55,8 +54,9 @@ def read_photo_previews(folder: Path) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
 
 
 def _jpeg(pixels: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, " _"]:
+    jpeg_quality = 82
     image = Image.fromarray(pixels)
     image.thumbnail((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS)
     stream = BytesIO()
-    image.save(stream, format="JPEG", quality=_JPEG_QUALITY)
+    image.save(stream, format="JPEG", quality=jpeg_quality)
     return np.frombuffer(stream.getvalue(), np.uint8)

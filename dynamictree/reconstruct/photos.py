@@ -18,15 +18,9 @@ from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES
 from dynamictree.reconstruct.input_cameras import InputCamera, find_input_cameras, fits
 
 MAX_PHOTO_BYTES = 64 * 2**20
-MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
-MIN_SIDE_PX = 240
 
 _EXIF_IFD, _FOCAL_35MM, _ORIENTATION = 0x8769, 0xA405, 0x0112
-_SIDEWAYS = (5, 6, 7, 8)
 _REDUCED = re.compile(r"(?P<name>images|rgb)(_(?P<by>[0-9]{1,2}))?")
-_OPAQUE = 255  # alpha
-_FILM_WIDTH_MM = 36.0
-_FOCAL_RANGE_MM = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,10 +89,11 @@ def sizes_of(photo: PhotoFile) -> tuple[tuple[int, int], tuple[int, int]]:
     Raises:
         FormatError: it is no photo, damaged, or too large or too small.
     """
+    sideways = (5, 6, 7, 8)
     with _opened(photo.path, photo.name) as image:
         stored = image.size
         try:
-            turned = image.getexif().get(_ORIENTATION) in _SIDEWAYS  # of a PNG, the whole picture is decoded
+            turned = image.getexif().get(_ORIENTATION) in sideways  # of a PNG, the whole picture is decoded
         except (OSError, SyntaxError) as error:
             raise _undecodable(photo, error) from error
     return stored, (stored[::-1] if turned else stored)
@@ -134,10 +129,11 @@ def prepare_photos(
 
 def _any_transparent(prepared: list[Photo], folder: Path) -> bool:
     """Whether any mask leaves something out: an image editor may add an alpha channel of 255 to every photo."""
+    opaque = 255  # alpha
     for photo in prepared:
         if photo.masked:
             with Image.open(folder / f"{photo.name}.png") as mask:
-                if mask.getextrema()[0] != _OPAQUE:
+                if mask.getextrema()[0] != opaque:
                     return True
     for photo in prepared:
         (folder / f"{photo.name}.png").unlink(missing_ok=True)
@@ -145,6 +141,7 @@ def _any_transparent(prepared: list[Photo], folder: Path) -> bool:
 
 
 def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
+    film_width_mm = 36.0
     with _opened(photo.path, photo.name) as image:
         focal_35mm = _focal_35mm(image)
         upright = _decoded(image, photo, reduced=True)
@@ -161,7 +158,7 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
     upright.save(folder / name, format="JPEG", quality=95, subsampling=0, exif=b"")
     if alpha is not None:
         alpha.resize(upright.size, Image.Resampling.BOX).save(folder / f"{name}.png")
-    focal_px = None if focal_35mm is None else focal_35mm / _FILM_WIDTH_MM * max(upright.size)
+    focal_px = None if focal_35mm is None else focal_35mm / film_width_mm * max(upright.size)
     return Photo(
         source=photo.name,
         name=name,
@@ -188,6 +185,8 @@ def _undecodable(photo: PhotoFile, error: Exception) -> FormatError:
 
 @contextmanager
 def _opened(path: Path, name: str) -> Iterator[Image.Image]:
+    min_side_px = 240
+    max_photo_pixels = 64_000_000  # the largest common camera's; decoding takes 200 MB
     size = path.stat().st_size
     if size > MAX_PHOTO_BYTES:
         raise FormatError(f"{name} has {size:,} bytes; a photo may have {MAX_PHOTO_BYTES:,}; reduce it")
@@ -198,18 +197,19 @@ def _opened(path: Path, name: str) -> Iterator[Image.Image]:
     except UnidentifiedImageError as error:
         raise FormatError(f"{name} is none of {', '.join(PHOTO_FORMATS)}; convert it to one of them") from error
     except Image.DecompressionBombError as error:
-        raise FormatError(f"{name}: {error}; {MAX_PHOTO_PIXELS:,} pixels are allowed") from error
+        raise FormatError(f"{name}: {error}; {max_photo_pixels:,} pixels are allowed") from error
     with image:
-        if image.width * image.height > MAX_PHOTO_PIXELS or min(image.size) < MIN_SIDE_PX:
+        if image.width * image.height > max_photo_pixels or min(image.size) < min_side_px:
             problem = f"{name} has {image.width} x {image.height} pixels"
-            allowed = f"at least {MIN_SIDE_PX} a side and at most {MAX_PHOTO_PIXELS:,} in all are allowed"
+            allowed = f"at least {min_side_px} a side and at most {max_photo_pixels:,} in all are allowed"
             raise FormatError(f"{problem}; {allowed}")
         yield image
 
 
 def _focal_35mm(image: Image.Image) -> float | None:
+    focal_range_mm = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
     focal = image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_35MM)
-    if isinstance(focal, int) and _FOCAL_RANGE_MM[0] <= focal <= _FOCAL_RANGE_MM[1]:
+    if isinstance(focal, int) and focal_range_mm[0] <= focal <= focal_range_mm[1]:
         return float(focal)
     return None
 

@@ -23,18 +23,6 @@ from dynamictree.reconstruct.plant_proposal import Proposal, all_of, propose
 from dynamictree.reconstruct.scribbles import marked
 
 _NEIGHBOURS = 10
-_ROUNDS = 4  # of colours from the cut, and the cut from colours
-_SMOOTHNESS = 1.5  # of an edge between neighbours of one colour, in log odds
-_COLOR_SPREAD = 12.0  # CIELAB, a just visible difference being about 2: half an edge at this times 1.2
-_MOST_COLOR = 2.0  # log odds that a colour can give
-_PROPOSED = 1.5  # log odds of what the proposal takes for the plant
-_REJECTED = 4.0  # and of what it takes for background
-_CERTAIN = 1000.0
-_UNIT = 1000  # of a capacity: the flow is in integers
-_BINS = (12, 18, 18)  # of lightness, and of green to red and blue to yellow, from -90 to 90
-_STROKE_ODDS = 6.0  # log odds beside a stroke
-_STROKE_REACH = 20.0  # steps between neighbours of one colour, after which they are e times less
-_COLOR_STEP = 8.0  # CIELAB: a difference that makes a step twice as long
 
 
 def plant_of(
@@ -69,15 +57,19 @@ def plant_of(
 def _cut(
     cloud: GaussianCloud, proposal: Proposal, strokes: Int8[np.ndarray, " G"], on_progress: Callable[[float], None]
 ) -> Bool[np.ndarray, " G"]:
+    certain = 1000.0
+    rejected = 4.0  # and of what it takes for background
+    proposed = 1.5  # log odds of what the proposal takes for the plant
+    rounds = 4  # of colours from the cut, and the cut from colours
     color = lab_of(cloud)
     edges, weights = _edges(cloud, color)
-    prior = np.where(proposal.central, _PROPOSED, 0.0) - np.where(proposal.background, _REJECTED, 0.0)
+    prior = np.where(proposal.central, proposed, 0.0) - np.where(proposal.background, rejected, 0.0)
     prior += _stroke_odds(cloud, color, edges, strokes)
     own = proposal.central & (strokes >= 0) | (strokes > 0)
-    for done in range(_ROUNDS):
-        on_progress(done / _ROUNDS)
+    for done in range(rounds):
+        on_progress(done / rounds)
         odds = prior + _color_odds(color, cloud.opacity, own)
-        odds = np.where(strokes == 0, odds, _CERTAIN * strokes)
+        odds = np.where(strokes == 0, odds, certain * strokes)
         previous, own = own, minimum_cut(odds, edges, weights)
         if (previous == own).all():
             break
@@ -94,6 +86,8 @@ def _edges(
     cloud: GaussianCloud, color: Float32[np.ndarray, "G 3"]
 ) -> tuple[Int64[np.ndarray, "E 2"], Float64[np.ndarray, " E"]]:
     """Pairs of neighbours, each once, and the price of parting them, in log odds."""
+    color_spread = 12.0  # CIELAB, a just visible difference being about 2: half an edge at this times 1.2
+    smoothness = 1.5  # of an edge between neighbours of one colour, in log odds
     number = cloud.num_gaussians
     query = cKDTree(cloud.means).query(cloud.means, k=min(_NEIGHBOURS + 1, number))
     distance, near = np.asarray(query[0]), np.asarray(query[1])
@@ -102,9 +96,9 @@ def _edges(
     rows = np.unique(pairs[:, 0] * number + pairs[:, 1], return_index=True)[1]  # of axis 0 it takes 10 times as long
     pairs = pairs[rows]
     apart = distance[:, 1:].ravel()[rows]
-    alike = np.exp(-(((color[pairs[:, 0]] - color[pairs[:, 1]]) ** 2).sum(axis=1)) / (2 * _COLOR_SPREAD**2))
+    alike = np.exp(-(((color[pairs[:, 0]] - color[pairs[:, 1]]) ** 2).sum(axis=1)) / (2 * color_spread**2))
     spacing = np.median(distance[:, 1:])
-    return pairs, _SMOOTHNESS * alike / (1 + (apart / (2 * spacing)) ** 2)
+    return pairs, smoothness * alike / (1 + (apart / (2 * spacing)) ** 2)
 
 
 def _stroke_odds(
@@ -114,17 +108,20 @@ def _stroke_odds(
     strokes: Int8[np.ndarray, " G"],
 ) -> Float64[np.ndarray, " G"]:
     """Log odds from strokes, which fade with the way from them: along neighbours, longer where the colour changes."""
+    color_step = 8.0  # CIELAB: a difference that makes a step twice as long
+    stroke_reach = 20.0  # steps between neighbours of one colour, after which they are e times less
+    stroke_odds = 6.0  # log odds beside a stroke
     number = cloud.num_gaussians
     first, second = edges.T
     length = np.linalg.norm(cloud.means[first] - cloud.means[second], axis=1)
-    change = np.linalg.norm(color[first] - color[second], axis=1) / _COLOR_STEP
+    change = np.linalg.norm(color[first] - color[second], axis=1) / color_step
     steps = coo_array((length / np.median(length) * (1 + change**2) + 1e-9, (first, second)), shape=(number, number))
     odds = np.zeros(number)
     for sign in (1, -1):
         if (strokes == sign).any():
             seeds = np.flatnonzero(strokes == sign)
-            far = dijkstra(steps.tocsr(), directed=False, indices=seeds, min_only=True, limit=6 * _STROKE_REACH)
-            odds += sign * _STROKE_ODDS * np.exp(-far / _STROKE_REACH)
+            far = dijkstra(steps.tocsr(), directed=False, indices=seeds, min_only=True, limit=6 * stroke_reach)
+            odds += sign * stroke_odds * np.exp(-far / stroke_reach)
     return odds
 
 
@@ -132,15 +129,17 @@ def _color_odds(
     color: Float32[np.ndarray, "G 3"], weight: Float32[np.ndarray, " G"], own: Bool[np.ndarray, " G"]
 ) -> Float64[np.ndarray, " G"]:
     """Log odds of each colour among the chosen against the others, from smoothed histograms."""
+    bins = (12, 18, 18)  # of lightness, and of green to red and blue to yellow, from -90 to 90
+    most_color = 2.0  # log odds that a colour can give
     low, high = np.array([0.0, -90.0, -90.0]), np.array([100.0, 90.0, 90.0])
     share = np.clip((color - low) / (high - low), 0, 1 - 1e-6)
-    cell = tuple((share * _BINS).astype(np.int64).T)
+    cell = tuple((share * bins).astype(np.int64).T)
     densities = []
     for rows in (own, ~own):
-        histogram = np.histogramdd(share[rows], _BINS, [(0, 1)] * 3, weights=weight[rows])[0]
+        histogram = np.histogramdd(share[rows], bins, [(0, 1)] * 3, weights=weight[rows])[0]
         smooth = gaussian_filter(histogram, 0.7)
         densities.append(smooth / max(smooth.sum(), 1e-12) + 1e-5)
-    odds: Float64[np.ndarray, " G"] = np.clip(np.log(densities[0] / densities[1]), -_MOST_COLOR, _MOST_COLOR)[cell]
+    odds: Float64[np.ndarray, " G"] = np.clip(np.log(densities[0] / densities[1]), -most_color, most_color)[cell]
     return odds
 
 
@@ -148,11 +147,12 @@ def minimum_cut(
     odds: Float64[np.ndarray, " G"], edges: Int64[np.ndarray, "E 2"], weights: Float64[np.ndarray, " E"]
 ) -> Bool[np.ndarray, " G"]:
     """The choice with the smallest sum of severed edges and of log odds against it; what is undecided is not chosen."""
+    unit = 1000  # of a capacity: the flow is in integers
     number = len(odds)
     source, sink = number, number + 1
     every = np.arange(number)
-    price = np.rint(_UNIT * weights).astype(np.int32)
-    gain = np.rint(_UNIT * odds).astype(np.int32)
+    price = np.rint(unit * weights).astype(np.int32)
+    gain = np.rint(unit * odds).astype(np.int32)
     rows = np.concatenate([edges[:, 0], edges[:, 1], np.full(number, source), every])
     columns = np.concatenate([edges[:, 1], edges[:, 0], every, np.full(number, sink)])
     capacity = np.concatenate([price, price, np.maximum(gain, 0), np.maximum(-gain, 0)])

@@ -13,24 +13,10 @@ from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.reconstruct.photo_cameras import PhotoCamera, focus_of
 
 _NEAR = 0.85  # of the cameras' distance from what they look at: farther away is background
-_IN_PICTURE = 0.5  # of the photos must hold what is the plant: floors, walls and cloths go on beyond them
-_WIDE = 0.15  # of the cameras' distance: a Gaussian so wide belongs to the background
-_FAINT = 0.05  # opacity that shows next to nothing
-_CELL = 0.02  # of the cameras' distance: what is so near to one another is one thing
 _WHOLE = 0.7  # of a thing's Gaussians must lie in most photos
 _CENTRAL = 0.5  # of half the picture: things farther from the middle count little
-_APART_CELLS = 4.0  # between the plant and a loose piece of it
-_MOST_VIEWS = 40
-_LEVEL = 0.9  # +Z part of the normal of a ground
 _IN_GROUND, _BELOW = 0.2, 0.7  # of the thickness of the ground: above it, and aside of what stands there
-_SAMPLED = 8000  # points that planes are sought in
-_TRIALS = 400
-_MOST_PLANES = 4
 THICKNESS = 0.015  # of the cameras' distance
-_LEAST_SHARE = 0.04  # of the points
-_LEAST_WIDTH = 0.3  # of the cameras' distance, in both directions
-_IN_FRONT = 0.95  # of the cameras
-_FOCUS_GAP = 0.03  # of the cameras' distance: the plane does not pass through what the cameras look at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +36,17 @@ def all_of(cloud: GaussianCloud) -> Proposal:
 
 def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     """Separate what is far, what is ground, pot or thing, and what stands in the middle of the photos."""
-    chosen = [views[row] for row in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).round().astype(int))]
+    level = 0.9  # +Z part of the normal of a ground
+    most_views = 40
+    cell = 0.02  # of the cameras' distance: what is so near to one another is one thing
+    faint = 0.05  # opacity that shows next to nothing
+    wide = 0.15  # of the cameras' distance: a Gaussian so wide belongs to the background
+    in_picture = 0.5  # of the photos must hold what is the plant: floors, walls and cloths go on beyond them
+    chosen = [views[row] for row in np.unique(np.linspace(0, len(views) - 1, most_views).round().astype(int))]
     focus, distance = focus_of(chosen)
     means = cloud.means.astype(np.float64)
     away = np.linalg.norm(means - focus, axis=1)
-    near = (away < _NEAR * distance) & (cloud.scales.max(axis=1) < _WIDE * distance) & (cloud.opacity > _FAINT)
+    near = (away < _NEAR * distance) & (cloud.scales.max(axis=1) < wide * distance) & (cloud.opacity > faint)
     background = np.zeros(cloud.num_gaussians, np.bool_)
     if not near.any():
         return Proposal(near=near, background=background, central=background)
@@ -65,18 +57,18 @@ def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     heights = [plane.above(means) for plane in planes]
     for height in heights:
         background[rows] |= height[rows] < THICKNESS * distance
-    rows = np.flatnonzero(near & ~background & (coverage >= _IN_PICTURE))
+    rows = np.flatnonzero(near & ~background & (coverage >= in_picture))
     if len(rows):
         background[rows] = find_still_gaussians(cloud.subset(rows))[1] > 0
     rows = np.flatnonzero(near & ~background)
-    inside = _inside_groups(means[rows], coverage[rows] >= _IN_PICTURE, middle[rows], cell_m=_CELL * distance)
+    inside = _inside_groups(means[rows], coverage[rows] >= in_picture, middle[rows], cell_m=cell * distance)
     background[rows] = ~inside
-    central = near & ~background & (coverage >= _IN_PICTURE)
+    central = near & ~background & (coverage >= in_picture)
     for plane, height in zip(planes, heights, strict=True):
-        if plane.normal[2] > _LEVEL:
+        if plane.normal[2] > level:
             central |= near & _feet(means, height, central, THICKNESS * distance)
     background &= ~central
-    return Proposal(near=near, background=background | (near & (coverage < _IN_PICTURE)), central=central)
+    return Proposal(near=near, background=background | (near & (coverage < in_picture)), central=central)
 
 
 def _feet(
@@ -117,6 +109,7 @@ def _inside_groups(
     cell_m: float,
 ) -> Bool[np.ndarray, " G"]:
     """Points of the things that the pictures hold whole, and of those only the most central and what is near to it."""
+    apart_cells = 4.0  # between the plant and a loose piece of it
     if len(points) == 0:
         return np.zeros(0, np.bool_)
     cells, cell, _, group_of_cell = touching_groups(points, cell_m)
@@ -132,7 +125,7 @@ def _inside_groups(
     gap = cKDTree(cells[group_of_cell == main]).query(cells)[0]
     nearest = np.full(number, np.inf)
     np.minimum.at(nearest, group_of_cell, gap)
-    chosen: Bool[np.ndarray, " G"] = (good & (nearest < _APART_CELLS))[group]
+    chosen: Bool[np.ndarray, " G"] = (good & (nearest < apart_cells))[group]
     return chosen
 
 
@@ -142,11 +135,15 @@ def wide_planes(points: Points, cameras: Points, focus: Direction, distance_m: f
     Points nearer than `THICKNESS` times the distance are on it. Planes are sought by RANSAC among the points' own
     normals, so that a crown's points, which have all normals, are no plane.
     """
+    least_share = 0.04  # of the points
+    most_planes = 4
+    trials = 400
+    sampled = 8000  # points that planes are sought in
     if len(points) <= NEIGHBOURS:
         return []
     rng = np.random.default_rng(0)
-    surface = flat_points(points[np.sort(rng.permutation(len(points))[:_SAMPLED])])
-    least, thickness = _LEAST_SHARE * len(surface.places), THICKNESS * distance_m
+    surface = flat_points(points[np.sort(rng.permutation(len(points))[:sampled])])
+    least, thickness = least_share * len(surface.places), THICKNESS * distance_m
     planes: list[Plane] = []
 
     def score(plane: Plane) -> float:
@@ -155,8 +152,8 @@ def wide_planes(points: Points, cameras: Points, focus: Direction, distance_m: f
         wide = on.sum() > least and _is_wall(surface.places[on], plane.normal, cameras, focus, distance_m)
         return float(on.sum()) if wide else 0.0
 
-    while len(planes) < _MOST_PLANES and len(surface.places):
-        best = best_plane(surface.planes(_TRIALS, rng), score, least)
+    while len(planes) < most_planes and len(surface.places):
+        best = best_plane(surface.planes(trials, rng), score, least)
         if best is None:
             break
         plane = fit_plane(surface.places[surface.on(best, thickness)])
@@ -166,10 +163,13 @@ def wide_planes(points: Points, cameras: Points, focus: Direction, distance_m: f
 
 
 def _is_wall(points: Points, normal: Direction, cameras: Points, focus: Direction, distance_m: float) -> bool:
+    focus_gap = 0.03  # of the cameras' distance: the plane does not pass through what the cameras look at
+    in_front = 0.95  # of the cameras
+    least_width = 0.3  # of the cameras' distance, in both directions
     middle = points.mean(axis=0)
-    if (focus - middle) @ normal < _FOCUS_GAP * distance_m:
+    if (focus - middle) @ normal < focus_gap * distance_m:
         return False
-    if ((cameras - middle) @ normal > 0).mean() < _IN_FRONT:
+    if ((cameras - middle) @ normal > 0).mean() < in_front:
         return False
     spread = np.sqrt(np.linalg.eigvalsh(np.cov((points - middle).T)))
-    return bool(np.sqrt(12) * spread[1] > _LEAST_WIDTH * distance_m)
+    return bool(np.sqrt(12) * spread[1] > least_width * distance_m)

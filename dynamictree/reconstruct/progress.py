@@ -13,7 +13,6 @@ from dynamictree.files import replacing
 
 STAGES = ("photos", "cameras", "depth", "splat", "mesh")
 """In order."""
-_SAVE_EVERY_S = 20.0  # of work that a killed attempt loses from the report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +68,7 @@ class StageClock:
     @contextmanager
     def stage(self, name: str) -> Iterator[StageReport]:
         """Measure a stage, and get the function that reports its progress."""
+        save_every_s = 20.0  # of work that a killed attempt loses from the report
         before = sum(self._expected_s[earlier] for earlier in STAGES[: STAGES.index(name)])
         whole = sum(self._expected_s.values())
         start, processor_start = time.perf_counter(), _processor_s()
@@ -80,7 +80,7 @@ class StageClock:
 
         def report(share: float, psnr_db: float | None = None) -> None:
             measure()
-            if time.perf_counter() - self._saved_at > _SAVE_EVERY_S:
+            if time.perf_counter() - self._saved_at > save_every_s:
                 self._save()
             self._total = max(self._total, (before + self._expected_s[name] * share) / whole)
             worked_s = sum(self.seconds.values())

@@ -35,7 +35,6 @@ from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.views import SparseModel, read_model
 from dynamictree.reconstruct.work_folder import DEPTHS, PHOTOS, SPLAT, TIMES, alone_in_work, extend_work
 
-UNKNOWN_HEIGHT_M = 1.0  # of a mesh whose scale is unknown
 _LEAST_GAUSSIANS = 50
 
 
@@ -79,6 +78,7 @@ def reconstruct(
         ReconstructionError: the photos do not fit together or show no surface.
         CameraSearchError: the program that looks for cameras failed.
     """
+    unknown_height_m = 1.0  # of a mesh whose scale is unknown
     options, callbacks = options or ReconstructOptions(), callbacks or Callbacks()
     draft = Draft(folder=folder, on_file=callbacks.on_file)
     with ExitStack() as stack:
@@ -135,7 +135,7 @@ def reconstruct(
             )
             middle = np.median(mesh.vertices, axis=0).astype(np.float64)
             ground = np.array([middle[0], middle[1], mesh.vertices[:, 2].min()])
-            result = result.moved(unit_m or UNKNOWN_HEIGHT_M / mesh.height_m, ground)
+            result = result.moved(unit_m or unknown_height_m / mesh.height_m, ground)
     result.report["seconds"] = {part: round(taken, 2) for part, taken in clock.seconds.items()}
     result.report["processor_seconds"] = {part: round(taken, 2) for part, taken in clock.processor_seconds.items()}
     result.write(folder)
@@ -191,7 +191,7 @@ def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, 
 
 
 def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Report:
-    """The report in the stage's frame."""
+    """The report in the stage's frame, without times and without what `Reconstruction.write` adds."""
     model, figures = scene.model, fit.figures
     cameras = {view.source: view.camera for view in model.views}
     circle = camera_circle(cameras)
@@ -206,8 +206,13 @@ def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Rep
         ground_found=scene.ground_found,
         scale="marker" if metres_per_unit(model.markers) else "unknown",
         markers=[MarkerReport(number=one.number, edge_m=one.edge, num_photos=one.num_photos) for one in model.markers],
+        height_m=0.0,
         radius_m=1.0,
         mesh_by=mesh_by,
+        num_vertices=0,
+        num_faces=0,
+        num_gaussians=0,
+        num_gaussians_scene=0,
         camera_azimuths_deg=dict(zip(circle.photos, circle.azimuths_deg.round(1).tolist(), strict=True)),
         largest_gap_deg=round(circle.largest_gap_deg, 1),
         beside_largest_gap=list(circle.beside_gap),
@@ -215,6 +220,8 @@ def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Rep
             *coverage_warnings(circle, len(cameras), len(photos)),
             *quality_warnings(figures["held_out_psnr_db"], figures["held_out_blank_psnr_db"]),
         ],
+        seconds={},
+        processor_seconds={},
         plant_psnr_db=None,
         without_plant_psnr_db=None,
         plant_blank_psnr_db=None,

@@ -20,8 +20,6 @@ from dynamictree.reconstruct.plant_cut import faint_floaters, plant_of
 from dynamictree.reconstruct.report import PlantQuality, plant_quality, write_report_picture
 from dynamictree.reconstruct.result import Reconstruction
 
-_LEAST_GAUSSIANS = 50
-
 
 def recut(
     source: Path, target: Path, choice: CutParams, *, on_progress: Callable[[float], None] = lambda share: None
@@ -129,8 +127,9 @@ def _scale(finished: Reconstruction, choice: CutParams) -> tuple[float, str]:
 
 
 def _require_plant(own: Bool[np.ndarray, " G"]) -> None:
-    if own.sum() < _LEAST_GAUSSIANS:
-        raise InputError(f"{int(own.sum())} Gaussians of a plant are in the cut; at least {_LEAST_GAUSSIANS} must be")
+    least_gaussians = 50
+    if own.sum() < least_gaussians:
+        raise InputError(f"{int(own.sum())} Gaussians of a plant are in the cut; at least {least_gaussians} must be")
 
 
 def pack(folder: Path, archive: Path) -> None:

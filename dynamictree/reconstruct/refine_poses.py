@@ -12,11 +12,6 @@ ENOUGH_PX = 0.5
 ENOUGH_POINTS = 50
 """That a photo sees, for its pose to be adjusted: the few of a thin plant before a plain background are often wrong."""
 
-_MAX_ROUNDS = 8
-_PRIOR_SHARE = 0.1  # of the cameras' spread, standard deviation of a given position: weak, photos decide
-_LEAST_GAIN = 0.95  # of the error, or the last round was the last
-
-_SLACK = 4.0  # times COLMAP's thresholds of points, at first: by strict ones, a photo far off keeps next to none
 
 Triangulate = Callable[[pycolmap.Reconstruction, float], pycolmap.Reconstruction]
 
@@ -48,15 +43,18 @@ def _best(
     lenses: bool,
 ) -> pycolmap.Reconstruction:
     """Adjust and match in turn until the error stays."""
+    slack = 4.0  # times COLMAP's thresholds of points, at first: by strict ones, a photo far off keeps next to none
+    least_gain = 0.95  # of the error, or the last round was the last
+    max_rounds = 8
     error_px = model.compute_mean_reprojection_error()
-    start = triangulate(pycolmap.Reconstruction(model), _SLACK)
-    for _ in range(_MAX_ROUNDS):
+    start = triangulate(pycolmap.Reconstruction(model), slack)
+    for _ in range(max_rounds):
         if not _well_seen(start):
             break
         adjusted = triangulate(_adjusted(start, positions, lenses=lenses), 1.0)
         adjusted_px = adjusted.compute_mean_reprojection_error()
         gained = adjusted.compute_num_observations() > model.compute_num_observations()
-        if adjusted_px > _LEAST_GAIN * error_px and not gained:
+        if adjusted_px > least_gain * error_px and not gained:
             break
         model = start = adjusted
         error_px = adjusted_px
@@ -71,11 +69,12 @@ def _well_seen(model: pycolmap.Reconstruction) -> set[int]:
 def _adjusted(
     model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], *, lenses: bool
 ) -> pycolmap.Reconstruction:
+    prior_share = 0.1  # of the cameras' spread, standard deviation of a given position: weak, photos decide
     model = pycolmap.Reconstruction(model)
     config = pycolmap.BundleAdjustmentConfig()
     priors = []
     places = np.array(list(positions.values()))
-    deviation = _PRIOR_SHARE * float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
+    deviation = prior_share * float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
     adjustable = _well_seen(model)
     for image in model.images.values():
         config.add_image(image.image_id)

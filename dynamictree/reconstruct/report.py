@@ -20,8 +20,6 @@ from dynamictree.render import Camera, Look, Renderer, write_png
 LEAST_GAIN_DB = 3.0
 """Above a picture of one colour, or the splat shows nothing: half of the variance that a plain colour leaves."""
 _REPORT_SIDE_PX = 640
-_MOST_ROWS = 6  # held-out photos of 50 photos; a picture of 37 rows is looked at by nobody
-_PLANT_SIDE_PX = 320
 _INSIDE = 0.5  # alpha
 
 
@@ -38,7 +36,8 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
 
 def photos_to_compare(held_out: Sequence[str]) -> list[str]:
     """The held-out photos that `report.png` shows, evenly chosen."""
-    rows = np.linspace(0, len(held_out) - 1, min(len(held_out), _MOST_ROWS)).round().astype(int)
+    most_rows = 6  # held-out photos of 50 photos; a picture of 37 rows is looked at by nobody
+    rows = np.linspace(0, len(held_out) - 1, min(len(held_out), most_rows)).round().astype(int)
     return [held_out[row] for row in rows]
 
 
@@ -73,10 +72,11 @@ class PlantQuality(NamedTuple):
 
 def plant_quality(result: Reconstruction, folder: Path) -> PlantQuality | None:
     """Compare held-out photos with the scene where the plant is seen; None where no photo has a preview."""
+    plant_side_px = 320
     previews, scene, plant = read_photo_previews(folder), result.scene, result.own
     cameras = {one.photo: one.camera for one in result.cameras}
     names = [name for name in photos_to_compare(result.report["held_out"]) if name in previews]
-    photos = [(cameras[name], shrunk(previews[name], _PLANT_SIDE_PX)) for name in names]
+    photos = [(cameras[name], shrunk(previews[name], plant_side_px)) for name in names]
     values = []
     for camera, photo in photos:
         height, width = photo.shape[:2]

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NotRequired, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
@@ -41,7 +41,7 @@ class SplatFigures(TypedDict):
 
 
 class Report(SplatFigures):
-    """Contents of `report.json`; `Reconstruction.write` adds sizes, and the end of the work its times."""
+    """Contents of `report.json`."""
 
     num_photos: int
     num_registered: int
@@ -52,19 +52,19 @@ class Report(SplatFigures):
     ground_found: bool
     scale: str  # `given`, `marker` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
     markers: list[MarkerReport]  # found in at least three photos, those in most photos first
-    height_m: NotRequired[float]
+    height_m: float
     radius_m: float  # of the region that the photos look at
     mesh_by: str  # `stereo` or `splat`: made from depth maps or from the splat's opacity
-    num_vertices: NotRequired[int]
-    num_faces: NotRequired[int]
-    num_gaussians: NotRequired[int]  # of the tree
-    num_gaussians_scene: NotRequired[int]
+    num_vertices: int
+    num_faces: int
+    num_gaussians: int  # of the tree
+    num_gaussians_scene: int
     camera_azimuths_deg: dict[str, float]  # seen from above, counter-clockwise, in that order; by photo
     largest_gap_deg: float  # between neighbouring cameras around the plant
     beside_largest_gap: list[str]  # the two photos at its ends
     warnings: list[str]  # what makes the result doubtful, and what to do
-    seconds: NotRequired[dict[str, float]]  # by stage
-    processor_seconds: NotRequired[dict[str, float]]  # by stage, of all cores
+    seconds: dict[str, float]  # by stage
+    processor_seconds: dict[str, float]  # by stage, of all cores
     plant_psnr_db: float | None  # of held-out photos where the plant is seen; None unless it was cut out
     without_plant_psnr_db: float | None  # the same of the scene without the plant
     plant_blank_psnr_db: float | None  # and of one colour

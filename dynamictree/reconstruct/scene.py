@@ -15,9 +15,6 @@ from dynamictree.reconstruct.views import SparseModel
 
 LEAST_FACES = 200  # of a surface
 GAP = 0.06  # of the region's radius: pieces nearer to one another belong together
-_COARSE_VOXELS = 128  # along the longest side
-_GROUND_CUT = 0.02  # of the region's radius: lower parts count as ground
-_BOX_MARGIN = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,12 +50,13 @@ def find_scene(
         on_model: gets the model in the stage's frame before the views are matched.
         on_progress: gets the share that is done; what it raises passes through.
     """
+    ground_cut = 0.02  # of the region's radius: lower parts count as ground
     cut_out = all(view.alpha is not None for view in model.views)
     stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
     on_model(model)
     matched = _evenly_chosen(model, max_views)
-    cut = _GROUND_CUT if stage.ground_found else -np.inf
+    cut = ground_cut if stage.ground_found else -np.inf
     if saved is not None and saved.exists():
         coarse, fine, box = load_depths(matched, saved)
     else:
@@ -85,16 +83,18 @@ def _depths(
     matched: SparseModel, cut: float, on_progress: Callable[[float], None]
 ) -> tuple[DepthMaps, DepthMaps | None, Box]:
     """Coarse and fine depths and the subject's box; with masks no fine ones, stereo would leave out parts of it."""
+    box_margin = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
+    coarse_voxels = 128  # along the longest side
     coarse, matches = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
     cut_out = all(view.alpha is not None for view in matched.views)
     region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
     if cut_out:
         return coarse, None, region
-    subject = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), GAP)
+    subject = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=coarse_voxels), cut), GAP)
     if len(subject.faces) < LEAST_FACES:
         return coarse, None, region
     box = Box(low=subject.vertices.min(axis=0).astype(np.float64), high=subject.vertices.max(axis=0).astype(np.float64))
-    box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
+    box = box.padded(box_margin * float((box.high - box.low).max()))
     return coarse, fine_depths(matched, matches, box, lambda done, total: on_progress(0.5 + 0.5 * done / total)), box
 
 

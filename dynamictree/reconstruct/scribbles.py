@@ -13,11 +13,6 @@ from dynamictree.gaussian.visibility import weights_at
 from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.photo_cameras import PhotoCamera, camera_of_photo
 
-_SIDE_PX = 480  # of the picture that strokes are drawn on
-_CLICK_PX = 1  # to each side of a stroke of one point
-_MOST_PIXELS = 1000  # of a stroke, evenly along it: each costs a look at every Gaussian
-_LEAST_WEIGHT = 0.15  # of a pixel: a Gaussian with less is not what was meant
-
 
 def marked(
     cloud: GaussianCloud,
@@ -33,17 +28,19 @@ def marked(
     Raises:
         InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
     """
+    least_weight = 0.15  # of a pixel: a Gaussian with less is not what was meant
+    side_px = 480  # of the picture that strokes are drawn on
     weights = {True: np.zeros(cloud.num_gaussians, np.float32), False: np.zeros(cloud.num_gaussians, np.float32)}
     for done, scribble in enumerate(scribbles):
         on_stroke(done)
-        view = camera_of_photo(views, scribble.photo).reduced(_SIDE_PX)
+        view = camera_of_photo(views, scribble.photo).reduced(side_px)
         pixels = _pixels(scribble, view.width, view.height)
         under = weights_at(cloud, view.camera, pixels, width=view.width, height=view.height)
         weights[scribble.plant] = np.maximum(weights[scribble.plant], under)
     plant, other = weights[True], weights[False]
     result = np.zeros(cloud.num_gaussians, np.int8)
-    result[(plant >= _LEAST_WEIGHT) & (plant >= other)] = 1
-    result[(other >= _LEAST_WEIGHT) & (other > plant)] = -1
+    result[(plant >= least_weight) & (plant >= other)] = 1
+    result[(other >= least_weight) & (other > plant)] = -1
     if any(scribble.plant for scribble in scribbles) and not (result > 0).any():
         raise InputError("nothing is seen under the strokes of the plant; draw them where scene.ply shows it")
     return result
@@ -51,12 +48,14 @@ def marked(
 
 def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P 2"]:
     """Column and row of the pixels of a stroke, each once; of a long one some of them."""
+    most_pixels = 1000  # of a stroke, evenly along it: each costs a look at every Gaussian
+    click_px = 1  # to each side of a stroke of one point
     at = [(min(int(y * height), height - 1), min(int(x * width), width - 1)) for x, y in scribble.points]
     if len(at) == 1:
-        (row, column), reach = at[0], np.arange(-_CLICK_PX, _CLICK_PX + 1)
+        (row, column), reach = at[0], np.arange(-click_px, click_px + 1)
         rows, columns = (one.ravel() for one in np.meshgrid(row + reach, column + reach))
     else:
         segments = [line(*first, *last) for first, last in pairwise(at)]  # type: ignore[no-untyped-call]
         rows, columns = (np.concatenate(one) for one in zip(*segments, strict=True))
     pixels: Int64[np.ndarray, "P 2"] = np.unique(np.stack([columns, rows], axis=1), axis=0).astype(np.int64)
-    return pixels[:: -(-len(pixels) // _MOST_PIXELS)]
+    return pixels[:: -(-len(pixels) // most_pixels)]

@@ -18,18 +18,10 @@ from dynamictree.reconstruct.visual_hull import textured_mask
 Mask = Bool[np.ndarray, "H W"]
 Picture = Float32[np.ndarray, "H W 3"]
 
-_LEAST_PIECE = 0.01  # of a photo, plain and at its rim
 _LEAST_SKY = 0.04  # of a photo, in half of those that look up: a window or a lamp is no sky
 _HORIZON = -0.1  # sine of an elevation: eyes are above low hedges, and up is found within some degrees
-_LEAST_BLUE = 0.9  # of red and of green: sky is blue, grey or white
-_BRIGHTER = 1.1  # than the median of what is not plain sky
-_UNLIKE = 0.3  # distance of colours in [0, 1]³: what differs so much from the sky is none
 _LEAST_CONTRAST = 0.15  # between sky and plant: with less they cannot be separated
-_NOISE = 0.15  # of a cover, nearer to 0 or 1
-_RIM = 4 / 320  # of the longer side: so near to trees and roofs sky looks textured
 _REACH = 1 / 16  # of the longer side, standard deviation of the window in which colours are averaged
-_COARSER = 4  # pixels, for those means
-_FAR_WEIGHT = 1e-4  # of pixels all over the photo, against those near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +60,9 @@ def _elevation(view: View) -> Float32[np.ndarray, "H W"]:
 
 def _plain_sky(view: View, elevation: Float32[np.ndarray, "H W"], depth: Float32[np.ndarray, "h w"]) -> Mask:
     """Large bright pieces at the rim without texture and depth."""
+    brighter = 1.1  # than the median of what is not plain sky
+    least_blue = 0.9  # of red and of green: sky is blue, grey or white
+    least_piece = 0.01  # of a photo, plain and at its rim
     measured = np.asarray(Image.fromarray(depth > 0).resize(elevation.shape[::-1], Image.Resampling.NEAREST))
     piece, number = label((elevation > _HORIZON) & (textured_mask(view.image) == 0) & ~measured)
     if number == 0:
@@ -76,39 +71,44 @@ def _plain_sky(view: View, elevation: Float32[np.ndarray, "H W"], depth: Float32
     total = [np.bincount(piece.ravel(), view.image[..., channel].ravel(), number + 1) for channel in range(3)]
     color = np.stack(total, axis=1) / np.maximum(size, 1)[:, None]
     sky = np.isin(np.arange(number + 1), np.concatenate([piece[0], piece[:, 0], piece[:, -1]]))
-    sky &= (size >= _LEAST_PIECE * piece.size) & (color[:, 2] >= _LEAST_BLUE * color[:, :2].max(axis=1))
+    sky &= (size >= least_piece * piece.size) & (color[:, 2] >= least_blue * color[:, :2].max(axis=1))
     sky &= np.bincount(piece.ravel(), elevation.ravel(), number + 1) > 0
     sky[0] = False
     rest = ~sky[piece]
     if rest.any():
-        sky &= color.mean(axis=1) > _BRIGHTER * np.median(view.image.mean(axis=2)[rest])
+        sky &= color.mean(axis=1) > brighter * np.median(view.image.mean(axis=2)[rest])
     return np.asarray(sky[piece])
 
 
 def _foreground(view: View, elevation: Float32[np.ndarray, "H W"], sky: Mask) -> Foreground:
+    rim = 4 / 320  # of the longer side: so near to trees and roofs sky looks textured
+    noise = 0.15  # of a cover, nearer to 0 or 1
+    unlike = 0.3  # distance of colours in [0, 1]³: what differs so much from the sky is none
     photo = view.image.astype(np.float32) / 255
     if not sky.any():
         return Foreground(cover=np.ones(sky.shape, np.float32), color=photo)
     sky_color = _mean_nearby(photo, sky)
-    own_color = _mean_nearby(photo, ~sky & (np.linalg.norm(photo - sky_color, axis=2) > _UNLIKE))
+    own_color = _mean_nearby(photo, ~sky & (np.linalg.norm(photo - sky_color, axis=2) > unlike))
     way = own_color - sky_color
     length2 = (way**2).sum(axis=2)
     place = ((photo - sky_color) * way).sum(axis=2) / np.maximum(length2, 1e-6)
-    cover = np.clip((place - _NOISE) / (1 - 2 * _NOISE), 0, 1)
-    lowest = elevation[binary_dilation(sky, iterations=max(4, round(_RIM * max(sky.shape))))].min()
+    cover = np.clip((place - noise) / (1 - 2 * noise), 0, 1)
+    lowest = elevation[binary_dilation(sky, iterations=max(4, round(rim * max(sky.shape))))].min()
     cover = np.where((elevation >= lowest) & (length2 > _LEAST_CONTRAST**2), cover, 1)
     cover = np.where(sky, 0, cover).astype(np.float32)
     share = np.where(cover < 1, np.clip(place, 0, 1), 1)[..., None]
-    color = np.where(share > _NOISE, (photo - (1 - share) * sky_color) / np.maximum(share, _NOISE), own_color)
+    color = np.where(share > noise, (photo - (1 - share) * sky_color) / np.maximum(share, noise), own_color)
     return Foreground(cover=cover, color=np.clip(color, 0, 1).astype(np.float32))
 
 
 def _mean_nearby(photo: Picture, chosen: Mask) -> Picture:
     """Mean colour of the chosen pixels around each pixel; where none is near, of all of them."""
+    far_weight = 1e-4  # of pixels all over the photo, against those near
+    coarser = 4  # pixels, for those means
     weight = chosen.astype(np.float32)
     height, width = chosen.shape
-    size = max(1, width // _COARSER), max(1, height // _COARSER)
+    size = max(1, width // coarser), max(1, height // coarser)
     sums = [resized(plane, size) for plane in (weight, *np.moveaxis(photo * weight[..., None], 2, 0))]
-    near = [gaussian_filter(plane, _REACH * max(size)) + np.float32(_FAR_WEIGHT * plane.mean()) for plane in sums]
+    near = [gaussian_filter(plane, _REACH * max(size)) + np.float32(far_weight * plane.mean()) for plane in sums]
     means = [plane / np.maximum(near[0], np.float32(1e-12)) for plane in near[1:]]
     return np.stack([resized(mean, (width, height), Image.Resampling.BILINEAR) for mean in means], axis=2)

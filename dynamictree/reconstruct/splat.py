@@ -28,10 +28,7 @@ from dynamictree.reconstruct.splat_start import first_table, sky_table
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.views import SparseModel, View, nearest_pixels
 
-START_GAUSSIANS = 25_000
 _INSIDE = 0.5  # alpha
-_ONE_IN = 8  # photos is held out, and two at least
-_SAVE_EVERY_S, _REPORT_EVERY_S = 20.0, 0.25
 
 
 class SplatFit(NamedTuple):
@@ -43,7 +40,8 @@ class SplatFit(NamedTuple):
 
 def held_out_views(number: int) -> list[int]:
     """Every eighth of the photos and at least two, spread over the walk, neither the first nor the last."""
-    count = max(2, number // _ONE_IN)
+    one_in = 8  # photos is held out, and two at least
+    count = max(2, number // one_in)
     return [int((place + 0.5) * number / count) for place in range(count)]
 
 
@@ -66,13 +64,15 @@ def fit_splat(
         saved: a file for the state, every 20 s and when `on_state` raises; the run continues from it if it exists.
         on_state: gets the state every quarter of a second; what it raises passes through.
     """
+    save_every_s, report_every_s = 20.0, 0.25
+    start_gaussians = 25_000
     held_out_rows = held_out_views(len(model.views))
     learned = [view for view in range(len(model.views)) if view not in held_out_rows]
     table = first_table(
         _some_views(model, learned),
         None if depths is None else _some_depths(depths, learned),
         sky=None if sky is None else [sky[view] for view in learned],
-        number=min(START_GAUSSIANS, schedule.rules.max_gaussians // 2),
+        number=min(start_gaussians, schedule.rules.max_gaussians // 2),
         sh_degree=schedule.sh_degree,
         rng=np.random.default_rng(0),
     )
@@ -82,10 +82,10 @@ def fit_splat(
     def on_step(state: SplatState) -> None:
         nonlocal saved_at, reported_at
         now = time.monotonic()
-        if saved is not None and now - saved_at > _SAVE_EVERY_S:
+        if saved is not None and now - saved_at > save_every_s:
             state.save(saved)
             saved_at = now
-        if now - reported_at > _REPORT_EVERY_S:
+        if now - reported_at > report_every_s:
             reported_at = now
             try:
                 on_state(state)

@@ -13,11 +13,7 @@ from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.reconstruct.visual_hull import hull_points, texture_points
 
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
-_CROWN_SHARE = 0.4  # of the other points: in a thin crown there are none of them
-_WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
-_SKY_POINTS, _SKY_WIDTH = 12_000, 1.5  # on a whole sphere; of the dome's Gaussians
-_SKY_DISTANCE, _BESIDE_SKY = 100.0, 0.15  # of the region's radius; of that distance, how far it goes on unseen
 _LEAST_SOLID, _LEAST_SKY = 0.8, 0.02  # of the photos that see a place of the dome
 _COVERED = 0.9  # of a pixel whose colour counts
 _GOLDEN = np.pi * (3 - np.sqrt(5))
@@ -37,6 +33,7 @@ def first_table(
 
     The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
     """
+    crown_share = 0.4  # of the other points: in a thin crown there are none of them
     covers = None if sky is None else [view.cover for view in sky]
     points, colors = model.points, model.colors / np.float32(255)
     if depths is not None:
@@ -48,7 +45,7 @@ def first_table(
     points, colors = points[rows].astype(np.float32), colors[rows].astype(np.float32)
     whole = all(view.alpha is None for view in model.views)
     if whole:
-        crown, crown_colors = texture_points(model.views, round(_CROWN_SHARE * number), rng, covers)
+        crown, crown_colors = texture_points(model.views, round(crown_share * number), rng, covers)
         points = np.concatenate([points, crown.astype(np.float32)])
         colors = np.concatenate([colors, crown_colors])
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
@@ -61,12 +58,14 @@ def first_table(
 
 def sky_table(views: Sequence[View], sky: Sequence[Foreground], sh_degree: int) -> Float32[np.ndarray, "S P"]:
     """Opaque Gaussians behind all else, where photos show sky and a little beyond; they are not learned."""
-    points, colors, share = dome_points(views, [1 - view.cover for view in sky], _SKY_POINTS, _SKY_DISTANCE)
+    sky_distance, beside_sky = 100.0, 0.15  # of the region's radius; of that distance, how far it goes on unseen
+    sky_points, sky_width = 12_000, 1.5  # on a whole sphere; of the dome's Gaussians
+    points, colors, share = dome_points(views, [1 - view.cover for view in sky], sky_points, sky_distance)
     clear = np.flatnonzero(share >= _LEAST_SKY)
     away, nearest = (np.asarray(part) for part in cKDTree(points[clear]).query(points))
-    beside = away < _BESIDE_SKY * _SKY_DISTANCE
-    width = _SKY_WIDTH * _SKY_DISTANCE / _DOME_DISTANCE
-    return _dome_table(points[beside], colors[clear[nearest[beside]]], width, _SKY_POINTS, sh_degree)
+    beside = away < beside_sky * sky_distance
+    width = sky_width * sky_distance / _DOME_DISTANCE
+    return _dome_table(points[beside], colors[clear[nearest[beside]]], width, sky_points, sh_degree)
 
 
 def _dome_table(
@@ -112,8 +111,9 @@ def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Gene
 
 def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Mean distance to the nearest three others, as Kerbl et al. begin; of lonely ones not more than the widest."""
+    widest_share = 0.1  # of the cameras' distance, for a point far from all others
     distance = np.asarray(cKDTree(points).query(points, k=4)[0])[:, 1:].mean(axis=1)
-    limited: Float32[np.ndarray, " G"] = np.clip(distance / 2, 1e-5, _WIDEST_SHARE).astype(np.float32)
+    limited: Float32[np.ndarray, " G"] = np.clip(distance / 2, 1e-5, widest_share).astype(np.float32)
     return limited
 
 

@@ -9,14 +9,8 @@ from dynamictree.planes import Plane, best_plane, fit_plane, planes_of_triples, 
 from dynamictree.reconstruct.photo_cameras import nearest_to_axes
 from dynamictree.reconstruct.views import SparseModel
 
-_TRIALS = 400
-_GROUND_SHARE = 0.08  # of the points near the subject must lie on a plane that is called ground
-_GROUND_THICKNESS = 0.02  # of the region's radius
 _LEAST_UP = 0.4  # cosine between the ground's normal and up, where the cameras' cues for up disagree
 _AGREE_DEG = 5.0  # between cues for up; and between the ground's normal and cues that agree
-_CLEAR_GROUND_SHARE, _CLEAR_GROUND_DEG = 0.3, 15.0  # a plane of that many points may lean more: a slope
-_LEAST_TURN = 0.1  # of the photos' right axes that must point aside, or the cameras do not tell what is level
-_FLAT_ORBIT = 0.25  # height of the cameras' path over its width
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +37,7 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
     Where two cues of the cameras agree on up, a plane that leans away from it is no ground, unless most points lie on
     it. With `ground=False` none is searched: masks leave it out.
     """
+    ground_thickness = 0.02  # of the region's radius
     positions = np.array([view.camera.position_m for view in model.views])
     forward = np.array([view.camera.world_to_camera[2] for view in model.views])
     up, cues_agree = camera_up(positions, np.array([view.camera.world_to_camera for view in model.views]))
@@ -53,7 +48,7 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
     near = model.points[np.linalg.norm(model.points - focus, axis=1) < 1.5 * radius]
     plane = None
     if ground:
-        plane = _ground_plane(near, positions, up, _GROUND_THICKNESS * radius, rng, cues_agree=cues_agree)
+        plane = _ground_plane(near, positions, up, ground_thickness * radius, rng, cues_agree=cues_agree)
     if plane is None:
         lowest = np.percentile((near - focus) @ up, 1) if len(near) else -radius
         return Stage(up=up, origin=focus + lowest * up, radius=radius, ground_found=False)
@@ -69,14 +64,16 @@ def camera_up(
     Photographers hold the camera level, so its right axis is horizontal whatever the pitch: up is the direction that
     right axes have least of.
     """
+    flat_orbit = 0.25  # height of the cameras' path over its width
+    least_turn = 0.1  # of the photos' right axes that must point aside, or the cameras do not tell what is level
     mean_up = -rotations[:, 1].sum(axis=0)
     mean_up /= np.linalg.norm(mean_up)
     cues = [mean_up]
     _, spreads, axes = np.linalg.svd(rotations[:, 0], full_matrices=False)
-    if spreads[1] ** 2 > _LEAST_TURN * len(positions):
+    if spreads[1] ** 2 > least_turn * len(positions):
         cues.insert(0, axes[2] * np.sign(axes[2] @ mean_up))
     _, widths, axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)
-    if widths[2] < _FLAT_ORBIT * widths[1]:
+    if widths[2] < flat_orbit * widths[1]:
         cues.append(axes[2] * np.sign(axes[2] @ mean_up))
     agreeing = [sum(first @ second > np.cos(np.radians(_AGREE_DEG)) for second in cues) for first in cues]
     best = int(np.argmax(agreeing))
@@ -93,9 +90,12 @@ def _ground_plane(
     cues_agree: bool,
 ) -> tuple[Float64[np.ndarray, "3"], float] | None:
     """Normal and offset of the plane with most points on it, few below, and all cameras above (RANSAC)."""
+    clear_ground_share, clear_ground_deg = 0.3, 15.0  # a plane of that many points may lean more: a slope
+    ground_share = 0.08  # of the points near the subject must lie on a plane that is called ground
+    trials = 400
     if len(points) < 50:
         return None
-    least_up = np.cos(np.radians(_CLEAR_GROUND_DEG)) if cues_agree else _LEAST_UP
+    least_up = np.cos(np.radians(clear_ground_deg)) if cues_agree else _LEAST_UP
 
     def score(plane: Plane) -> float:
         plane = plane.facing(up)
@@ -103,9 +103,9 @@ def _ground_plane(
             return -np.inf
         own = support(plane.above(points), thickness)
         leans = cues_agree and plane.normal @ up < np.cos(np.radians(_AGREE_DEG))
-        return -np.inf if leans and own < _CLEAR_GROUND_SHARE * len(points) else own
+        return -np.inf if leans and own < clear_ground_share * len(points) else own
 
-    best = best_plane(planes_of_triples(points, _TRIALS, rng), score, _GROUND_SHARE * len(points))
+    best = best_plane(planes_of_triples(points, trials, rng), score, ground_share * len(points))
     if best is None:
         return None
     ground = fit_plane(points[np.abs(best.above(points)) < thickness]).facing(up)

@@ -11,16 +11,12 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
 from dynamictree.parallel import compiled, in_bands
 
-_NUM_NEIGHBOURS = 4
 _PATCH_REACH, _PATCH_STEP = 4, 2  # pixels: 25 samples in a square of 9
 _PATCH_SIDE = 2 * _PATCH_REACH // _PATCH_STEP + 1
 _TRIALS = 8  # a pixel and sweep: four neighbours, four changes
 _FLAT = np.float32(1e-5)  # variance of grey below which nothing can be compared
 _HALF = np.float32(0.5)
 _GREY_FALLOFF = 0.08  # of the weight of samples unlike the centre: keeps patches on one side of an edge
-_STEEPEST = 3.0  # tangent of the angle between a surface and the picture
-_ANGLES_DEG = (4.0, 12.0, 35.0)  # between rays to a point: least, best, most
-_MAX_COST = 0.55  # 1 − correlation
 _REPROJECTION_PX, _DEPTH_SHARE = 1.5, 0.012  # how well two views must agree
 
 
@@ -66,11 +62,12 @@ def match_view(
 
     `bounds` are the least and the greatest depth of surfaces [units of the cameras].
     """
+    steepest = 3.0  # tangent of the angle between a surface and the picture
     greys = np.zeros((len(neighbours), *np.max([view.grey.shape for view in neighbours], axis=0)), np.float32)
     for row, view in enumerate(neighbours):
         greys[row, : view.grey.shape[0], : view.grey.shape[1]] = view.grey
     focal_px = 1 / np.linalg.norm(reference.to_ray[:, 0])
-    limits = [1 / bounds[1], 1 / bounds[0], _STEEPEST / focal_px]
+    limits = [1 / bounds[1], 1 / bounds[0], steepest / focal_px]
     matching = _Matching(
         grey=reference.grey,
         greys=greys,
@@ -93,11 +90,13 @@ def neighbours_of(
     positions: Float64[np.ndarray, "V 3"], points: Float64[np.ndarray, "P 3"], seen: Int64[np.ndarray, "M 2"]
 ) -> list[list[int]]:
     """For each view the others that see the same points at a good angle, best first."""
+    angles_deg = (4.0, 12.0, 35.0)  # between rays to a point: least, best, most
+    num_neighbours = 4
     visible = np.zeros((len(positions), len(points)), bool)
     visible[seen[:, 0], seen[:, 1]] = True
     rays = points[None] - positions[:, None]  # [V, P, 3]
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    low, best, high = np.radians(_ANGLES_DEG)
+    low, best, high = np.radians(angles_deg)
     chosen = []
     for view in range(len(positions)):
         both = visible & visible[view]
@@ -106,7 +105,7 @@ def neighbours_of(
         score = (good * both).sum(axis=1)
         score[view] = 0
         order = np.argsort(-score, kind="stable")
-        chosen.append([int(other) for other in order[:_NUM_NEIGHBOURS] if score[other] > 0])
+        chosen.append([int(other) for other in order[:num_neighbours] if score[other] > 0])
     return chosen
 
 
@@ -114,6 +113,7 @@ def agreed_depths(
     views: list[StereoView], hypotheses: list[Hypotheses], neighbours: list[list[int]], *, min_agreeing: int
 ) -> list[Float32[np.ndarray, "H W"]]:
     """Depth maps [units of the cameras] that hold only what enough neighbours confirm; 0 elsewhere."""
+    max_cost = 0.55  # 1 − correlation
     depths = []
     for view, others in enumerate(neighbours):
         votes = np.zeros(hypotheses[view].inverse.shape, np.int32)
@@ -125,7 +125,7 @@ def agreed_depths(
                 (hypotheses[other].inverse, views[other]),
                 votes,
             )
-        sure = (votes >= min_agreeing) & (hypotheses[view].cost < _MAX_COST)
+        sure = (votes >= min_agreeing) & (hypotheses[view].cost < max_cost)
         depths.append(np.where(sure, 1 / hypotheses[view].inverse, 0).astype(np.float32))
     return depths
 

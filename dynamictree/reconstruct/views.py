@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from PIL import Image
 
 from dynamictree.reconstruct.markers import Marker
@@ -30,7 +30,7 @@ class View:
         return PhotoCamera(photo=self.source, camera=self.camera, width=width, height=height)
 
     def pixels_of(
-        self, points: Float64[np.ndarray, "P 3"]
+        self, points: Float[np.ndarray, "P 3"]
     ) -> tuple[tuple[Int64[np.ndarray, " P"], Int64[np.ndarray, " P"]], Bool[np.ndarray, " P"]]:
         """Row and column of points in the picture, and whether they are in it; 0 for those that are not."""
         height, width = self.image.shape[:2]

@@ -12,16 +12,9 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.reconstruct.views import View
 
 _COVERED = 32  # of 255, the alpha of what counts as masked: a twig narrower than a pixel covers part of it only
-_DILATION_PX = 2  # of the masks: a stem one pixel wide is lost to cameras that are off by a pixel
 _FARTHEST_PX = 255  # that a distance from a mask is known to
-_MAX_DISAGREEING = 1 / 8  # of the photos that see a place: one bad mask must not cut a hole into the plant
-_LEAST_SEEN = 1 / 2  # of the photos
 _REGION = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 2.0]])  # of the stage
-_FIRST_CELL, _FINEST_CELL_PX, _MOST_CELLS = 1 / 8, 1.5, 50_000
-_CANDIDATES = 8  # random places per wanted point
-_WINDOW_SHARE = 1 / 320  # of the longer side, standard deviation of the window in which contrast is measured
 _LEAST_CONTRAST = 8.0  # of 255: sky in JPEG has 1 to 3, leaves before it 20 and more
-_LOW, _HIGH, _RADIUS = 0.02, 2.0, 1.0  # of the stage's region, in whose middle the plant stands
 
 
 class _Mask(NamedTuple):
@@ -59,11 +52,12 @@ def points_in_masks(
     masked: list[View], number: int, rng: np.random.Generator
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
     """As `hull_points`, of photos that all have masks; no points where the masks agree on no place."""
+    candidates = 8  # random places per wanted point
     masks = [_mask(view) for view in masked]
     centres, half = _refined(masks, number)
     if len(centres) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.float32)
-    chosen = centres[rng.integers(len(centres), size=_CANDIDATES * number)]
+    chosen = centres[rng.integers(len(centres), size=candidates * number)]
     points = chosen + rng.uniform(-half, half, (len(chosen), 3))
     points = points[_agreed(masks, points)]
     exact = np.all([_inside(mask, points) for mask in masks], axis=0)
@@ -89,30 +83,34 @@ def _mask(view: View) -> _Mask:
 
 def _refined(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"], float]:
     """Centres and half the side of the cells that may hold the subject, halved until they are a pixel wide."""
-    half = 0.5 * _FIRST_CELL
-    sides = [np.arange(low + half, high, _FIRST_CELL) for low, high in _REGION.T]
+    first_cell, finest_cell_px, most_cells = 1 / 8, 1.5, 50_000
+    half = 0.5 * first_cell
+    sides = [np.arange(low + half, high, first_cell) for low, high in _REGION.T]
     cells = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     while True:
         cells = cells[_agreed(masks, cells, half)]
-        if len(cells) == 0 or len(cells) >= max(number, _MOST_CELLS):
+        if len(cells) == 0 or len(cells) >= max(number, most_cells):
             return cells, half
         middle = cells.mean(axis=0)
         cameras = [(mask.view.camera, len(mask.away_px)) for mask in masks]
         per_px = [np.linalg.norm(camera.position_m - middle) / (camera.focal * height) for camera, height in cameras]
-        if 2 * half <= _FINEST_CELL_PX * np.median(per_px):
+        if 2 * half <= finest_cell_px * np.median(per_px):
             return cells, half
         cells, half = (cells[:, None] + half * corners).reshape(-1, 3), 0.5 * half
 
 
 def _agreed(masks: list[_Mask], centres: Float64[np.ndarray, "C 3"], half: float = 0.0) -> Bool[np.ndarray, " C"]:
     """Whether enough dilated masks are set somewhere in each cell's projection."""
+    least_seen = 1 / 2  # of the photos
+    max_disagreeing = 1 / 8  # of the photos that see a place: one bad mask must not cut a hole into the plant
+    dilation_px = 2  # of the masks: a stem one pixel wide is lost to cameras that are off by a pixel
     seen, inside = np.zeros(len(centres), np.int32), np.zeros(len(centres), np.int32)
     for mask in masks:
         at, radius_px, visible = _projected(mask.view, centres, np.sqrt(3) * half)
         seen += visible
-        inside += visible & (mask.away_px[at] <= np.minimum(_DILATION_PX + np.sqrt(2) * radius_px, _FARTHEST_PX))
-    agreed: Bool[np.ndarray, " C"] = (seen >= _LEAST_SEEN * len(masks)) & (seen - inside <= _MAX_DISAGREEING * seen)
+        inside += visible & (mask.away_px[at] <= np.minimum(dilation_px + np.sqrt(2) * radius_px, _FARTHEST_PX))
+    agreed: Bool[np.ndarray, " C"] = (seen >= least_seen * len(masks)) & (seen - inside <= max_disagreeing * seen)
     return agreed
 
 
@@ -151,20 +149,22 @@ def texture_points(
 
     `covers` are the shares of pixels that are not sky.
     """
+    low, high, radius = 0.02, 2.0, 1.0  # of the stage's region, in whose middle the plant stands
     textured = [replace(view, alpha=textured_mask(view.image)) for view in views]
     if covers is not None:
         pairs = zip(textured, covers, strict=True)
         textured = [replace(view, alpha=(view.alpha * cover).astype(np.uint8)) for view, cover in pairs]
     points, colors = points_in_masks(textured, 4 * number, rng)
     height, away = points[:, 2], np.linalg.norm(points[:, :2], axis=1)
-    rows = np.flatnonzero((away < _RADIUS) & (height > _LOW) & (height < _HIGH))
+    rows = np.flatnonzero((away < radius) & (height > low) & (height < high))
     rows = rng.permutation(rows)[:number]
     return points[rows], colors[rows]
 
 
 def textured_mask(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W"]:
     """255 where the brightness varies around a pixel, dilated by the window."""
-    window = max(1.0, _WINDOW_SHARE * max(image.shape))
+    window_share = 1 / 320  # of the longer side, standard deviation of the window in which contrast is measured
+    window = max(1.0, window_share * max(image.shape))
     grey = image.astype(np.float32).mean(axis=2)
     variance = gaussian_filter(grey * grey, window) - gaussian_filter(grey, window) ** 2
     return np.where(binary_dilation(variance > _LEAST_CONTRAST**2, iterations=round(window)), 255, 0).astype(np.uint8)

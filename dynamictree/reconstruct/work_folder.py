@@ -17,8 +17,6 @@ from dynamictree.errors import InputError
 from dynamictree.files import replacing
 from dynamictree.reconstruct.options import ReconstructOptions
 
-_VERSION = 4  # of the files in the folder
-_SPLAT_VERSION = 4  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
     *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz", "times.json"),
@@ -59,15 +57,17 @@ def extend_work(path: Path, sources: Iterable[Path], options: ReconstructOptions
 
 
 def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str]:
+    splat_version = 4  # of the way in which it is learned
     photos = f"{_photos_key(sources)} {options.photo_px}"
     depths = f"{photos} {options.max_views}"
-    splat = f"{depths} {_SPLAT_VERSION} {json.dumps(asdict(options.schedule), sort_keys=True)}"
+    splat = f"{depths} {splat_version} {json.dumps(asdict(options.schedule), sort_keys=True)}"
     keys = zip(_RESULTS, (photos, depths, splat), strict=True)
     return {name: sha256(meaning.encode()).hexdigest() for name, meaning in keys}
 
 
 def _photos_key(sources: Iterable[Path]) -> str:
-    digest = sha256(str(_VERSION).encode())
+    version = 4  # of the files in the folder
+    digest = sha256(str(version).encode())
     for source in sources:
         with source.open("rb") as stream:
             content = sha256()

@@ -14,6 +14,7 @@ from dynamictree.formats.mesh import stl as stl_module
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import MESH_TYPES, read_mesh, sniff_file_type
+from dynamictree.formats.suffixes import CLOUD_SUFFIXES, FILM_SUFFIXES, MESH_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
@@ -294,5 +295,8 @@ def test_formats_are_recognised_by_their_first_bytes(head: bytes, name: str, exp
 
 @pytest.mark.parametrize("head", [b"hello", b"\0\x01\x02", b"MZ\x90"])
 def test_what_is_of_no_known_kind_is_refused(head: bytes) -> None:
-    with pytest.raises(FormatError, match="no known format"):
+    with pytest.raises(FormatError, match="no known format") as refusal:
         sniff_file_type(head, "x.exe")
+    taken = {*MESH_SUFFIXES, *CLOUD_SUFFIXES, *PHOTO_SUFFIXES, *FILM_SUFFIXES} - {".jpg", ".tif", ".heif", ".dae"}
+    text = str(refusal.value).lower()  # it names COLLADA, and the other three by their long names
+    assert [suffix for suffix in sorted(taken) if suffix.lstrip(".") not in text] == []

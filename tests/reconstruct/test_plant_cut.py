@@ -16,8 +16,9 @@ from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import joined
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.gaussian.visibility import weights_at
+from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
-from dynamictree.reconstruct.plant_cut import minimum_cut, plant_of
+from dynamictree.reconstruct.plant_cut import faint_floaters, minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
 from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.scribbles import marked
@@ -198,3 +199,48 @@ def test_of_what_masks_show_a_stroke_takes_the_pot() -> None:
     own = plant_of(scene, list(planted.views), (stroke_across(planted, 1),), masked=True)
     assert own[owner == 0].mean() > 0.98
     assert own[owner == 1].mean() < 0.1
+
+
+def test_faint_gaussians_in_the_air_and_strays_are_fog_and_those_on_the_plant_are_not() -> None:
+    planted = potted()
+    tree = planted.scene.subset(planted.plant)
+    tree = replace(tree, opacity=np.full_like(tree.opacity, 0.9))
+    h = float(np.ptp(tree.means[:, 2]))
+    rng = np.random.default_rng(4)
+    faint = replace(
+        tree.subset(np.arange(0, tree.num_gaussians, 8)), opacity=np.full(-(-tree.num_gaussians // 8), 0.2, np.float32)
+    )
+    air = rng.uniform([-h, -h, 0], [h, h, 0.4 * h], (200, 3)).astype(np.float32)
+    air = air[np.hypot(air[:, 0], air[:, 1]) > 0.7 * h]
+    mist = replace(tree.subset(np.zeros(len(air), np.int64)), means=air, opacity=np.full(len(air), 0.2, np.float32))
+    stray = replace(mist.subset(np.array([0])), means=np.float32([[1.2 * h, 0, 0.5 * h]]), opacity=np.float32([0.9]))
+    scene = joined([tree, faint, mist, stray])
+    fog = faint_floaters(scene, np.ones(scene.num_gaussians, np.bool_))
+    number = tree.num_gaussians + faint.num_gaussians
+    assert fog[number:].all()
+    assert fog[:number].mean() < 0.005
+
+
+def test_a_plant_of_faint_gaussians_has_no_fog() -> None:
+    tree = potted().scene.subset(potted().plant)
+    faint = replace(tree, opacity=np.full_like(tree.opacity, 0.3))
+    assert not faint_floaters(faint, np.ones(tree.num_gaussians, np.bool_)).any()
+
+
+def num_open_edges(mesh: TriangleMesh) -> int:
+    """Edges of one face alone."""
+    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return int((np.unique(sides, axis=0, return_counts=True)[1] == 1).sum())
+
+
+@pytest.mark.parametrize("planted", [potted, on_lawn])
+def test_a_plant_that_is_cut_out_is_closed_and_whole(planted, tmp_path: Path) -> None:
+    """Faces whose nearest Gaussian was no plant left holes: 0 boundary loops became 812 on a fern."""
+    folder = tmp_path / "finished"
+    write_planted(planted(), folder)
+    capture = recut(folder, folder, CutParams(only_plant=True))
+    assert capture.mesh is not None
+    assert num_open_edges(capture.mesh) == 0
+    own = capture.cloud.means[capture.cloud.opacity > 0.6]
+    low, high = capture.mesh.vertices.min(axis=0) - 0.02, capture.mesh.vertices.max(axis=0) + 0.02
+    assert ((own >= low) & (own <= high)).all(axis=1).mean() > 0.97
