@@ -4,7 +4,7 @@ Coarse to fine: the first steps see small pictures, which cost little; Mip-Splat
 there hold at every size.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -60,8 +60,8 @@ class Schedule:
 class SplatTask:
     """What Gaussians are fitted to."""
 
-    targets: Sequence[Target]
-    held_out: Sequence[Target]  # not learned from: they tell how good it is so far
+    targets: Iterable[Target]  # gone through once, one at a time: photos as they were taken fill gigabytes
+    held_out: Iterable[Target]  # not learned from: they tell how good it is so far
     extent: float  # of the cameras
     cut_out: bool = False  # by masks: photos show the subject alone
     cameras: Float64[np.ndarray, "V 3"] | None = None  # of all photos; free space
@@ -81,7 +81,7 @@ def optimise(
         shrink = _shrink(schedule, state.step)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
         _one_step(state, levels.target(state.step, shrink), task, schedule, degree, rng)
-        if task.held_out and state.step % schedule.check_every == 0:
+        if levels.held_out and state.step % schedule.check_every == 0:
             psnr_db = mean_psnr(state.table, levels.held_out, degree)
             state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
         share = state.step / schedule.num_steps
@@ -187,7 +187,10 @@ class _Levels:
     def __init__(self, task: SplatTask, schedule: Schedule) -> None:
         self.held_out = [smaller(target, schedule.side_px) for target in task.held_out]
         sides = {1: schedule.side_px, **{by: schedule.side_px // by for _, by in schedule.coarser}}
-        self._targets = {by: [smaller(target, side) for target in task.targets] for by, side in sides.items()}
+        self._targets: dict[int, list[Target]] = {by: [] for by in sides}
+        for target in task.targets:
+            for by, side in sides.items():
+                self._targets[by].append(smaller(target, side))
 
     def target(self, step: int, shrink: int) -> Target:
         targets = self._targets[shrink]

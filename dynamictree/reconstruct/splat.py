@@ -98,8 +98,8 @@ def fit_splat(
         return _target(model.views[view], depth, None if sky is None else sky[view])
 
     task = SplatTask(
-        targets=[target(view, None if depths is None else depths.depths[view]) for view in learned],
-        held_out=[target(view, None) for view in held_out_rows],
+        targets=(target(view, None if depths is None else depths.depths[view]) for view in learned),
+        held_out=(target(view, None) for view in held_out_rows),
         extent=camera_extent(model.views),
         cut_out=any(view.alpha is not None for view in model.views),
         cameras=np.array([view.camera.position_m for view in model.views]),
