@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 34_225,
+    "lines in dynamictree": 34_110,
     "lines in lab": 6_341,
-    "lines in service, jobs and worker": 15_081,
-    "lines in tests": 40_313,
-    "names bound to numbers in dynamictree": 771,
+    "lines in service, jobs and worker": 15_080,
+    "lines in tests": 40_311,
+    "names bound to numbers in dynamictree": 624,
     "functions of dynamictree with more than 6 arguments": 7,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
