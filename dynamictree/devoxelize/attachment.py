@@ -9,7 +9,7 @@ nothing.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from dynamictree.mesh import Surface, connected_parts, part_bounds
@@ -44,8 +44,6 @@ _CLEARLY_LARGER = 1.7
 """A part hangs on one that is this much larger if one is near, so that leaves hang on twigs and not on each other."""
 _CLASSES_PER_DOUBLING = 4  # of extents: each has a search tree of what is clearly larger
 _AT_END = 0.3  # of the extent: how far from the middle of a branch its end is, at least
-_SEAM_VOXELS = 3.0  # the foot of a branch is within this of its contact
-_SEAM_PLACES = 4
 _NO_PAIRS = np.zeros((0, 2), np.int64)
 _NOWHERE = np.zeros((0, 2, 3), np.int32), np.zeros((0, 2, 3), np.float32)
 
@@ -58,41 +56,6 @@ class Attachments:
     children: Int32[np.ndarray, " B"]  # the parts that hang
     corners: Int32[np.ndarray, "B 2 3"]  # by which face of theirs, on which face of the other part
     weights: Float32[np.ndarray, "B 2 3"]  # and where in these, barycentric
-    seam_corners: Int32[np.ndarray, "S 2 3"]  # further places where they touch the same parts
-    seam_weights: Float32[np.ndarray, "S 2 3"]
-
-    def __len__(self) -> int:
-        return len(self.children)
-
-    def closed(self, motion: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "N K 3"]:
-        """Shift every attached part so that its gap to the attachment point stays as at rest."""
-        if len(self) == 0:
-            return motion
-        num_parts = int(self.part.max()) + 1
-        shift = np.zeros((num_parts, *motion.shape[1:]), np.complex64)
-        parent = self.part[self.corners[:, 1, 0]]
-        points = np.einsum("bsi,bsikc->bskc", self.weights, motion[self.corners])  # [B, 2, K, 3]
-        own = points[:, 1] - points[:, 0]
-        depth = _depths(self.children, parent, num_parts)
-        for level in range(1, int(depth.max()) + 1):  # a parent's shift is complete before its children's
-            level_rows = np.flatnonzero(depth == level)
-            shift[self.children[level_rows]] = own[level_rows] + shift[parent[level_rows]]
-        closed: Complex64[np.ndarray, "N K 3"] = motion + shift[self.part]
-        return closed
-
-
-def _depths(
-    children: Int32[np.ndarray, " B"], parent: Int32[np.ndarray, " B"], num_parts: int
-) -> Int64[np.ndarray, " B"]:
-    """Attachment depth of each part: 1 if its parent is not attached to anything, one more per step."""
-    depth_of = np.zeros(num_parts, np.int64)
-    while True:
-        depth = depth_of[parent] + 1
-        if np.array_equal(depth, depth_of[children]):
-            break
-        depth_of[children] = depth
-    result: Int64[np.ndarray, " B"] = depth
-    return result
 
 
 def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> Attachments:
@@ -101,7 +64,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | Non
     low, high = part_bounds(part, mesh.vertices)
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
     if len(extent) == 1:
-        return _attachments(mesh, part, None, _NO_PAIRS, _NO_PAIRS)
+        return _attachments(mesh, part, None, _NO_PAIRS)
     rank = np.empty(len(extent), np.int64)
     num_vertices = np.bincount(part)
     small, few, card = extent < SMALL_PART_VOXELS, num_vertices <= FEW_VERTICES, num_vertices <= CARD_VERTICES
@@ -117,7 +80,6 @@ def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | Non
     on_larger = surface.near_larger(~stands & ~card, ~card, MAX_GAP_VOXELS)
     hangs = loose[owner[on_larger[:, 0]]]
     branch = ~hangs & surface.touches_at_end(on_larger)
-    seams = surface.around(on_larger[branch])
     pairs = [on_larger[hangs | branch]]
     seeking = loose & (rank < len(extent) - 1)
 
@@ -131,7 +93,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | Non
     pairs.append(surface.near_larger(left(), everything, MAX_GAP_VOXELS))
     pairs.append(surface.near_any_larger(left(), everything, rank))  # another card
     pairs.append(surface.near_larger(left() & few, everything, TWIG_GAP_VOXELS))
-    return _attachments(mesh, part, pieces, np.concatenate(pairs), seams)
+    return _attachments(mesh, part, pieces, np.concatenate(pairs))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,26 +156,6 @@ class _Surface:
         touches = np.linalg.norm(own - other, axis=1) <= TOUCHING_VOXELS * self.voxel_size_m
         return np.asarray(touches & (from_middle >= _AT_END * self.extent[part]))
 
-    def around(self, pairs: Int64[np.ndarray, "B 2"]) -> Int64[np.ndarray, "S 2"]:
-        """Further pieces with which a part touches the other, around each place where they do."""
-        seams = [_NO_PAIRS]
-        for own, other in pairs:
-            near = np.flatnonzero(self.owner == self.owner[own])
-            near = near[self._apart(near, own) <= _SEAM_VOXELS]
-            there = np.flatnonzero(self.owner == self.owner[other])
-            there = there[self._apart(there, own) <= _SEAM_VOXELS + TOUCHING_VOXELS]
-            gap, nearest = _near(
-                self.places[there], self.places[near], reach_m=TOUCHING_VOXELS * self.voxel_size_m, count=1
-            )
-            touching = np.flatnonzero(np.isfinite(gap[:, 0]))
-            few = touching[np.linspace(0, len(touching) - 1, _SEAM_PLACES).astype(np.int64)]
-            seams.append(np.stack([near[few], there[nearest[few, 0]]], axis=1))
-        return np.concatenate(seams)
-
-    def _apart(self, pieces: Int64[np.ndarray, " M"], piece: np.int64) -> Float32[np.ndarray, " M"]:
-        away: Float32[np.ndarray, " M"] = np.linalg.norm(self.places[pieces] - self.places[piece], axis=1)
-        return np.asarray(away / np.float32(self.voxel_size_m), np.float32)
-
 
 def _near(
     places: Float32[np.ndarray, "P 3"], points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
@@ -242,19 +184,7 @@ def _first_of_each(group: Int32[np.ndarray, " M"], gap: Float64[np.ndarray, " M"
 
 
 def _attachments(
-    mesh: Surface,
-    part: Int32[np.ndarray, " N"],
-    pieces: SurfacePieces | None,
-    pairs: Int64[np.ndarray, "B 2"],
-    seams: Int64[np.ndarray, "S 2"],
+    mesh: Surface, part: Int32[np.ndarray, " N"], pieces: SurfacePieces | None, pairs: Int64[np.ndarray, "B 2"]
 ) -> Attachments:
-    ends = [(mesh.faces[pieces.faces[p]], pieces.centroids[p]) if pieces else _NOWHERE for p in (pairs, seams)]
-    (corners, weights), (seam_corners, seam_weights) = ends
-    return Attachments(
-        part=part,
-        children=part[corners[:, 0, 0]],
-        corners=corners,
-        weights=weights,
-        seam_corners=seam_corners,
-        seam_weights=seam_weights,
-    )
+    corners, weights = (mesh.faces[pieces.faces[pairs]], pieces.centroids[pairs]) if pieces else _NOWHERE
+    return Attachments(part=part, children=part[corners[:, 0, 0]], corners=corners, weights=weights)

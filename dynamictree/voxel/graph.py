@@ -1,10 +1,8 @@
-"""Graph of touching voxels, and distances along the tree from its root."""
-
-from dataclasses import replace
+"""Graph of touching voxels, and those where the tree stands."""
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
-from jaxtyping import Float32, Int32, Int64, Shaped
+from jaxtyping import Int32, Int64, Shaped
 
 from dynamictree.voxel.grid import VoxelGrid, distinct
 
@@ -39,38 +37,6 @@ def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
         graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
 
 
-def stand_graph(grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None) -> "scipy.sparse.csr_array":
-    """`voxel_graph` of each tree by itself: none touches another.
-
-    Args:
-        grid: voxels of all trees.
-        tree: the one of each voxel; None if there is one.
-    """
-    if tree is None:
-        return voxel_graph(grid)
-    starts, ends = [], []
-    for rows in rows_of_trees(tree):
-        own = voxel_graph(replace(grid, coords=grid.coords[rows])).tocoo()
-        starts.append(rows[own.row])
-        ends.append(rows[own.col])
-    return _graph(grid, np.concatenate(starts), np.concatenate(ends))
-
-
-def rows_of_trees(tree: Int32[np.ndarray, " V"]) -> list[Int64[np.ndarray, " M"]]:
-    """Rows of the voxels of each tree, those of the first first."""
-    return [np.flatnonzero(tree == number) for number in np.unique(tree)]
-
-
-def stand_roots(
-    graph: "scipy.sparse.csr_array", grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None
-) -> list[Int64[np.ndarray, " R"]]:
-    """`root_rows` of each tree, in the graph of all."""
-    if tree is None:
-        return [root_rows(graph, grid).astype(np.int64)]
-    every = rows_of_trees(tree)
-    return [rows[root_rows(graph[rows][:, rows], replace(grid, coords=grid.coords[rows]))] for rows in every]
-
-
 def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndarray, " R"]:
     """Voxels that stand in the ground: the tree's foot, and those of other trunks.
 
@@ -90,18 +56,6 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
     ways = [dijkstra(graph, directed=False, indices=low[part == one], min_only=True).mean() for one in largest]
     feet = largest[np.asarray(ways) <= max_detour * min(ways)]
     return low[np.isin(part, feet)]
-
-
-def root_distance(
-    graph: "scipy.sparse.csr_array", grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None = None
-) -> Float32[np.ndarray, " V"]:
-    """Length of the shortest way along the graph to the tree's root [m], of several trees to its own."""
-    from scipy.sparse.csgraph import dijkstra
-
-    distance: Float32[np.ndarray, " V"] = dijkstra(
-        graph, directed=False, indices=np.concatenate(stand_roots(graph, grid, tree)), min_only=True
-    ).astype(np.float32)
-    return distance
 
 
 def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> "scipy.sparse.csr_array":

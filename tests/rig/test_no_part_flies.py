@@ -103,7 +103,7 @@ def test_a_card_stays_where_it_hangs(size_m: float) -> None:
     moved = mesh.vertices + on_vertices(grid, mesh, sway(grid, 1, 0.3), 40)
     welded, _ = weld(mesh)
     attachments = find_attachments(welded, grid)
-    assert len(attachments) == 20
+    assert len(attachments.children) == 20
     vertex = weld(mesh)[1]
     place = np.empty((40, welded.num_vertices, 3), np.float32)
     place[:, vertex] = moved
@@ -162,19 +162,15 @@ def test_a_trunk_does_not_hang_on_its_crown() -> None:
 
 
 def test_the_foot_of_a_branch_stays_in_the_bark() -> None:
-    """All around it moves as the bark there, to 0.3 % of the height, through noise of voxels."""
+    """Where it hangs it moves as the bark there, to 0.3 % of the height, through noise of voxels."""
     trunk = tube([0, 0, 0], [0, 0, 10], 0.3, rings=40, sides=12)
     mesh, _ = merged(trunk, tube([0.28, 0, 6], [2.5, 0, 7], 0.12, rings=12, sides=8))
     grid = voxelize(mesh, 128).grid
     moved = on_vertices(grid, mesh, sway(grid, 1, 0.3), 40)
     welded, vertex = weld(mesh)
+    attachments = find_attachments(welded, grid)
+    assert len(attachments.children) == 1
     place = np.empty((40, welded.num_vertices, 3), np.float32)
     place[:, vertex] = moved
-    attachments = find_attachments(welded, grid)
-    corners = np.concatenate([attachments.corners, attachments.seam_corners])
-    weights = np.concatenate([attachments.weights, attachments.seam_weights])
-    ends = np.einsum("bsi,tbsix->tbsx", weights, place[:, corners])
-    apart = ends[:, :, 0] - ends[:, :, 1]
-    assert len(attachments) == 1
-    assert apart.shape[1] == 5
-    assert np.linalg.norm(apart, axis=2).max() < 0.003 * 10
+    ends = np.einsum("bsi,tbsic->tbsc", attachments.weights, place[:, attachments.corners])
+    assert np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2).max() < 0.003 * 10

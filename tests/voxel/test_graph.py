@@ -1,11 +1,11 @@
-"""voxel_graph, root_rows and root_distance."""
+"""voxel_graph and root_rows."""
 
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from dynamictree.voxel.graph import root_distance, root_rows, voxel_graph
+from dynamictree.voxel.graph import root_rows, voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
 
 
@@ -43,18 +43,6 @@ def test_two_large_parts_are_joined_by_one_bridge() -> None:
     assert graph.max() == pytest.approx(5 * 0.5)
 
 
-def test_root_distance_follows_the_tree_and_not_the_air() -> None:
-    up = [[0, 0, z] for z in range(20)]
-    over = [[x, 0, 19] for x in range(1, 6)]
-    hanging = [[6, 0, z] for z in range(5, 20)]
-    grid = grid_of(up + over + hanging)
-    distance = root_distance(voxel_graph(grid), grid)
-    tip = int(grid.rows_of(np.array([[6, 0, 5]], np.int32))[0])
-    corners_cut = 2 * (2**0.5 - 2)  # the two turns of the way go over an edge
-    assert distance[tip] == pytest.approx(0.5 * (19 + 6 + 14 + corners_cut), rel=1e-5)
-    assert distance[int(grid.rows_of(np.array([[0, 0, 0]], np.int32))[0])] == 0
-
-
 def hanging_tree(foot: int, tip: int) -> VoxelGrid:
     """A trunk, a branch across at its top, and a twig that hangs from the branch's end; sides of both in voxels."""
     trunk = [[x, y, z] for x in range(foot) for y in range(foot) for z in range(20)]
@@ -83,4 +71,4 @@ def test_one_voxel_is_a_graph_and_its_own_root() -> None:
     grid = grid_of([[3, 3, 3]])
     graph = voxel_graph(grid)
     assert graph.nnz == 0
-    np.testing.assert_array_equal(root_distance(graph, grid), [0])
+    np.testing.assert_array_equal(root_rows(graph, grid), [0])
