@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.motion import MorphOptions, write_motion_glb
 from dynamictree.formats.gltf.skin import joint_name, write_joint_meshes_glb, write_skinned_glb
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
@@ -43,7 +43,8 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     for number, level in enumerate(levels):
         report(0.8 + 0.2 * number / len(levels))
         single = io.BytesIO()
-        write_motion_glb(level.mesh, level.coefficients, single, num_frames=num_frames, fps=tree.loop_fps)
+        timing = MorphOptions(fps=tree.loop_fps)
+        write_motion_glb(level.mesh, level.coefficients, single, num_frames=num_frames, options=timing)
         files.append((f"tree-lod{number}.glb", single.getvalue()))
     stream.writelines(iter_stored_zip((name, [content]) for name, content in files))
     coarsest = levels[-2].error

@@ -64,8 +64,8 @@ def _write_glb(
         tree.loop,
         stream,
         num_frames=tree.spectrum.num_frames,
-        fps=tree.loop_fps,
         options=MorphOptions(
+            fps=tree.loop_fps,
             num_targets=num_targets,
             with_normals=tree.params.normals,
             compressed=compression == "meshopt",

@@ -98,11 +98,7 @@ def train_small(
 
 
 def _train_foliage(
-    network: SmallNetwork,
-    plan: SmallTraining,
-    shards: Sequence[str],
-    checkpoint: Path,
-    on_step: OnStep | None,
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep | None
 ) -> None:
     if plan.foliage_from is not None:
         load_part(network.foliage, load_file(plan.foliage_from), "foliage")
@@ -162,11 +158,7 @@ def _train_amplitude(
 
 
 def _train_denoiser(
-    network: SmallNetwork,
-    plan: SmallTraining,
-    shards: Sequence[str],
-    checkpoint: Path,
-    on_step: OnStep | None,
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep | None
 ) -> None:
     if plan.denoiser_from is not None and plan.denoiser.schedule.num_steps == 0:
         before = load_file(plan.denoiser_from)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from fastapi import Depends, Path, Query
+from fastapi import Depends, Path, Query, Response
 
 from service.http.problems import KINDS, MEDIA_TYPE, ProblemError
 from service.schemas.base import ULID_PATTERN
@@ -47,14 +47,10 @@ def is_id(text: str) -> bool:
     return re.fullmatch(ULID_PATTERN, text) is not None
 
 
-def file_of(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
-    """A success that is a file, for its OpenAPI page."""
-    return {
-        200: {
-            "description": description,
-            "content": {media_type: {"schema": {"type": "string", "format": "binary"}}},
-        }
-    }
+def file_route(media_type: str, description: str, *codes: str) -> dict[str, Any]:
+    """Arguments of a route that answers with a file, or with a problem of one of the codes."""
+    file = {"description": description, "content": {media_type: {"schema": {"type": "string", "format": "binary"}}}}
+    return {"response_class": Response, "responses": refusals(*codes) | {200: file}}
 
 
 async def _valid_id(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:

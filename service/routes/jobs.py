@@ -14,7 +14,7 @@ from jobs.errors import GoneError
 from jobs.states import JobState, JobType
 from service.http.problems import ProblemError
 from service.http.request_headers import Origin, WaitS, matches
-from service.http.routing import CACHED, Cursor, Id, file_of, headers, refusals
+from service.http.routing import CACHED, Cursor, Id, file_route, headers, refusals
 from service.job_creation import accept, accept_again, format_bytes, require_possible
 from service.job_responses import look, payloads, tell
 from service.schemas.job_requests import JobRequest
@@ -192,8 +192,7 @@ def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
 @router.get(
     "/{id}/still",
     operation_id="getStill",
-    response_class=Response,
-    responses=refusals("not-found", "expired") | file_of(WEBP, "160 × 232 pixels, some 10 kB"),
+    **file_route(WEBP, "160 × 232 pixels, some 10 kB", "not-found", "expired"),
 )
 def get_still(id: Id, owned: OwnedDep) -> Response:
     """The first frame of a job's preview, once it is written."""

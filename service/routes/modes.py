@@ -12,7 +12,7 @@ from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
-from service.http.routing import CACHED, Id, file_of, refusals
+from service.http.routing import CACHED, Id, file_route
 from service.interact.stored_trees import load_spectrum
 from service.interact.tree_cache import ready_tree, with_rig
 from service.services import OwnedDep
@@ -26,8 +26,7 @@ BYTES = "application/octet-stream"
 @router.get(
     "/{id}/modes",
     operation_id="getModes",
-    response_class=Response,
-    responses=refusals("not-found", "expired") | file_of(SAFETENSORS, "safetensors; see docs/interaction.md"),
+    **file_route(SAFETENSORS, "safetensors; see docs/interaction.md", "not-found", "expired"),
 )
 def get_modes(
     id: Id,
@@ -48,8 +47,7 @@ def get_modes(
 @router.get(
     "/{id}/reach",
     operation_id="getReach",
-    response_class=Response,
-    responses=refusals("not-found", "expired") | file_of(BYTES, "one byte a voxel: 255 w"),
+    **file_route(BYTES, "one byte a voxel: 255 w", "not-found", "expired"),
 )
 def get_reach(
     id: Id,

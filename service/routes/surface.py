@@ -14,7 +14,7 @@ from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import bin_weights
 from service.http.packing import PackedResponse
 from service.http.request_headers import SAFETENSORS
-from service.http.routing import CACHED, Id, file_of, refusals
+from service.http.routing import CACHED, Id, file_route
 from service.interact.ready_tree import ReadyTree
 from service.interact.stored_trees import load_asset_cloud, load_asset_mesh
 from service.interact.tree_cache import ready_tree, rig_for, with_mesh
@@ -28,16 +28,11 @@ MAX_POINTS = 200_000
 FAINTEST = 0.1
 """Gaussians of a lower opacity are left out: alone they are not seen."""
 
-_FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
+_SEEN = "safetensors; see docs/viewer.md"
+_OF_ASSET = file_route(SAFETENSORS, _SEEN, "not-found", "conflict", "expired")
 
 
-@router.get(
-    "/assets/{id}/surface",
-    operation_id="getAssetSurface",
-    tags=["assets"],
-    response_class=Response,
-    responses=refusals("not-found", "conflict", "expired") | _FILE,
-)
+@router.get("/assets/{id}/surface", operation_id="getAssetSurface", tags=["assets"], **_OF_ASSET)
 def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
     mesh = load_asset_mesh(owned, id)
@@ -45,10 +40,7 @@ def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
 
 
 @router.get(
-    "/spectra/{id}/surface",
-    operation_id="getSurface",
-    response_class=Response,
-    responses=refusals("not-found", "expired") | _FILE,
+    "/spectra/{id}/surface", operation_id="getSurface", **file_route(SAFETENSORS, _SEEN, "not-found", "expired")
 )
 def get_surface(id: Id, owned: OwnedDep) -> Response:
     """The source mesh, and the bones that turn in the wind and under a push."""
@@ -57,13 +49,7 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
     return _response(mesh_tensors(mesh) | _motion(owned, id, ready), mesh)
 
 
-@router.get(
-    "/assets/{id}/points",
-    operation_id="getAssetPoints",
-    tags=["assets"],
-    response_class=Response,
-    responses=refusals("not-found", "conflict", "expired") | _FILE,
-)
+@router.get("/assets/{id}/points", operation_id="getAssetPoints", tags=["assets"], **_OF_ASSET)
 def get_asset_points(id: Id, owned: OwnedDep) -> Response:
     """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
     content = save(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})

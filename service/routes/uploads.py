@@ -38,11 +38,10 @@ _LOOK_S = 0.25
 
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
 _BODY = {
-    "requestBody": {
-        "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
-        "description": "bytes from Upload-Offset on",
-    }
+    "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+    "description": "bytes from Upload-Offset on",
 }
+_TAKES_BYTES: dict[str, Any] = {"response_class": Response, "openapi_extra": {"requestBody": _BODY}}
 _STANDS = headers(
     Upload_Offset="bytes that are there",
     Upload_Expires="when it is removed unless more comes",
@@ -66,8 +65,7 @@ async def get_protocol(owned: OwnedDep) -> Response:
     "",
     operation_id="createUpload",
     status_code=status.HTTP_201_CREATED,
-    response_class=Response,
-    openapi_extra=_BODY,
+    **_TAKES_BYTES,
     responses=refusals("invalid-input", "quota-exceeded", *_ERRORS)
     | {201: {"description": "Begun", **headers(Location="the upload", Upload_Offset="bytes that are there")}},
 )
@@ -134,8 +132,7 @@ def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Resp
     "/{id}",
     operation_id="appendToUpload",
     status_code=status.HTTP_204_NO_CONTENT,
-    response_class=Response,
-    openapi_extra=_BODY,
+    **_TAKES_BYTES,
     responses=refusals("not-found", "expired", "upload-offset-conflict", *_ERRORS)
     | {204: {"description": "Kept", **_STANDS}},
 )

@@ -60,11 +60,6 @@ def test_a_put_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert [path for path in (tmp_path / "store").rglob("*") if path.is_file()] == []
 
 
-def test_free_bytes_are_those_of_the_disk(artifacts: ArtifactStore) -> None:
-    free = artifacts.free_bytes()
-    assert free is None or free > 0
-
-
 @pytest.fixture(scope="module")
 def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Path]]:
     """A real S3 server, and the folder in which a file `busy` makes it answer 503."""

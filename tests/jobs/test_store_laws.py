@@ -162,13 +162,6 @@ def test_a_cancel_wins_over_the_end(store: Store, asset: AssetRecord, clock: Clo
     assert store.job(job.id).state == JobState.CANCELED
 
 
-def test_an_ended_job_cannot_be_canceled(store: Store, asset: AssetRecord) -> None:
-    job = add_job(store, asset)
-    attempts.succeed(store, claim(store, job.id))
-    with pytest.raises(ConflictError, match="has succeeded"):
-        store.cancel(job.id)
-
-
 def test_a_job_and_its_message_are_one(store: Store, asset: AssetRecord, clock: Clock) -> None:
     job = add_job(store, asset)
     message = maintenance.unsent(store, window=10)[0]
@@ -218,6 +211,8 @@ def test_a_final_state_is_written_once(store: Store, asset: AssetRecord) -> None
         assert not end(connection, lease.job.id, JobState.FAILED, now=1.0)
     with pytest.raises(FencedError):
         attempts.succeed(store, lease)
+    with pytest.raises(ConflictError, match="has succeeded"):
+        store.cancel(lease.job.id)
 
 
 def test_stages_run_what_they_need_upstream() -> None:

@@ -67,11 +67,8 @@ def test_an_upload_may_ask_for_its_asset(client: TestClient) -> None:
 def test_an_upload_that_is_no_tree_says_so(client: TestClient) -> None:
     id = whole(client, b"hello world\n", filename="tree.obj", asset="auto")
     response = client.get(f"/v1/uploads/{id}", headers={"Prefer": "wait=30"}).json()
-    assert (response["state"], response["asset_id"], response["error"]["code"]) == (
-        "failed",
-        None,
-        "unsupported-format",
-    )
+    seen = (response["state"], response["asset_id"], response["error"]["code"])
+    assert seen == ("failed", None, "unsupported-format")
     assert client.post("/v1/assets", json={"upload_ids": [id]}).status_code == 415
 
 

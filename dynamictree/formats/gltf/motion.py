@@ -34,6 +34,7 @@ class MorphOptions:
     with_normals: bool = False  # targets of normals as well, with the least squared error for the same weights
     compressed: bool = False  # by meshoptimizer; the summary's errors then count what that changes
     as_webp: bool = False  # textures become WebP where that is smaller
+    fps: float = FPS  # keys a second of the file's time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,14 +59,13 @@ def write_motion_glb(
     stream: ByteWriter,
     *,
     num_frames: int = NUM_FRAMES,
-    fps: float = FPS,
     options: MorphOptions | None = None,
     truth: Callable[[], Iterator[Float32[np.ndarray, "N 3"]]] | None = None,
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
     A mesh that was read from glTF stays in its document, which gets targets and an animation, see `template.py`.
-    `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
+    `coefficients` are the spectrum of each vertex [m], `num_frames` is T.
     How far the file is from the frames of `truth`, by default those of the spectrum, it tells in its `asset.extras`.
 
     Raises:
@@ -88,7 +88,7 @@ def write_motion_glb(
             rest_normals(mesh), lambda: iter_normals(mesh, iter_motion(coefficients, phases, num_frames)), weights
         )
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
-    sway = template.add_sway(nodes, (np.arange(num_frames + 1) / fps).astype(np.float32), keys)
+    sway = template.add_sway(nodes, (np.arange(num_frames + 1) / options.fps).astype(np.float32), keys)
     sway["extras"] = {"num_vertices": mesh.num_vertices, "primitives": places}
     if options.as_webp:
         webp_textures(template.writer)
