@@ -38,6 +38,7 @@ _SPLAT = {
     "modes": "motion/modes.js",
     "swing": "motion/swing.js",
     "pass": "draw/pass.js",
+    "bands": "motion/bands.js",
     "gust": "draw/gust.js",
     "field": "draw/field.js",
     "splat-shader": "draw/splat_shader.js",
