@@ -3,8 +3,6 @@
 import asyncio
 import os
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -13,6 +11,7 @@ import pytest
 from jobs.settings import Settings
 from jobs.storage.parser_process import ParseRequest, parse
 from service.http.problems import KINDS
+from tests.servers import wait_for
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -53,9 +52,9 @@ def test_an_upload_is_answered_while_another_is_read(tmp_path: Path) -> None:
 
     async def both() -> None:
         quick = asyncio.create_task(parse(_request(settings, first), settings))
-        await asyncio.to_thread(_wait_until, lambda: len(_readers()) == 1)
+        await asyncio.to_thread(wait_for, lambda: len(_readers()) == 1)
         slow = asyncio.create_task(parse(_request(settings, second), settings))  # forked while the first is read
-        await asyncio.to_thread(_wait_until, lambda: len(_readers()) == 2)
+        await asyncio.to_thread(wait_for, lambda: len(_readers()) == 2)
         await asyncio.to_thread(lambda: first.open("wb").close())
         assert (await quick).code == "internal-error"  # a pipe cannot be read twice
         assert not slow.done()
@@ -85,7 +84,7 @@ def test_an_upload_that_no_process_can_read_may_be_sent_again(
     tree.write_text(OBJ)
     for server in _servers():
         server.kill()
-    _wait_until(lambda: not _servers())
+    wait_for(lambda: not _servers())
     with monkeypatch.context() as broken:
         broken.setattr(sys, "executable", str(tmp_path / "absent"))
         answer = asyncio.run(parse(_request(settings, tree), settings))
@@ -100,10 +99,10 @@ def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:
 
     async def cut_off() -> None:
         reading = asyncio.create_task(parse(request, settings))
-        await asyncio.to_thread(_wait_until, lambda: len(_readers()) == 1)
+        await asyncio.to_thread(wait_for, lambda: len(_readers()) == 1)
         [reader], [server] = _readers(), _servers()
         server.kill()
-        await asyncio.to_thread(_wait_until, lambda: not reader.is_running())
+        await asyncio.to_thread(wait_for, lambda: not reader.is_running())
         reading.cancel()
 
     asyncio.run(cut_off())
@@ -138,11 +137,4 @@ def _readers() -> list[psutil.Process]:
 
 
 def _wait_until_no_upload_is_read() -> None:
-    _wait_until(lambda: not _readers())
-
-
-def _wait_until(happened: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_for(lambda: not _readers())

@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 
 from service.local.supervisor import ChildPlan, Supervisor
+from tests.servers import wait_for
 
 
 def plan(program: str, name: str = "child", grace_s: float = 5.0) -> ChildPlan:
@@ -30,23 +31,18 @@ def running(*plans: ChildPlan) -> Iterator[Supervisor]:
         thread.join(30)
 
 
-def wait_for(path: Path, count: int) -> list[int]:
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        pids = [int(line) for line in path.read_text().split()] if path.exists() else []
-        if len(pids) >= count:
-            return pids
-        time.sleep(0.02)
-    raise AssertionError(f"{path} did not get {count} lines")
+def pids_in(path: Path, count: int) -> list[int]:
+    wait_for(lambda: path.exists() and len(path.read_text().split()) >= count, f"{count} lines in {path}", 60)
+    return [int(line) for line in path.read_text().split()]
 
 
 def test_a_child_that_dies_starts_again(tmp_path: Path) -> None:
     log = tmp_path / "pids"
     program = f"import os, time; open({str(log)!r}, 'a').write(f'{{os.getpid()}}\\n'); time.sleep(100)"
     with running(plan(program)) as supervisor:
-        first = wait_for(log, 1)[0]
+        first = pids_in(log, 1)[0]
         os.kill(first, signal.SIGKILL)
-        second = wait_for(log, 2)[1]
+        second = pids_in(log, 2)[1]
         assert supervisor.children[0].restarts == 1
     assert not psutil.pid_exists(first)
     assert not psutil.pid_exists(second)
@@ -57,7 +53,7 @@ def test_one_that_keeps_dying_is_started_ever_more_rarely(tmp_path: Path) -> Non
     program = f"import os; open({str(log)!r}, 'a').write(f'{{os.getpid()}}\\n')"
     with running(plan(program)):
         began = time.monotonic()
-        wait_for(log, 3)
+        pids_in(log, 3)
         assert time.monotonic() - began > 0.5 + 1.0
 
 
@@ -69,11 +65,10 @@ def test_one_that_does_not_stop_is_killed_with_what_it_started(tmp_path: Path) -
         f"open({str(log)!r}, 'a').write(f'{{os.getpid()}}\\n{{p.pid}}\\n'); time.sleep(100)"
     )
     with running(plan(deaf, grace_s=0.2)):
-        pids = wait_for(log, 2)
-    deadline = time.monotonic() + 60
-    while any(psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie" for pid in pids):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+        pids = pids_in(log, 2)
+    wait_for(
+        lambda: not any(psutil.pid_exists(p) and psutil.Process(p).status() != "zombie" for p in pids), "their end"
+    )
 
 
 def test_children_start_in_order_and_stop_in_reverse(tmp_path: Path) -> None:
@@ -93,8 +88,5 @@ def test_children_start_in_order_and_stop_in_reverse(tmp_path: Path) -> None:
     )
     second = plan(program.replace("NAME", "b"), "b", grace_s=20)
     with running(first, second):
-        deadline = time.monotonic() + 30
-        while not (log.exists() and "+b" in log.read_text()):
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_for(lambda: log.exists() and "+b" in log.read_text(), "b")
     assert log.read_text().split() == ["+a", "+b", "-b", "-a"]

@@ -21,6 +21,8 @@ from tests.reconstruct.finished import BOX, NUM_STEM, write_finished
 from tests.reconstruct.planted import potted, stroke_across, write_planted
 from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
+from tests.worker.test_attempt import content as bytes_of
+from tests.worker.test_attempt import run
 from worker.attempt import Attempt, run_stages
 from worker.runtime import Runtime
 
@@ -66,15 +68,13 @@ def learned_potted(runtime: Runtime, photos: AssetRecord, tmp_path: Path) -> Ass
 
 
 def content(runtime: Runtime, job: JobRecord, name: str) -> BytesIO:
-    artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(job.id)}
-    return BytesIO(b"".join(runtime.artifacts.read(artifacts[name].sha256)))
+    return BytesIO(bytes_of(runtime, job.id, name))
 
 
 def test_a_box_and_a_height_cut_what_was_learned(runtime: Runtime, learned: AssetRecord) -> None:
     box = (2.0 / 1.3 * np.array(BOX)).tolist()  # the mesh is 1.3 m high, floor and all, and 2 m without a box
     job = reconstruct_job(runtime, learned, height_m=2.0, box_m=box)
-    with watch(runtime, hold(runtime, job)) as watching:
-        run_stages(runtime, watching)
+    run(runtime, hold(runtime, job))
     assert read_gaussian_ply(content(runtime, job, "splat.ply")).num_gaussians == NUM_STEM
     mesh = read_mesh_bundle(content(runtime, job, MESH_BUNDLE))
     np.testing.assert_allclose([mesh.vertices[:, 2].min(), mesh.height_m], [0, 2.0], atol=1e-5)
@@ -84,8 +84,7 @@ def test_a_box_and_a_height_cut_what_was_learned(runtime: Runtime, learned: Asse
 def test_a_stroke_cuts_what_was_learned(runtime: Runtime, learned_potted: AssetRecord) -> None:
     stroke = stroke_across(potted(), 0).model_dump(mode="json")
     job = reconstruct_job(runtime, learned_potted, height_m=2.0, scribbles=[stroke])
-    with watch(runtime, hold(runtime, job)) as watching:
-        run_stages(runtime, watching)
+    run(runtime, hold(runtime, job))
     splat = read_gaussian_ply(content(runtime, job, "splat.ply"))
     number = int(potted().plant.sum())
     assert 0.95 * number < splat.num_gaussians <= number
@@ -98,8 +97,7 @@ def test_all_that_was_cut_out_moves(runtime: Runtime, learned: AssetRecord) -> N
     params = {"height_m": 2.0, "box_m": box, "num_steps": 1, "formats": ["splat"]}
     job = job_row(learned, "animate", now=runtime.store.clock(), params=params)
     job = runtime.store.add_job(job, stages=stages_of("animate", "photos"))[0]
-    with watch(runtime, hold(runtime, job)) as watching:
-        run_stages(runtime, watching)
+    run(runtime, hold(runtime, job))
     tensors = safetensors.numpy.load(content(runtime, job, "tree.animated-splat.safetensors").getvalue())
     assert len(tensors["face_of"]) == NUM_STEM
     assert (tensors["face_of"] >= 0).all()
