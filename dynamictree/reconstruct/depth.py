@@ -51,7 +51,8 @@ def coarse_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> tu
     for number, view in enumerate(views):
         on_view(number, len(views))
         guess = _sparse_guess(model, view, number)
-        planes.append(_matched(model, views, neighbours, number, guess, mask=masks[number]))
+        together = [views[index] for index in (number, *neighbours[number])]
+        planes.append(_matched(model, together, number, guess, mask=masks[number]))
     return _confirmed(views, neighbours, planes, masks), Matches(neighbours=neighbours, planes=planes)
 
 
@@ -64,9 +65,8 @@ def fine_depths(model: SparseModel, coarse: Matches, box: Box, on_view: Callable
         on_view(number, len(views))
         guess = _enlarged(coarse.planes[number], view.grey.shape)
         mask = rays_through(view, box) & masks[number]
-        planes.append(
-            _matched(model, views, coarse.neighbours, number, guess, mask=mask, num_iterations=_FINE_ITERATIONS)
-        )
+        together = [views[index] for index in (number, *coarse.neighbours[number])]
+        planes.append(_matched(model, together, number, guess, mask=mask, num_iterations=_FINE_ITERATIONS))
     return _confirmed(views, coarse.neighbours, planes, masks)
 
 
@@ -133,7 +133,6 @@ def rays_through(view: StereoView, box: Box) -> Bool[np.ndarray, "H W"]:
 def _matched(
     model: SparseModel,
     views: list[StereoView],
-    neighbours: list[list[int]],
     number: int,
     guess: Hypotheses,
     *,
@@ -143,13 +142,12 @@ def _matched(
     min_points = 12  # that a view must see to be matched
     depth_percentiles, depth_slack = (1.0, 99.0), 1.25  # of a view's points
     points = model.points[model.seen[model.seen[:, 0] == number, 1]]
-    if len(points) < min_points or not neighbours[number]:
+    if len(points) < min_points or len(views) == 1:
         return guess
-    depth = points @ views[number].to_pixel[2, :3] + views[number].to_pixel[2, 3]
+    depth = points @ views[0].to_pixel[2, :3] + views[0].to_pixel[2, 3]
     low, high = np.percentile(depth, depth_percentiles)
     bounds = float(low) / depth_slack, float(high) * depth_slack
-    others = [views[other] for other in neighbours[number]]
-    return match_view(views[number], others, guess, bounds, mask, num_iterations=num_iterations, seed=number)
+    return match_view(views, guess, bounds, mask, num_iterations=num_iterations, seed=number)
 
 
 def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypotheses:

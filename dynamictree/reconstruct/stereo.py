@@ -49,8 +49,7 @@ class _Matching(NamedTuple):
 
 
 def match_view(
-    reference: StereoView,
-    neighbours: list[StereoView],
+    views: list[StereoView],
     first_guess: Hypotheses,
     bounds: tuple[float, float],
     mask: Bool[np.ndarray, "H W"],
@@ -58,10 +57,11 @@ def match_view(
     num_iterations: int = 4,
     seed: int = 0,
 ) -> Hypotheses:
-    """Find the planes on which a view looks most like its neighbours, where the mask is set.
+    """Find the planes on which the first view looks most like the others, where the mask is set.
 
     `bounds` are the least and the greatest depth of surfaces [units of the cameras].
     """
+    reference, *neighbours = views
     steepest = 3.0  # tangent of the angle between a surface and the picture
     greys = np.zeros((len(neighbours), *np.max([view.grey.shape for view in neighbours], axis=0)), np.float32)
     for row, view in enumerate(neighbours):

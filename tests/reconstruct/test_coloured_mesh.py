@@ -63,7 +63,7 @@ def test_stereo_finds_the_depth_that_the_renderer_has(orbit):
     bounds = 1.5, 6.0
     everywhere = np.ones((height, width), bool)
     others = [[1, 2], [0, 2], [0, 1]]
-    planes = [match_view(views[v], [views[o] for o in others[v]], guess, bounds, everywhere, seed=v) for v in range(3)]
+    planes = [match_view([views[o] for o in (v, *others[v])], guess, bounds, everywhere, seed=v) for v in range(3)]
     agreed = agreed_depths(views, planes, others, min_agreeing=1)[0]
     truth = exact_depths(orbit, (height, width))[0]
     inner = truth > 0
@@ -84,7 +84,7 @@ def test_stereo_is_the_same_in_every_run_and_leaves_the_masked_alone(orbit):
     mask = np.zeros(shape, bool)
     mask[30:60, 40:80] = True
     bounds = 1.5, 6.0
-    runs = [match_view(views[0], [views[1]], guess, bounds, mask, num_iterations=2) for _ in range(2)]
+    runs = [match_view(views[:2], guess, bounds, mask, num_iterations=2) for _ in range(2)]
     assert np.array_equal(runs[0].inverse, runs[1].inverse)
     assert (runs[0].inverse[~mask] == np.float32(0.3)).all()
     assert (runs[0].cost[mask] <= 2).all()
