@@ -42,6 +42,9 @@ def test_names_leave_everything_in_its_place(
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         viewer.picture()
         page.locator("#cancel").click()
+    sent = "{ name: 'oak', share: 1 }"
+    page.evaluate(f"async () => (await import('/web/page/progress.js')).showProgress('uploading', {sent})")
+    expect(page.locator("#stages .running")).to_have_text("Read the files")
     assert viewer.complaints == []
 
 

@@ -18,7 +18,8 @@ export function showProgress(state, { name, job, share = 0, away, files, asset, 
   $("away").hidden = !away;
   const stages = [{ name: "upload", state: share < 1 && !job ? "running" : "succeeded", progress: share }];
   const all = [...(state === "uploading" || !job ? stages : []), ...(job?.stages ?? [])];
-  if (drawing) all.push({ name: "draw", state: "running", progress: null });
+  const unmeasured = drawing ? "draw" : state === "uploading" && share >= 1 && !job ? "read" : null;
+  if (unmeasured) all.push({ name: unmeasured, state: "running", progress: null });
   const names = all.map((stage) => stage.name);
   keyedChildren($("stages"), names, newStage);
   for (const stage of all) showStage($("stages").querySelector(`[data-key="${stage.name}"]`), stage);
@@ -47,13 +48,10 @@ function showStage(item, { state, progress, cached }) {
   fill(item.querySelector(".status"), progress === null ? "" : (words ?? state));
 }
 
-/** Words that stand among others whichever way they are written. */
-const isolated = (words) => `\u2068${words}\u2069`;
-
 /** "45 % · Oak", "Oak is ready": what a tab in the background says. */
 export function tabTitle(state, { name, job, share = 0 }) {
   const page = "DynamicTree";
-  const tree = isolated(shortened(name || text("tree.one")));
+  const tree = `\u2068${shortened(name || text("tree.one"))}\u2069`; // whichever way it is written
   if (state === "uploading") return `${percent(share)} · ${tree} · ${page}`;
   if (state === "queued") return `${text("title.queued")} · ${tree} · ${page}`;
   if (state === "running") return `${percent(job?.progress ?? 0)} · ${tree} · ${page}`;

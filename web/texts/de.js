@@ -47,6 +47,7 @@ export default {
   "time.seconds": "{n} s",
   "time.minutes": "{n} min",
   "stage.upload": "Hochladen",
+  "stage.read": "Dateien lesen",
   "stage.draw": "Den bewegten Baum zeichnen",
   "stage.reconstruct": "Oberfläche rekonstruieren",
   "stage.voxelize": "Voxel finden",

@@ -46,6 +46,7 @@ export default {
   "time.seconds": "{n} s",
   "time.minutes": "{n} min",
   "stage.upload": "Upload",
+  "stage.read": "Read the files",
   "stage.draw": "Draw the tree in motion",
   "stage.reconstruct": "Reconstruct the surface",
   "stage.voxelize": "Find the voxels",
