@@ -67,8 +67,7 @@ class Draft:
         path = self.folder / DRAFT
         with replacing(path) as stream:
             cloud = cloud_of(table)
-            write_splat(
-                replace(cloud, source=replace(cloud.source, up_axis=UP_AXIS)), stream
-            )  # a .splat file cannot say another axis
+            upright = replace(cloud.source, up_axis=UP_AXIS)  # a .splat file cannot say another axis
+            write_splat(replace(cloud, source=upright), stream)
         self._written_at = time.monotonic()
         self.on_file(path)

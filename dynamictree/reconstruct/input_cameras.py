@@ -238,7 +238,9 @@ def _colmap(cameras: bytes, images: bytes, binary: bool) -> list[InputCamera]:
 
 def _colmap_text(cameras: bytes, images: bytes) -> list[InputCamera]:
     lenses = {}
-    for line in _lines(cameras):
+    for line in cameras.decode().splitlines():
+        if not line.strip() or line.startswith("#"):
+            continue
         number, model, width, height, *params = line.split()
         lenses[number] = (model, int(width), int(height), [float(value) for value in params])
     result = []
@@ -249,10 +251,6 @@ def _colmap_text(cameras: bytes, images: bytes) -> list[InputCamera]:
         _, *pose, lens, name = line.split(maxsplit=9)
         result.append(_colmap_camera(name, lenses[lens], [float(value) for value in pose]))
     return result
-
-
-def _lines(content: bytes) -> list[str]:
-    return [line for line in content.decode().splitlines() if line.strip() and not line.startswith("#")]
 
 
 def _colmap_binary(cameras: bytes, images: bytes) -> list[InputCamera]:

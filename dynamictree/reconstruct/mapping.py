@@ -340,9 +340,7 @@ def _reason(num_features: int, num_shared: int) -> str:
 
 if __name__ == "__main__":
     _end_with_parent()
-    if (
-        not pycolmap.has_cuda
-    ):  # it uses the GPU by itself then, and CUDA reserves more addresses than any limit of memory
+    if not pycolmap.has_cuda:  # which is used by itself, and reserves more addresses than any limit of memory
         resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     job = json.load(sys.stdin)
     cameras = None if job["given"] is None else [InputCamera.from_json(fields) for fields in job["given"]]

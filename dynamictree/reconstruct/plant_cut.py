@@ -19,7 +19,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.photo_cameras import PhotoCamera
-from dynamictree.reconstruct.plant_proposal import Proposal, all_of, propose
+from dynamictree.reconstruct.plant_proposal import Proposal, propose
 from dynamictree.reconstruct.scribbles import marked
 
 _NEIGHBOURS = 10
@@ -43,10 +43,17 @@ def plant_of(
         InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
     """
     on_progress(0.0)
+    every = np.ones(cloud.num_gaussians, np.bool_)
     if masked and not scribbles:
-        return np.ones(cloud.num_gaussians, np.bool_)
-    proposal = all_of(cloud) if masked else propose(cloud, views)
-    strokes = marked(cloud, views, scribbles, on_stroke=lambda done: on_progress(0.2 + 0.2 * done / len(scribbles)))
+        return every
+    proposal = Proposal(near=every, background=~every, central=every) if masked else propose(cloud, views)
+    strokes = marked(
+        cloud,
+        views,
+        scribbles,
+        background=proposal.background,
+        on_stroke=lambda done: on_progress(0.2 + 0.2 * done / len(scribbles)),
+    )
     rows = np.flatnonzero(proposal.near | (strokes != 0))
     some = Proposal(near=proposal.near[rows], background=proposal.background[rows], central=proposal.central[rows])
     own = np.zeros(cloud.num_gaussians, np.bool_)
@@ -64,7 +71,10 @@ def _cut(
     color = lab_of(cloud)
     edges, weights = _edges(cloud, color)
     prior = np.where(proposal.central, proposed, 0.0) - np.where(proposal.background, rejected, 0.0)
-    prior += _stroke_odds(cloud, color, edges, strokes)
+    drawn = _stroke_odds(cloud, color, edges, strokes)
+    if not (strokes[proposal.background] > 0).any():  # nobody says that it is the plant, so it is not by being near
+        drawn = np.where(proposal.background, np.minimum(drawn, 0), drawn)
+    prior += drawn
     own = proposal.central & (strokes >= 0) | (strokes > 0)
     for done in range(rounds):
         on_progress(done / rounds)

@@ -28,12 +28,6 @@ class Proposal:
     central: Bool[np.ndarray, " G"]  # probably the plant: the largest thing in the middle of the pictures
 
 
-def all_of(cloud: GaussianCloud) -> Proposal:
-    """All Gaussians: photos were cut out by masks."""
-    every = np.ones(cloud.num_gaussians, np.bool_)
-    return Proposal(near=every, background=~every, central=every)
-
-
 def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     """Separate what is far, what is ground, pot or thing, and what stands in the middle of the photos."""
     level = 0.9  # +Z part of the normal of a ground

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Int8, Int64
+from jaxtyping import Bool, Int8, Int64
 from skimage.draw import line
 
 from dynamictree.errors import InputError
@@ -19,11 +19,13 @@ def marked(
     views: list[PhotoCamera],
     scribbles: Sequence[Scribble],
     *,
+    background: Bool[np.ndarray, " G"] | None = None,
     on_stroke: Callable[[int], None] = lambda done: None,
 ) -> Int8[np.ndarray, " G"]:
     """1 for Gaussians seen under strokes of the plant, -1 under other strokes, 0 elsewhere.
 
-    A Gaussian under both belongs to the stroke in whose pixels it has the larger share.
+    A Gaussian under both belongs to the stroke in whose pixels it has the larger share. A stroke of the plant that lies
+    on more else than on `background` takes nothing of that: down a trunk, hands draw on into the soil.
 
     Raises:
         InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
@@ -36,6 +38,8 @@ def marked(
         view = camera_of_photo(views, scribble.photo).reduced(side_px)
         pixels = _pixels(scribble, view.width, view.height)
         under = weights_at(cloud, view.camera, pixels, width=view.width, height=view.height)
+        if scribble.plant and background is not None and under[background].sum() < 0.5 * under.sum():
+            under = np.where(background, np.float32(0), under)
         weights[scribble.plant] = np.maximum(weights[scribble.plant], under)
     plant, other = weights[True], weights[False]
     result = np.zeros(cloud.num_gaussians, np.int8)

@@ -60,16 +60,13 @@ def points_in_masks(
     chosen = centres[rng.integers(len(centres), size=candidates * number)]
     points = chosen + rng.uniform(-half, half, (len(chosen), 3))
     points = points[_agreed(masks, points)]
-    exact = np.all([_inside(mask, points) for mask in masks], axis=0)
+    exact = np.ones(len(points), np.bool_)
+    for mask in masks:
+        at, _, visible = _projected(mask.view, points)
+        exact &= visible & (mask.away_px[at] == 0)
     if exact.sum() >= number:
         points = points[exact]
     return points, _mean_colors(masks, points)
-
-
-def _inside(mask: _Mask, points: Float64[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
-    at, _, visible = _projected(mask.view, points)
-    inside: Bool[np.ndarray, " P"] = visible & (mask.away_px[at] == 0)
-    return inside
 
 
 def _mask(view: View) -> _Mask:

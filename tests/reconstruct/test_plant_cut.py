@@ -54,6 +54,24 @@ def test_one_stroke_takes_away_what_leans_on_the_trunk() -> None:
     assert planted.iou(own) > max(0.95, alone)
 
 
+def test_a_stroke_down_the_trunk_leaves_the_soil() -> None:
+    """Dark soil around the foot, which the end of the stroke touches, came with the plant: IoU 0.74 fell to 0.66."""
+    planted = on_lawn()
+    means, lawn, tree = planted.scene.means, planted.owner == 1, planted.plant
+    height = float(np.ptp(means[tree, 2]))
+    trunk = tree & (means[:, 2] < 0.2 * height)
+    soil = lawn & (np.linalg.norm(means[:, :2] - np.median(means[trunk, :2], axis=0), axis=1) < 0.25 * height)
+    sh = planted.scene.sh.copy()
+    sh[soil, 0] = sh[trunk, 0].mean(axis=0)
+    view = planted.views[0]
+    ends = np.array([np.median(means[trunk], axis=0), [*np.median(means[trunk, :2], axis=0), 0.0]])
+    points = [(x / view.width, y / view.height) for x, y, _ in view.camera.project(ends, view.width, view.height)]
+    stroke = Scribble(photo=view.photo, plant=True, points=tuple(points))
+    own = plant_of(replace(planted.scene, sh=sh), list(planted.views), [stroke])
+    assert (own & tree).sum() > 0.97 * tree.sum()
+    assert (own & soil).sum() < 0.1 * soil.sum()
+
+
 def test_a_stroke_overrules_the_proposal() -> None:
     """The bench is what is wanted; the tree is crossed out."""
     planted = on_lawn()
