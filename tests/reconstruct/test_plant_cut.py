@@ -16,7 +16,6 @@ from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import joined
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.gaussian.visibility import weights_at
-from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
 from dynamictree.reconstruct.plant_cut import faint_floaters, minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
@@ -245,12 +244,6 @@ def test_a_plant_of_faint_gaussians_has_no_fog() -> None:
     assert not faint_floaters(faint, np.ones(tree.num_gaussians, np.bool_)).any()
 
 
-def num_open_edges(mesh: TriangleMesh) -> int:
-    """Edges of one face alone."""
-    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return int((np.unique(sides, axis=0, return_counts=True)[1] == 1).sum())
-
-
 @pytest.mark.parametrize("planted", [potted, on_lawn])
 def test_a_plant_that_is_cut_out_is_closed_and_whole(planted, tmp_path: Path) -> None:
     """Faces whose nearest Gaussian was no plant left holes: 0 boundary loops became 812 on a fern."""
@@ -258,7 +251,8 @@ def test_a_plant_that_is_cut_out_is_closed_and_whole(planted, tmp_path: Path) ->
     write_planted(planted(), folder)
     capture = recut(folder, folder, CutParams(only_plant=True))
     assert capture.mesh is not None
-    assert num_open_edges(capture.mesh) == 0
+    sides = np.sort(capture.mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(sides, axis=0, return_counts=True)[1] > 1).all(), "an edge of one face is open"
     own = capture.cloud.means[capture.cloud.opacity > 0.6]
     low, high = capture.mesh.vertices.min(axis=0) - 0.02, capture.mesh.vertices.max(axis=0) + 0.02
     assert ((own >= low) & (own <= high)).all(axis=1).mean() > 0.97
