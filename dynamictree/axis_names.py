@@ -12,8 +12,6 @@ DIRECTION_PATTERN = f"{_NUMBER},{_NUMBER},{_NUMBER}"
 UP_AXIS_PATTERN = rf"[+-][XYZ]|{DIRECTION_PATTERN}"
 Direction = tuple[float, float, float]
 """A unit vector."""
-_SHORTEST = 1e-3  # of a direction that says something
-_DIGITS = 4  # of a unit vector's coordinates: a hundredth of a degree
 
 
 def direction_of(name: str) -> Direction:
@@ -22,6 +20,7 @@ def direction_of(name: str) -> Direction:
     Raises:
         InputError: the name is none, or a direction without length.
     """
+    shortest = 1e-3  # of a direction that says something
     if not re.fullmatch(UP_AXIS_PATTERN, name):
         raise InputError(f"up_axis is {name[:80]!r}; choose from {', '.join(AXES)}, or a direction as 0.17,-0.97,0.17")
     if name in AXES:
@@ -29,7 +28,7 @@ def direction_of(name: str) -> Direction:
         return (sign * (name[1] == "X"), sign * (name[1] == "Y"), sign * (name[1] == "Z"))
     numbers = [float(number) for number in name.split(",")]
     length = math.hypot(*numbers)
-    if not _SHORTEST <= length < math.inf:
+    if not shortest <= length < math.inf:
         raise InputError(f"up_axis is {name[:80]!r}; a direction has a length, such as 0.17,-0.97,0.17")
     x, y, z = (number / length for number in numbers)
     return x, y, z
@@ -37,7 +36,8 @@ def direction_of(name: str) -> Direction:
 
 def name_of(direction: Sequence[float]) -> str:
     """The name of a direction of any length; `direction_of` undoes it to a hundredth of a degree."""
+    digits = 4  # of a unit vector's coordinates: a hundredth of a degree
     length = math.hypot(*direction)
-    unit = tuple(round(number / length, _DIGITS) + 0.0 for number in direction)  # no minus zero
+    unit = tuple(round(number / length, digits) + 0.0 for number in direction)  # no minus zero
     axis = next((name for name in AXES if direction_of(name) == unit), None)
-    return axis or ",".join(f"{number:.{_DIGITS}f}".rstrip("0").rstrip(".") for number in unit)
+    return axis or ",".join(f"{number:.{digits}f}".rstrip("0").rstrip(".") for number in unit)

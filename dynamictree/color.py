@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 LINEAR_END = 0.0031308  # of linear light, below which the curve is a line
-DISPLAY_END = 0.04045  # the same place as a display value
 STILL_SHARE = 0.5  # of its luminance what stands still is drawn with, in grey: white sand would outshine the plant
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue, BT.709
 
@@ -19,8 +18,9 @@ def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*s
 
 def srgb_to_linear(display: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Decode display values to linear light; undoes `linear_to_srgb`."""
+    display_end = 0.04045  # the same place as a display value
     curved = ((display + 0.055) / 1.055) ** 2.4
-    return np.where(display <= DISPLAY_END, display / 12.92, curved).astype(display.dtype)
+    return np.where(display <= display_end, display / 12.92, curved).astype(display.dtype)
 
 
 def linear_from_bytes(srgb: UInt8[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:

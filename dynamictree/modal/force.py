@@ -16,11 +16,6 @@ from dynamictree.voxel.grid import VoxelGrid
 
 Vector = tuple[float, float, float]
 
-AIR_DENSITY_KG_M3 = 1.2
-DRAG_COEFFICIENT = 0.25  # crowns in leaf measure 0.2 to 0.4 at 10 m/s; half the surface or more lies in the lee
-REACH_VOXELS = 3.0  # a point further from every voxel's centre lies outside of the tree
-STIFF_SHARE = 0.1  # a direction that gives way by this share of the softest is dragged half of the way
-
 
 @dataclass(frozen=True, kw_only=True)
 class CarriedPoint:
@@ -90,11 +85,12 @@ def contact_at_point(grid: VoxelGrid, point_m: Vector, *, radius_m: float = 0.0)
     Raises:
         InputError: the point is not finite, or no voxel is near.
     """
+    reach_voxels = 3.0  # a point further from every voxel's centre lies outside of the tree
     if not (np.isfinite(point_m).all() and np.isfinite(radius_m) and radius_m >= 0):
         raise InputError(f"point_m {point_m} with radius_m {radius_m}; both must be finite, the radius not negative")
     distance = np.linalg.norm(grid.centres_m - np.asarray(point_m), axis=1)  # [V]
     nearest = int(np.argmin(distance))
-    reach = max(radius_m, REACH_VOXELS * grid.voxel_size_m)
+    reach = max(radius_m, reach_voxels * grid.voxel_size_m)
     if distance[nearest] > reach:
         centre = [round(float(x), 3) for x in grid.centres_m[nearest]]
         raise InputError(
@@ -141,6 +137,7 @@ def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
     Raises:
         InputError: neither or both of force and displacement are given, or nothing moves at the point.
     """
+    stiff_share = 0.1  # a direction that gives way by this share of the softest is dragged half of the way
     if (drag.force_n is None) == (drag.displacement_m is None):
         raise InputError("a drag has either force_n or displacement_m; give exactly one of them")
     if drag.force_n is not None:
@@ -151,7 +148,7 @@ def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
     if np.trace(give) <= 0:
         raise InputError("the tree does not move at the point that is dragged; aim higher, or at a branch")
     softness, axes = np.linalg.eigh(give)
-    damped = softness / (softness**2 + (STIFF_SHARE * softness[-1]) ** 2)  # [N/m]
+    damped = softness / (softness**2 + (stiff_share * softness[-1]) ** 2)  # [N/m]
     return np.asarray(axes @ (damped * (axes.T @ wanted)))
 
 
@@ -197,12 +194,14 @@ def _shape_at(system: ModalSystem, at: Contact) -> Complex128[np.ndarray, "M 3"]
 
 def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) -> Complex128[np.ndarray, "T M"]:
     """½ρ C A |v| v on every voxel; a surface voxel shows a quarter of its face to any side, as a convex body does."""
+    drag_coefficient = 0.25  # crowns in leaf measure 0.2 to 0.4 at 10 m/s; half the surface or more lies in the lee
+    air_density_kg_m3 = 1.2
     velocity = np.asarray(wind.velocity_m_s, np.float64)
     if len(velocity) == 0:
         raise InputError("the wind has no samples; give at least one velocity")
     finite("wind_m_s", velocity.ravel())
     area = system.grid.voxel_size_m**2 / 4
-    pressure = AIR_DENSITY_KG_M3 / 2 * DRAG_COEFFICIENT * area * np.linalg.norm(velocity, axis=1, keepdims=True)
+    pressure = air_density_kg_m3 / 2 * drag_coefficient * area * np.linalg.norm(velocity, axis=1, keepdims=True)
     per_voxel_n = pressure * velocity  # [S, 3]
     share = share_of_steps(wind.start_s, wind.duration_s, dt_s, num_frames)
     times = (np.arange(num_frames) + 0.5) * dt_s - wind.start_s

@@ -32,8 +32,6 @@ if TYPE_CHECKING:  # what brings numba
     from dynamictree.rig.pose import Weights
     from dynamictree.rig.rig import Rig
 
-FRAMES_AT_ONCE = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
-
 
 @dataclass(frozen=True, kw_only=True)
 class Locality:
@@ -138,13 +136,14 @@ class InteractiveTree:
 
     def voxels(self, answer: Answer, *, warp: bool = False) -> Iterator[Float32[np.ndarray, "V 3"]]:
         """Displacement of every voxel, frame after frame [m]."""
+        frames_at_once = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
         grid = self.system.grid
         if warp:
             yield from self.bent(answer, grid.centres_m, self.bones.voxels)
             return
         weights = self.weights(answer.groups)
-        for first in range(0, len(answer.q), FRAMES_AT_ONCE):
-            some = answer.q[first : first + FRAMES_AT_ONCE]
+        for first in range(0, len(answer.q), frames_at_once):
+            some = answer.q[first : first + frames_at_once]
             moved = np.zeros((len(some), len(grid), 3), np.float32)
             for index, row in enumerate(weights):
                 moved += row[:, None] * displacement(self.system.shapes, some[:, index])

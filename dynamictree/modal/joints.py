@@ -24,8 +24,6 @@ from dynamictree.modal.system import ModalSystem
 from dynamictree.parallel import compiled
 from dynamictree.rig.pose import Poses, Skeleton
 
-ABSOLUTE = 0.01  # of a mode's motion counts as if the joint did not move with it: a tip has little beyond it
-
 
 @dataclass(frozen=True, kw_only=True)
 class Joints:
@@ -102,6 +100,7 @@ def _moved(
     parent: Int32[np.ndarray, " J"], of_voxel: Int32[np.ndarray, " V"], shapes: Complex64[np.ndarray, "V M 3"]
 ) -> Float64[np.ndarray, "J M"]:
     """How far each mode moves the voxels beyond each joint, against those where it is, and a little in all [m²]."""
+    absolute = 0.01  # of a mode's motion counts as if the joint did not move with it: a tip has little beyond it
     count, of_joint = np.bincount(of_voxel, minlength=len(parent)), (of_voxel, np.arange(len(of_voxel)))
     member = scipy.sparse.csr_array((np.ones(len(of_voxel)), of_joint), shape=(len(parent), len(of_voxel)))
     total = (member @ shapes.reshape(len(shapes), -1)).reshape(len(parent), *shapes.shape[1:])
@@ -112,7 +111,7 @@ def _moved(
     square = _beyond(parent, member @ (np.abs(shapes) ** 2).sum(axis=2))
     cross = (mean.conj() * _beyond(parent, total)).real.sum(axis=2)
     apart = square - 2 * cross + _beyond(parent, count)[:, None] * (np.abs(mean) ** 2).sum(axis=2)
-    return np.asarray(np.maximum(apart, 0) + ABSOLUTE * square)
+    return np.asarray(np.maximum(apart, 0) + absolute * square)
 
 
 def _together(

@@ -5,13 +5,12 @@ import numpy as np
 from dynamictree.modal.system import ModalSystem
 from dynamictree.requests import SwingParams
 
-FALLOFF_SHARE = 0.15  # of the tree's height: the default falloff
-
 
 def default_falloff_m(system: ModalSystem) -> float:
     """Default falloff of a push [m]."""
+    falloff_share = 0.15  # of the tree's height: the default falloff
     levels = int(np.ptp(system.grid.coords[:, 2])) + 1
-    return FALLOFF_SHARE * levels * system.grid.voxel_size_m
+    return falloff_share * levels * system.grid.voxel_size_m
 
 
 def chosen_falloff_m(system: ModalSystem, params: SwingParams) -> float | None:

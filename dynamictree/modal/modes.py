@@ -23,7 +23,6 @@ if TYPE_CHECKING:  # what brings numba
 
 FORMAT = "tree-modes"
 VERSION = "2"
-_LARGEST = 32767
 
 
 def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints") -> dict[str, np.ndarray]:
@@ -63,9 +62,10 @@ def quantised(
     shapes: Complex64[np.ndarray, "N M 3"],
 ) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
     """Shapes in 16 bits, and the metres of a step of each mode."""
-    scale = np.maximum(np.abs(_parts(shapes)).max(axis=(0, 2, 3)) / _LARGEST, np.finfo(np.float32).tiny)  # [M]
+    largest = 32767
+    scale = np.maximum(np.abs(_parts(shapes)).max(axis=(0, 2, 3)) / largest, np.finfo(np.float32).tiny)  # [M]
     steps = np.rint(_parts(shapes) / scale[:, None, None])
-    return np.clip(steps, -_LARGEST, _LARGEST).astype(np.int16), scale
+    return np.clip(steps, -largest, largest).astype(np.int16), scale
 
 
 def _from_bin_zero(shapes: Int16[np.ndarray, "N M 3 2"]) -> Int16[np.ndarray, "N K 3 2"]:

@@ -26,16 +26,12 @@ from dynamictree.modal.force import CarriedPoint
 from dynamictree.modal.joints import Joints, cross_matrix, exponential, product, turned
 from dynamictree.parallel import compiled
 
-LARGEST_BEND = 0.5  # κ_max, of one joint [rad]
 TOLERANCE = 1e-8  # ε over the compliance at rest: a direction in which nothing gives way is not followed
 ROUNDS = 120
 SETTLED = 3e-4  # of the target: a step that changes the point by less is the last
 STEP_RAD = 0.5  # that a joint turns in a round
 SLACK = 0.03  # of the pull: a drag ends so far within the length of the branches
 DRAWN = 0.7  # of how much longer a crooked branch is than straight: so far it can be drawn
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.1, 1e-9, 1e8
-ACCEPT, REFUSE = 0.25, 6.0  # factors of Levenberg's damping
-SURE_DAMPING = 1e-2  # a small step under more is not the last
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,19 +89,22 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np
 
 def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
     """The bend of least energy that holds the point at a target within reach, from a first guess on."""
-    damping, now = FIRST_DAMPING, _Linear(grip, bend, target_m)
+    sure_damping = 1e-2  # a small step under more is not the last
+    accept, refuse = 0.25, 6.0  # factors of Levenberg's damping
+    first_damping, least_damping, most_damping = 0.1, 1e-9, 1e8
+    damping, now = first_damping, _Linear(grip, bend, target_m)
     settled = SETTLED * float(np.linalg.norm(target_m))
     for _ in range(ROUNDS):
         tried = _Linear(grip, now.bend + now.step(damping), target_m)
         if not tried.cost < now.cost:
-            damping *= REFUSE
-            if damping > MOST_DAMPING:
+            damping *= refuse
+            if damping > most_damping:
                 break
             continue
         moved = float(np.linalg.norm(tried.reached - now.reached))
         now, last = tried, damping
-        damping = max(damping * ACCEPT, LEAST_DAMPING)
-        if moved < settled and last < SURE_DAMPING:
+        damping = max(damping * accept, least_damping)
+        if moved < settled and last < sure_damping:
             break
     return Pull(bend=now.bend, reached_m=now.reached, beyond_m=0.0)
 
@@ -135,12 +134,13 @@ class _Linear:
     """The problem around one guess: value, Jacobian and weights of the energy."""
 
     def __init__(self, grip: Grip, bend: Float64[np.ndarray, "n 3"], target_m: Float64[np.ndarray, " 3"]) -> None:
+        largest_bend = 0.5  # κ_max, of one joint [rad]
         self.bend, self.tolerance = bend, grip.tolerance
         self.reached, jacobian = _reach(grip.segments_m, bend)
         self.jacobian = jacobian.reshape(3, -1)
         self.gap = target_m - self.reached
         size = (bend**2).sum(axis=1)
-        folded = size / LARGEST_BEND**2
+        folded = size / largest_bend**2
         self.soft = np.repeat(grip.give / (1 + folded), 3)
         free = grip.give > 0
         energy = (size * (1 + folded / 2))[free] / grip.give[free]

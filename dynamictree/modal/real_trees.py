@@ -11,19 +11,15 @@ from jaxtyping import Float64
 
 from dynamictree.spectrum import FPS, NUM_FRAMES, UNKNOWN_FOLIAGE
 
-BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
 MEASURED_FROM_M = 12.0
 FITTED_HEIGHTS_M = (2.0, 56.0)
 """A plant of 1 m has the frequency of one of 2 m, 1.4 Hz: twice as much is above what 16 frequencies in 4.17 s show."""
 LEARNED_TO_M = 8.0
 """Height below which trees of version 5 of the data set, which the shipped weights learned from, get faster as 1 / √L
 only: 16 frequencies in 4.17 s end at 3.6 Hz."""
-MAX_QUICKENING = 2.5
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
 LEAST_BINS = 2
 """Of a loop's spectrum, the lean not counted, up to the lowest natural frequency."""
-MAX_LOOP_TIMES = 4
-"""Longest loop that a height chooses, over the paper's: 16.7 s. Trees above 29 m would want more."""
 
 
 def height_law_hz(height_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
@@ -45,14 +41,16 @@ def learned_law_hz(length_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.nd
 
 def quickening(height_m: float) -> float:
     """How much faster a small tree sways than the model's 1 / √L says; 1 where nature is not faster."""
+    max_quickening = 2.5
     height = max(height_m, 1e-3)
-    return float(np.clip(height_law_hz(height) / learned_law_hz(height), 1, MAX_QUICKENING))
+    return float(np.clip(height_law_hz(height) / learned_law_hz(height), 1, max_quickening))
 
 
 def natural_damping(foliage: float | None) -> float:
     """Damping ratio of a released pull, between the medians of bare trees and trees in leaf."""
+    bare_damping_ratio, leaf_damping_ratio = 0.039, 0.13
     share = _or_middle(foliage)
-    return float(BARE_DAMPING_RATIO ** (1 - share) * LEAF_DAMPING_RATIO**share)
+    return float(bare_damping_ratio ** (1 - share) * leaf_damping_ratio**share)
 
 
 def _or_middle(foliage: float | None) -> float:
@@ -61,8 +59,10 @@ def _or_middle(foliage: float | None) -> float:
 
 def loop_times(height_m: float) -> int:
     """Length of the loop in which a tree of this height sways at its own pace, over the paper's 4.17 s."""
+    # Longest loop that a height chooses, over the paper's: 16.7 s. Trees above 29 m would want more.
+    max_loop_times = 4
     slowest_s = LEAST_BINS / natural_frequency_hz(height_m, foliage=0.5)
-    return int(np.clip(np.ceil(slowest_s * FPS / NUM_FRAMES), 1, MAX_LOOP_TIMES))
+    return int(np.clip(np.ceil(slowest_s * FPS / NUM_FRAMES), 1, max_loop_times))
 
 
 def loop_period_s(height_m: float) -> float:

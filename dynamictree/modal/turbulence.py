@@ -29,13 +29,9 @@ NUM_PARTIALS = 6
 """J. |q_k| is at most √J = 2.4 times its root mean square, times g."""
 NUM_GUST_PARTIALS = 12
 """M."""
-LATERAL_SHARE = 0.75  # standard deviation of the speed across the mean wind over that along it, ESDU 85020
 SLOWEST_HZ = 1 / 600  # slower than the ten minutes of a mean wind is another mean wind
-SLOWEST_WIND_M_S = 0.5
 ROUGHNESS_M = 0.3  # of open country with trees and hedges, EN 1991-1-4
-LARGEST_GUST = 0.9  # the factor on the drag stays within 1 ± this
 LARGEST_TURN_RAD = np.pi / 3
-_TIMES_AT_ONCE = 240
 _CELLS = 64  # of the integrals over the spectrum, per partial
 
 
@@ -96,17 +92,20 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
         seed: of frequencies and phases.
         wind: mean speed and gust; by default those that the spectrum was generated for.
     """
+    largest_gust = 0.9  # the factor on the drag stays within 1 ± this
+    slowest_wind_m_s = 0.5
+    lateral_share = 0.75  # standard deviation of the speed across the mean wind over that along it, ESDU 85020
     rng = np.random.default_rng(seed)
     wind = wind or spectrum.wind or Wind()
     height = spectrum.grid.height_m
     damping, natural = natural_damping(spectrum.foliage), natural_frequency_hz(height, spectrum.foliage)
     fastest_gust_hz = 0.5 / spectrum.period_s  # what is faster is in the spectrum
     length = turbulence_length_m(height)
-    gusts = _gusts(max(wind.speed_m_s, SLOWEST_WIND_M_S) / length, fastest_gust_hz, wind.gust, rng)
+    gusts = _gusts(max(wind.speed_m_s, slowest_wind_m_s) / length, fastest_gust_hz, wind.gust, rng)
     phase = rng.uniform(0, 2 * np.pi, (2, NUM_GUST_PARTIALS))  # of the speed, and of the direction
     resonance = gusts.filtered(lambda f: 1 / (1 - (f / natural) ** 2 + 2j * damping * f / natural))
     smoothing = gusts.filtered(lambda f: 1 / (1 + 1j * f / (damping * natural)))
-    strength = gusts.wave(1.0, LARGEST_GUST, DRAG_EXPONENT * smoothing, phase[0])
+    strength = gusts.wave(1.0, largest_gust, DRAG_EXPONENT * smoothing, phase[0])
     return TurbulentWind(
         seed=seed,
         wind=wind,
@@ -117,9 +116,9 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
         partial_hz=_partials(spectrum.frequencies_hz, damping, fastest_gust_hz, rng),
         partial_phase_rad=rng.uniform(0, 2 * np.pi, (spectrum.num_frequencies, NUM_PARTIALS)),
         strength=_of_unit_mean_square(strength),
-        lean=gusts.wave(1.0, LARGEST_GUST, DRAG_EXPONENT * resonance, phase[0]),
+        lean=gusts.wave(1.0, largest_gust, DRAG_EXPONENT * resonance, phase[0]),
         bands=spectrum.wind_bands,
-        turn_rad=gusts.wave(0.0, LARGEST_TURN_RAD, LATERAL_SHARE * resonance, phase[1]),
+        turn_rad=gusts.wave(0.0, LARGEST_TURN_RAD, lateral_share * resonance, phase[1]),
     )
 
 
@@ -135,12 +134,13 @@ def iter_turbulent_sums(
     num_frames: int,
 ) -> Iterator[tuple[Float32[np.ndarray, "N 3"], Float32[np.ndarray, "3 3"]]]:
     """Re Σ_k w_k c_k q_k at each moment, and the turn of the wind's direction. `num_frames` is T of the spectrum."""
+    times_at_once = 240
     num_points, num_frequencies, _ = coefficients.shape
     stacked = np.concatenate([coefficients.real, -coefficients.imag], axis=1)  # [N, 2K, 3]
     stacked = np.ascontiguousarray(stacked.transpose(1, 0, 2)).reshape(2 * num_frequencies, num_points * 3)
     weights = bin_weights(num_frequencies, num_frames)
-    for start in range(0, len(times_s), _TIMES_AT_ONCE):
-        some = times_s[start : start + _TIMES_AT_ONCE]
+    for start in range(0, len(times_s), times_at_once):
+        some = times_s[start : start + times_at_once]
         q = weights * wind.coordinates(some)
         coordinates = np.concatenate([q.real, q.imag], axis=1).astype(np.float32)  # [T, 2K]
         for row, turn in zip(coordinates, wind.turn_rad.at(some), strict=True):

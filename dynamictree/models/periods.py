@@ -34,7 +34,6 @@ MAX_VALUES = 38_400_000
 """Voxels times frequencies, above which flutter is left out: 0.9 GB."""
 LEARNED_FROM_M = 2.0
 """Height below which the data has two species only."""
-VOXELS_AT_ONCE = 65_536
 
 
 def period_by_height(voxels: SurfaceVoxels) -> float:
@@ -109,13 +108,14 @@ def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) 
 
     A square matrix overwrites the spectrum, which may be large.
     """
+    voxels_at_once = 65_536
     own: Complex64[np.ndarray, "V J 3"] = spectrum.coefficients
     parts = mode_sizes(own) ** 2 @ (np.abs(matrix) ** 2).T
     mixed: Complex64[np.ndarray, "V K 3"] = (
         own if len(matrix) == own.shape[1] else np.empty((len(own), len(matrix), 3), np.complex64)
     )
-    for start in range(0, len(own), VOXELS_AT_ONCE):
-        some = slice(start, start + VOXELS_AT_ONCE)
+    for start in range(0, len(own), voxels_at_once):
+        some = slice(start, start + voxels_at_once)
         mixed[some] = np.einsum("vjc,kj->vkc", own[some], matrix, optimize=True)
     power = mode_sizes(mixed) ** 2
     scale = np.sqrt(np.divide(parts, power, out=np.ones_like(parts), where=power > 0))

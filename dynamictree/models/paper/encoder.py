@@ -18,15 +18,15 @@ from dynamictree.sparse.pool import max_pool
 
 NUM_OCTAVES = 5
 POSITION_FEATURES = 3 * (1 + 2 * NUM_OCTAVES)  # 33
-NORMAL_FEATURES = 3
 
 
 class SparseEncoder(nn.Module):
     """Encode the finest level of a pyramid to its level `len(widths) - 1`."""
 
     def __init__(self, *, base: int = 32, widths: tuple[int, ...] = (32, 64, 128), num_groups: int = 8) -> None:
+        normal_features = 3
         super().__init__()
-        self.enter = nn.Linear(POSITION_FEATURES + NORMAL_FEATURES, base)
+        self.enter = nn.Linear(POSITION_FEATURES + normal_features, base)
         before = (base, *widths[:-1])
         self.blocks = nn.ModuleList(
             EncoderBlock(left, right, num_groups) for left, right in zip(before, widths, strict=True)

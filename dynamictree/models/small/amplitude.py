@@ -49,7 +49,6 @@ DRAG_EXPONENT = 1.6
 """Of the speed, the simulator's: of how a size grows in a calm, where nothing saturates."""
 SATURATION = -1.9
 """Ln s before training: that of a stem of mean slenderness in the simulator."""
-BENT_SIZE = 0.01  # of the height: sways above it come with a lean that lowers the crown
 BENT = (1e-6, 50.0)  # bounds of s d, in which tanh(s d) / (s d) is exact in float32
 
 
@@ -95,6 +94,7 @@ class AmplitudeNetwork(nn.Module):
             inputs: rows of `amplitude_inputs`.
             wind: ln speed and gust at each row.
         """
+        bent_size = 0.01  # of the height: sways above it come with a lean that lowers the crown
         hidden = self.enter(((inputs - self.mean) / self.deviation).clamp(-CLIP, CLIP))
         for block in self.blocks:
             hidden = hidden + block(hidden)
@@ -108,7 +108,7 @@ class AmplitudeNetwork(nn.Module):
         growth = growth * torch.stack([ones, ones, 1 + leant.sigmoid()], dim=1)[:, None]
         log_amplitude = START + sizes[:, 1:] + growth + log_gust[:, None]
         size = (2 * (log_amplitude.detach() - log_gust[:, None])).exp().sum(dim=(1, 2)).sqrt()
-        lean = sizes[:, 0] + torch.stack([zeros, zeros, dropped * size / BENT_SIZE], dim=1)
+        lean = sizes[:, 0] + torch.stack([zeros, zeros, dropped * size / bent_size], dim=1)
         return LEAN * lean * size[:, None], log_amplitude
 
     def of_tree(

@@ -16,10 +16,7 @@ from dynamictree.diffusion.preconditioning import preconditioned
 from dynamictree.models.small.features import NUM_FEATURES, NUM_WIND, TreeFeatures, node_features
 from dynamictree.models.small.mixer import MixerBlock, Neighbourhood
 
-TYPICAL_LOG_AMPLITUDE = -8.0  # over the height
 NOISE_FEATURES = 64
-NOISE_SCALE = 25.0
-"""ln σ runs over ± 4; times this, the sinusoids' periods cover it from coarse to fine."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,10 +70,12 @@ class Denoiser(nn.Module):
         self, scaled: Float32[Tensor, "W J 6"], sigma: Float32[Tensor, "B J"], condition: "DenoiserCondition"
     ) -> Float32[Tensor, "W J 6"]:
         """F(c_in x; ln σ), see `diffusion.preconditioning`."""
-        noise_features = sinusoid(NOISE_SCALE * sigma.log(), NOISE_FEATURES)
+        noise_scale = 25.0  # ln σ runs over ± 4; times this, the sinusoids' periods cover it from coarse to fine
+        typical_log_amplitude = -8.0  # over the height
+        noise_features = sinusoid(noise_scale * sigma.log(), NOISE_FEATURES)
         level_and_bin = self.embed_noise(noise_features) + self.embed_frequency(condition.frequency)
         embedding = self.mix(level_and_bin + condition.air[:, None])  # [B, J, E]
-        size = (condition.log_amplitude - TYPICAL_LOG_AMPLITUDE) / 2
+        size = (condition.log_amplitude - typical_log_amplitude) / 2
         features = self.join(torch.cat([scaled, size], dim=-1)) + condition.geometry[:, None]
         for block in self.blocks:
             features = block(features, condition.neighbourhood, embedding, condition.tree_of_node)

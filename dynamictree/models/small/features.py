@@ -29,14 +29,11 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 NUM_LEVELS = 5  # 128³ to 8³
 CHAIN = 4
 """Stems whose features a voxel gets: its own, the one that bears it, and so on towards the root."""
-SHORTEST_STEM = 4  # voxels
 NUM_SCALARS = 16 + 4 * CHAIN
 ROOT_DISTANCE = 2  # of the scalars, the way along the tree to the root over the height
 NUM_VECTORS = 4 + CHAIN
 NUM_FEATURES = NUM_SCALARS + 3 * NUM_VECTORS
 NUM_WIND = 2
-AXIS_STEPS = 6
-"""The stem's axis at a voxel is the way to its ancestor so many voxels down."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +183,8 @@ def _scalars(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> Float32[np
 
 def _chain(grid: VoxelGrid, skeleton: Skeleton) -> Int32[np.ndarray, "V 4"]:
     """Where the way from each voxel to the root enters its own stem, which is there, and those that bear it."""
-    shortest_m = SHORTEST_STEM * grid.voxel_size_m
+    shortest_stem = 4  # voxels
+    shortest_m = shortest_stem * grid.voxel_size_m
     rows = [skip_short(skeleton, np.arange(len(grid), dtype=np.int32), shortest_m)]
     while len(rows) < CHAIN:
         rows.append(skip_short(skeleton, skeleton.base[rows[-1]], shortest_m))
@@ -224,12 +222,13 @@ def _crowding(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
 
 def _vectors(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> list[Float32[np.ndarray, "V 3"]]:
     """From the foot to the voxel, the axis of its stem, and the axis four times as far down."""
+    axis_steps = 6  # the stem's axis at a voxel is the way to its ancestor so many voxels down
     centres = grid.centres_m
     foot = centres[skeleton.distance_m == 0].mean(axis=0)
     vectors = [(centres - foot) / height_m]
     ancestor = np.arange(len(grid))
     for _ in range(2):
-        for _ in range(AXIS_STEPS if len(vectors) == 1 else 3 * AXIS_STEPS):
+        for _ in range(axis_steps if len(vectors) == 1 else 3 * axis_steps):
             ancestor = skeleton.parent[ancestor]
         axis = centres - centres[ancestor]
         vectors.append(axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-6))

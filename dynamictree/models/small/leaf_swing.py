@@ -16,8 +16,6 @@ from dynamictree.models.small.foliage import ARM, ARM_SCALE
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_GAIN = 2.0
-BASE_VOXELS = 0.5
-"""So near to its leaf's base a voxel keeps the motion it was given; from one voxel further out it swings."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,10 +50,12 @@ def leaves_of(
         free: 0 where the ground fixes a voxel, 1 elsewhere.
         axes: the frame that spectra are in.
     """
+    # so near to its leaf's base a voxel keeps the motion it was given; from one voxel further out it swings
+    base_voxels = 0.5
     arm = arms_of(grid.coords, foliage_values)
     length = np.linalg.norm(arm, axis=1)
     outward = arm @ axes.T / np.maximum(length, np.finfo(np.float32).tiny)[:, None]
-    out = (length - BASE_VOXELS).clip(0, 1)
+    out = (length - base_voxels).clip(0, 1)
     return Leaves(
         base=torch.from_numpy(bases_of(grid.coords, foliage_values)),
         outward=torch.from_numpy(outward.astype(np.float32)),

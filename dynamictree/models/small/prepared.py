@@ -38,9 +38,6 @@ LEAF_SHARES = (0.2, 0.4)
 """Mean share of leaf in the voxels of a bare tree, at most, and of one in leaf, at least: six grown bare trees of 1 to
 30 m have 0.03 to 0.15, thirteen of other species 0.51 to 0.80."""
 
-FIXED_SHARE = 0.02
-"""Of the height: so near to the roots, along the tree, the ground holds the stem, whatever the network guesses."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreparedTree:
@@ -93,6 +90,8 @@ def prepare_tree(
     network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
 ) -> PreparedTree:
     """Compute features, amplitudes and interpolation matrices of a tree."""
+    # of the height: so near to the roots, along the tree, the ground holds the stem, whatever the network guesses
+    fixed_share = 0.02
     halvings = halvings_served(voxels.grid, network.preset.resolution, "small", max_voxels=max_voxels)
     coarse, finer = coarsened(voxels, halvings)
     tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top
@@ -102,7 +101,7 @@ def prepare_tree(
     spread = network.spread_at(air[0, 0])
     rms = moving(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
     nodes = coarsen_features(tree, top)
-    free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / FIXED_SHARE).square()).exp()  # [V]
+    free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / fixed_share).square()).exp()  # [V]
     leaves = leaves_of(coarse.grid, foliage_values, free, axes)
     smooth = sparse_rows(touching(tree.grids.levels[0]))
     return PreparedTree(

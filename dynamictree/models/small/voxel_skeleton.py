@@ -10,13 +10,8 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from dynamictree.voxel.graph import root_rows
 from dynamictree.voxel.grid import VoxelGrid
 
-MAX_SKIPS = 12
-"""Stems that `skip_short` goes down at most."""
 FOOT_VOXELS = 4
 """So far out, a stem has left the surface of the one that bears it."""
-SECTION_VOXELS = 2
-"""Thickness of a cross-section."""
-THINNEST_VOXELS = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +68,8 @@ def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
 
 def skip_short(skeleton: Skeleton, rows: Int32[np.ndarray, " V"], length_m: float) -> Int32[np.ndarray, " V"]:
     """From each row down to the first stem that is at least so long [m]: a leaf's voxels make stems of their own."""
-    for _ in range(MAX_SKIPS):
+    max_skips = 12  # stems that `skip_short` goes down at most
+    for _ in range(max_skips):
         rows = np.where(skeleton.stem_length_m[rows] < length_m, skeleton.base[rows], rows)
     return rows
 
@@ -97,7 +93,9 @@ def section_radius(
         distance_m: along the tree to the root [m].
         area_m2: of the surface in each voxel [m²]; None where no mesh is known.
     """
-    slab = (distance_m / (SECTION_VOXELS * grid.voxel_size_m)).astype(np.int32)
+    thinnest_voxels = 0.01
+    section_voxels = 2  # thickness of a cross-section
+    slab = (distance_m / (section_voxels * grid.voxel_size_m)).astype(np.int32)
     edges = graph.tocoo()
     inside = slab[edges.row] == slab[edges.col]
     places = edges.row[inside], edges.col[inside]
@@ -108,8 +106,8 @@ def section_radius(
     squares = ((grid.centres_m - middle[section]) ** 2).sum(axis=1)
     radius = np.sqrt(np.bincount(section, squares, count) / size) + grid.voxel_size_m / 2
     if area_m2 is not None:
-        circumference = np.bincount(section, area_m2, count) / (SECTION_VOXELS * grid.voxel_size_m)
-        radius = np.minimum(radius, np.maximum(circumference / (2 * np.pi), THINNEST_VOXELS * grid.voxel_size_m))
+        circumference = np.bincount(section, area_m2, count) / (section_voxels * grid.voxel_size_m)
+        radius = np.minimum(radius, np.maximum(circumference / (2 * np.pi), thinnest_voxels * grid.voxel_size_m))
     of_voxel: Float64[np.ndarray, " V"] = radius[section]
     return of_voxel
 
