@@ -56,7 +56,7 @@ export class App {
       onKey: (again) => this.askKey(again),
     });
     const products = () => this.limits.then((limits) => limits.products);
-    this.files = new Files(this.client, { products, onProblem });
+    this.files = new Files(this.client, { products, onDoubts: (all) => this.doubt.say(all), onProblem });
     this.jobs = new JobList(this.client, {
       onOpen: (id) => this.open(id),
       onDeleted: (id) => id === this.session.jobId && this.session.deleted(),

@@ -15,7 +15,7 @@ import { Modes } from "../../web/motion/modes.js";
 import { equilibrium, Pin } from "../../web/motion/pin.js";
 import { binSizes, displaced, swingBones } from "../../web/motion/swing.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
-import { proposals } from "../../web/page/doubt.js";
+import { proposals, SizeDoubt, warningsOf } from "../../web/page/doubt.js";
 import { readDrop } from "../../web/page/drop.js";
 import { checkContent } from "../../web/page/first_bytes.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
@@ -528,6 +528,22 @@ test("a name of any length and script stays a name, on the page and in file syst
   assert.equal(fileName('../a:b"c', "-preview.png"), "abc-preview.png");
   assert.equal(fileName("...", ".glb"), "tree.glb");
   assert.ok(Buffer.byteLength(fileName("🌳".repeat(100), "-tree.spectrum.safetensors")) <= 255);
+});
+
+test("what the report of photos warns of is said beside the tree until it is read", async () => {
+  const bytes = async () => new TextEncoder().encode('{"warnings": ["no photo was taken in 130 degrees"]}').buffer;
+  const warnings = await warningsOf({ bytes }, { url: "/v1/artifacts/1" });
+  const nodes = {};
+  function take(...inner) {
+    this.inner = inner;
+  }
+  const node = () => ({ hidden: true, append: take, replaceChildren: take });
+  globalThis.document = { getElementById: (id) => (nodes[id] ??= node()), createElement: node };
+  new SizeDoubt({ onChange() {} }).say(warnings);
+  assert.deepEqual([nodes.doubt.hidden, nodes["doubt-words"].textContent], [false, warnings[0]]);
+  nodes["doubt-chips"].inner[0].inner[0].onclick();
+  assert.equal(nodes.doubt.hidden, true);
+  delete globalThis.document;
 });
 
 test("a doubtful size is proposed in the units that make a plant of it", () => {

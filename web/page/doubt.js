@@ -1,4 +1,4 @@
-// A doubt about the tree's size: said beside the tree until it is mended, with one click where the unit tells.
+// Doubts, said beside the tree: about its size, with one click where the unit tells, and about what photos show of it.
 
 import { $, button, element, fill } from "./dom.js";
 import { length, text } from "./texts.js";
@@ -15,6 +15,11 @@ export function proposals(height_m, scale) {
   return [...others.map(read), ...TIMES.map((times) => read([`× ${times}`, times * scale]))]
     .filter(({ height_m: high }) => high >= USUAL_M[0] && high <= USUAL_M[1] && Math.abs(high / height_m - 1) > 1e-6)
     .filter(({ unit }, _, all) => unit in UNITS_M || all.every((one) => !(one.unit in UNITS_M)));
+}
+
+/** What the service warns of in `report`, the artifact of a tree from photos. */
+export async function warningsOf(client, report) {
+  return JSON.parse(new TextDecoder().decode(await client.bytes(report.url))).warnings ?? [];
 }
 
 export class SizeDoubt {
@@ -42,6 +47,18 @@ export class SizeDoubt {
       button(`${unit}: ${length(other)}`, () => this.onHeight(other)),
     );
     $("doubt-chips").replaceChildren(...[...chips, keep].map((chip) => element("li", {}, chip)));
+    this.onChange();
+  }
+
+  /** Sentences of the service on a tree from photos, until they are read. */
+  say(sentences) {
+    fill($("doubt-words"), sentences.join("\n"));
+    const read = button(text("doubt.read"), () => {
+      $("doubt").hidden = true;
+      this.onChange();
+    });
+    $("doubt-chips").replaceChildren(element("li", {}, read));
+    $("doubt").hidden = false;
     this.onChange();
   }
 }

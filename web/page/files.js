@@ -2,6 +2,7 @@
 
 import { hasEnded } from "../client.js";
 import { $, button, element, keyedChildren, saveBlob } from "./dom.js";
+import { warningsOf } from "./doubt.js";
 import { filesOf } from "./kits.js";
 import { fileName, nameTag } from "./names.js";
 import { store, stored } from "./storage.js";
@@ -11,16 +12,16 @@ const MOST_BESIDE = 24; // as many formats as there are
 const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors", "draft.splat"]); // for stages, strokes, a first look
 
 export class Files {
-  /** `products()` are those of /v1/limits, a promise. */
-  constructor(client, { products, onProblem }) {
-    Object.assign(this, { client, products, onProblem });
+  /** `products()` are those of /v1/limits, a promise; `onDoubts(sentences)` gets what a report of photos warns of. */
+  constructor(client, { products, onDoubts, onProblem }) {
+    Object.assign(this, { client, products, onDoubts, onProblem });
     this.clear();
     $("more").ontoggle = () => $("more").open && this._offer();
   }
 
   clear() {
     this.listed = new Map(); // by name
-    this.job = null;
+    this.job = this.report = null;
     this.treeName = "";
     $("artifacts").replaceChildren();
     $("more").open = false;
@@ -39,6 +40,11 @@ export class Files {
     if (owner !== this.job) return; // another tree is on the stage by now
     for (const artifact of lists.flat()) if (!INNER.has(artifact.name)) this.listed.set(artifact.name, artifact);
     this._show(await this.products());
+    const report = this.listed.get("report.json");
+    if (!hasEnded(job) || !report || report.id === this.report) return;
+    this.report = report.id;
+    const warnings = await warningsOf(this.client, report);
+    if (owner === this.job && warnings.length) this.onDoubts(warnings);
   }
 
   /** A job has written other formats of the tree of job `id`. */

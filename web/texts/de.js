@@ -38,6 +38,7 @@ export default {
   "doubt.reread":
     "So wie die Datei gelesen wurde, ist dieser Baum {height} hoch. Um das zu ändern, die Datei noch einmal ablegen.",
   "doubt.keep": "{height} stimmt",
+  "doubt.read": "Gelesen",
 
   "progress.title": "Fortschritt",
   "progress.cancel": "Abbrechen",
