@@ -86,7 +86,8 @@ declare module "../../web/page/doubt.js" {
 
 declare module "../../web/page/files.js" {
   interface Files {
-    client: Client; onProblem: Function; products: () => Promise<{ format: string, file_name: string }[]>;
+    client: Client; onDoubts: Function; onProblem: Function;
+    products: () => Promise<{ format: string, file_name: string }[]>;
   }
 }
 
