@@ -100,7 +100,7 @@ def _through_http(service: WholeService, name: str, folder: Path, masks: Masks) 
         "held_out_masked_psnr_db": report["held_out_masked_psnr_db"],
         "num_gaussians": report["num_gaussians"],
         "plant_iou": _plant_iou(got, report["held_out"], masks) if masks else None,
-        "warnings": [warning["code"] for warning in job["result"].get("warnings", [])],
+        "warnings": report["warnings"],
     }
 
 
