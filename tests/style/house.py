@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 34_110,
+    "lines in dynamictree": 33_985,
     "lines in lab": 6_333,
     "lines in service, jobs and worker": 15_056,
-    "lines in tests": 40_174,
-    "names bound to numbers in dynamictree": 624,
+    "lines in tests": 40_173,
+    "names bound to numbers in dynamictree": 584,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
