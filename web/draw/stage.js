@@ -83,7 +83,6 @@ export class Stage {
     this.radius = new THREE.Vector3().subVectors(max, min).length() / 2;
     this.height = max.z - min.z;
     this.surroundings.frame(this.middle, this.radius, min.z);
-    Object.assign(this.resolution, { frame: -1, since: -1 }); // the last shadow is another's: the next frame draws its own
     this.home();
   }
 

@@ -95,6 +95,7 @@ export class Scene {
     this.draft = { ...draft, id, isTree };
     this.stage.scene.add(draft.object);
     if (isFirst || isTree) this.stage.frame(draft.box);
+    Object.assign(this.stage.resolution, { frame: -1, since: -1 }); // the last shadow is another's: a new one comes at once
     this.person ??= new Person(this.stage);
     const sized = !draft.sizeless && this.stage.height <= TALLEST_M; // else the file means another unit
     this.person.show(sized, 1);
