@@ -38,7 +38,7 @@ near twigs, not on them."""
 TOUCHING_VOXELS = 1.0
 """A branch that is a part of its own hangs on what its end touches."""
 
-_NEAR_PIECES = 32
+_NEAR_PIECES = (4, 32)  # most find a larger part among few
 _PIECES_AT_ONCE = 100_000
 _CLEARLY_LARGER = 1.7
 """A part hangs on one that is this much larger if one is near, so that leaves hang on twigs and not on each other."""
@@ -132,17 +132,21 @@ class _Surface:
         own, above = (np.flatnonzero(some[self.owner]) for some in (seeking, allowed))
         if len(own) == 0 or len(above) == 0:
             return _NO_PAIRS
-        count = min(_NEAR_PIECES, len(above))
         reach_m = MAX_GAP_VOXELS * self.voxel_size_m
         tree = _tree(self.places[above])
-        smallest, there = np.empty(len(own)), np.empty(len(own), np.int64)
-        for start in range(0, len(own), _PIECES_AT_ONCE):
-            some = slice(start, start + _PIECES_AT_ONCE)
-            gap, nearest = _nearest(tree, self.places[own[some]], reach_m=reach_m, count=count)
-            other = above[np.minimum(nearest, len(above) - 1)]
-            gap = np.where(rank[self.owner[other]] > rank[self.owner[own[some]]][:, None], gap, np.inf)
-            column = np.argmin(gap, axis=1)[:, None]
-            smallest[some], there[some] = (np.take_along_axis(of, column, axis=1)[:, 0] for of in (gap, other))
+        smallest, there = np.full(len(own), np.inf), np.zeros(len(own), np.int64)
+        seeks = np.arange(len(own))
+        for count in (min(pieces, len(above)) for pieces in _NEAR_PIECES):
+            full = [np.zeros(0, np.int64)]
+            for some in np.array_split(seeks, -(-len(seeks) // _PIECES_AT_ONCE) or 1):
+                gap, nearest = _nearest(tree, self.places[own[some]], reach_m=reach_m, count=count)
+                full.append(some[np.isfinite(gap[:, -1])])
+                other = above[np.minimum(nearest, len(above) - 1)]
+                gap = np.where(rank[self.owner[other]] > rank[self.owner[own[some]]][:, None], gap, np.inf)
+                column = np.argmin(gap, axis=1)[:, None]
+                smallest[some], there[some] = (np.take_along_axis(of, column, axis=1)[:, 0] for of in (gap, other))
+            seeks = np.concatenate(full)
+            seeks = seeks[np.isinf(smallest[seeks])]
         best = _first_of_each(self.owner[own], smallest)
         return np.stack([own[best], there[best]], axis=1)
 

@@ -4,19 +4,23 @@ Wanted are K frequencies of each voxel's mean over the surface inside. So that w
 a bone's turn against its parent's has a price, and so have edges of the mesh that grow, in the motion's own wind and in
 one from the side: in a wind that turned by α, the swing θ × d of a bone of direction d turns by α.
 
+Each card, and all that bends together, shall go where its voxels go, and further by what their means then still miss:
+Σ_v Σ_b w_vb |x_vb - y_vb|², y_vb = x_vb + what voxel v misses. That is never below what the means miss, and equal to it
+where the voxels were read last, so whatever lowers it brings the means nearer. In it cards that share a voxel are not
+coupled: memory and time to factor it grow with their number.
+
 Gauss-Newton steps: the mean pose alone first, then all frequencies, linearised around it. The rig's own loop is played
 and what is missing in its K frequencies is fitted. A step turns no bone by more than `MOST_STEP_RAD`, is shortened
 until it lowers the cost, and is the last one if none does, so no fit runs away.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Complex64, Complex128, Float32, Float64, Int, Int32
+import scipy.sparse.linalg
+from jaxtyping import Complex64, Float32, Float64, Int, Int32
 
-from dynamictree.devoxelize.symmetric_factor import SymmetricFactor, factored
 from dynamictree.rig.pose import GROUND, Poses, Skeleton, Weights, poses
 from dynamictree.spectrum import bin_weights, iter_motion
 
@@ -32,20 +36,24 @@ IN_SURFACE = 10.0
 """Times as much in a crown that is one surface: it has no cards, which turn at no price, and stretched by 22 %."""
 FROM_SIDE = 0.1
 """Of it in a wind at right angles to the motion's: sin² of how far the direction turns, 18°."""
-MEAN_ROUNDS, ROUNDS = 5, 8
+MEAN_ROUNDS, ROUNDS = (3, 1, 1), (3, 1, 1, 1, 1)
+"""Steps at most, each time that the voxels are read: of the mean pose, and of all frequencies."""
 LEAST_GAIN = 0.01  # of the cost: a step that gains less is the last
 MOST_STEP_RAD = 0.3
 STEP_LENGTHS = (1.0, 0.5, 0.25)  # tried in this order
 MOST_EDGES = 60_000  # of a larger mesh, evenly chosen: stretch is a mean
 FRAMES_A_FREQUENCY = 3  # two would do, were there nothing above the K frequencies
+_VOXELS_AT_ONCE = 100_000
 _SHORTEST_EDGE = 0.25  # in voxels; shorter edges cost no more
 _CHAINED = 1e6  # price of leaving the parent, as that of moving a voxel
 _FIXED = 1e10  # price of a turn of the ground
 _ANCHOR = 1e-9  # keeps the system definite where no voxel tells of a bone
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of a turn about the vertical
 
-Solution = Complex128[np.ndarray, "U K"]
-"""U = 9B unknowns in blocks of 3B: displacements of feet, turns, and feet in a side wind."""
+Solution = Complex64[np.ndarray, "U K"]
+"""Displacements of the B feet, turns, and feet in a side wind of the bones that bend; three numbers each."""
+Stacked = Complex64[np.ndarray, "B4 3 K"]
+"""Of each bone its foot, then the columns of its rotation, less those at rest: what `_placing` multiplies."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,24 +70,24 @@ class Target:
 
 def fit_turns(skeleton: Skeleton, weights: Weights, target: Target) -> Complex64[np.ndarray, "B K 3"]:
     """Turn modes [rad], in the spectrum's convention, for the bones that carry the target's points."""
-    num_bones, num_frequencies = len(skeleton), target.coefficients.shape[1]
-    places = _placing(skeleton, weights, target.points)
-    problem = _Problem(skeleton, weights, target, places)
-    mean = _descended(problem, np.zeros((9 * num_bones, 1), np.complex128), MEAN_ROUNDS)
-    solution = np.zeros((9 * num_bones, num_frequencies), np.complex128)
-    solution[:, :1] = mean
-    if num_frequencies > 1:
-        problem = _Problem(skeleton, weights, target, places, about=_turns(mean)[:, 0].real.astype(np.float64))
-        solution = _descended(problem, solution, ROUNDS)
-    return _turns(solution)
+    voxels = _Voxels(weights, target, _placing(skeleton, weights, target.points))
+    turns = np.zeros((len(skeleton), 1, 3), np.complex64)
+    for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
+        problem = _Problem(skeleton, weights, target, voxels, about=turns[:, 0].real.astype(np.float64))
+        solution = problem.solution(turns, num_frequencies)
+        for most in rounds:
+            solution = _descended(problem, solution, most)
+        turns = problem.turns(solution)
+    return turns
 
 
 def _descended(problem: "_Problem", solution: Solution, rounds: int) -> Solution:
+    problem.read(solution)
     now = problem.state(solution)
     for _ in range(rounds):
         step = problem.step(solution, now)
         for length in STEP_LENGTHS:
-            tried = problem.with_side_feet(solution + length * step)
+            tried = problem.with_side_feet(solution + np.float32(length) * step)
             then = problem.state(tried)
             if then.cost < now.cost:
                 break
@@ -91,12 +99,43 @@ def _descended(problem: "_Problem", solution: Solution, rounds: int) -> Solution
     return solution
 
 
+class _Voxels:
+    """Means of the bones' surface in each of V voxels, and what they should do."""
+
+    def __init__(self, weights: Weights, target: Target, placing: scipy.sparse.csr_array) -> None:
+        self.coefficients, self.num_frames = target.coefficients, target.num_frames
+        self.means = (target.mean.astype(np.float32) @ placing.astype(np.float32)).tocsr()
+        num_bones = placing.shape[1] // 4
+        alone = np.arange(num_bones)  # all that bends is fitted together
+        alone[weights.rows[(weights.shares > 0) & (weights.shares < 1)]] = GROUND
+        self.moments = scipy.sparse.csr_array((4 * num_bones, 4 * num_bones))
+        for start in range(0, len(self.coefficients), _VOXELS_AT_ONCE):
+            means = self.means[start : start + _VOXELS_AT_ONCE].tocoo()
+            column, bone = np.divmod(means.col, num_bones)
+            keys, pair = np.unique(means.row * np.int64(num_bones) + alone[bone], return_inverse=True)
+            share = np.bincount(pair, np.where(column == 0, means.data, 0), len(keys))
+            scaled = means.data / np.sqrt(np.maximum(share, 1e-12))[pair]
+            parts = scipy.sparse.csr_array((scaled, (pair, means.col)), (len(keys), 4 * num_bones))
+            self.moments = self.moments + parts.T @ parts
+
+    def read(self, stacked: Stacked) -> tuple[Stacked, float]:
+        """What the voxels miss, summed over each bone's shares, and the sum of its squares [m²]."""
+        missed, lost = np.zeros_like(stacked), 0.0
+        often = bin_weights(stacked.shape[2], self.num_frames)
+        for start in range(0, len(self.coefficients), _VOXELS_AT_ONCE):
+            some = slice(start, start + _VOXELS_AT_ONCE)
+            means = scipy.sparse.csr_array(self.means[some])
+            missing = self.coefficients[some, : stacked.shape[2]].transpose(0, 2, 1) - _times(means, stacked)
+            lost += _weighed(missing, missing, often)
+            missed += _times(means.T, missing)
+        return missed, lost
+
+
 @dataclass(frozen=True, kw_only=True)
 class _State:
-    """What a solution leaves: of the voxels' motion, of the edges' lengths, and what it costs."""
+    """What a solution costs, and how the cost falls with each unknown."""
 
-    missing: Complex128[np.ndarray, "V3 K"]
-    growth: Complex128[np.ndarray, "E K"]
+    downhill: Solution
     cost: float
 
 
@@ -108,74 +147,105 @@ class _Problem:
         skeleton: Skeleton,
         weights: Weights,
         target: Target,
-        placing: scipy.sparse.csr_array,
-        about: Float64[np.ndarray, "B 3"] | None = None,
+        voxels: _Voxels,
+        about: Float64[np.ndarray, "B 3"],
     ) -> None:
-        self.skeleton, self.target = skeleton, target
+        self.skeleton, self.voxels = skeleton, voxels
         num_bones = len(skeleton)
-        theta = np.zeros((num_bones, 3)) if about is None else about
-        rotation = poses(skeleton, theta[None].astype(np.float32))
-        self.means = (target.mean @ placing).tocsr()  # [V, 4B]
-        self.rest = target.mean @ target.points.astype(np.float64)
-        self.wanted = np.ascontiguousarray(target.coefficients.transpose(0, 2, 1)).reshape(3 * len(self.rest), -1)
+        at_rest, there = (
+            poses(skeleton, theta.astype(np.float32)[None]) for theta in (np.zeros((num_bones, 3)), about)
+        )
+        self.rest = _stacked(at_rest)
         ends, self.length, self.scale = _edge_ends(skeleton, weights, target)
-        self.vectors = (ends @ placing).tocsr()  # [E, 4B]
-        self.price = STRETCH * len(self.rest) / max(len(target.edges[:: _stride(target)]), 1)
+        self.vectors = (ends @ _placing(skeleton, weights, target.points)).tocsr()  # [E, 4B]
+        self.price = STRETCH * len(voxels.coefficients) / max(len(target.edges[:: _stride(target)]), 1)
+        self.bends = np.zeros(num_bones, np.bool_)
+        self.bends[np.unique(self.vectors.indices % num_bones)] = True
+        for level in reversed(skeleton.levels):
+            self.bends[skeleton.above[level][self.bends[level]]] = True
 
-        turning = _turning(theta)
-        moves, chain = _linear(skeleton, self.means, rotation, feet=0, swing=turning)
-        growth, _ = _linear(skeleton, self.vectors, rotation, feet=0, swing=turning)
-        self.along = (self._lengthening(rotation) @ growth).tocsr()
+        turning = _turning(about)
+        moves, chain = _linear(skeleton, scipy.sparse.eye_array(4 * num_bones).tocsr(), there, feet=0, swing=turning)
+        growth, _ = _linear(skeleton, self.vectors, there, feet=0, swing=turning)
+        along = self._lengthening(there) @ growth
         across = _cross(skeleton.directions.astype(np.float64))
         self.side_swing = -across @ _QUARTER @ across
-        at_rest = poses(skeleton, np.zeros((1, num_bones, 3), np.float32))
         side_growth, side_chain = _linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
         aside = self._lengthening(at_rest) @ side_growth
         apart = _apart(skeleton, weights, target)
-        self.prior = (self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ apart).tocsr()
-        self.pull = moves.T.tocsr()
+        prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
+        side_chain = side_chain[np.repeat(self.bends, 3)]
         chained = _CHAINED * (chain.T @ chain + side_chain.T @ side_chain)
-        system = self.pull @ moves + self.price * (self.along.T @ self.along) + self.prior + chained
-        self.factor: SymmetricFactor = factored((system + scipy.sparse.diags_array(fixed)).tocsc())
+        moments = scipy.sparse.kron(voxels.moments, scipy.sparse.eye_array(3))
+        system = moves.T @ moments @ moves + self.price * (along.T @ along) + prior + chained
+        used = np.flatnonzero(np.repeat(np.concatenate([np.ones(2 * num_bones, np.bool_), self.bends]), 3))
+        system = (system + scipy.sparse.diags_array(fixed)).tocsr()[used][:, used]
+        self.factor = scipy.sparse.linalg.splu(
+            system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        self.moves, self.along = (part.tocsr()[:, used].astype(np.float32) for part in (moves, along))
+        self.prior = prior.tocsr()[used][:, used].astype(np.float32)
 
     def _lengthening(self, pose: Poses) -> scipy.sparse.csr_array:
         """From displacements of edge vectors [m] to weighted growth [E, 3E]."""
-        vectors = self.vectors @ _stacked(pose)[:, 0]
+        vectors = self.vectors @ _stacked(pose)[..., 0]
         along = vectors * (self.scale / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None]
         count = len(along)
         ends = 3 * np.arange(count + 1)
         return scipy.sparse.csr_array((along.ravel(), np.arange(3 * count), ends), shape=(count, 3 * count))
 
+    def read(self, solution: Solution) -> None:
+        """Want of each bone what its voxels miss."""
+        stacked, _ = self._played(solution)
+        missed, lost = self.voxels.read(stacked)
+        self.wanted = _times(self.voxels.moments, stacked) + missed
+        often = self._often(solution)
+        self.lost = lost + _weighed(stacked, self.wanted, often) + _weighed(stacked, missed, often)
+
     def state(self, solution: Solution) -> _State:
         """Play a loop of the rig, and compare its frequencies."""
-        num_frequencies = solution.shape[1]
+        often = self._often(solution)
+        stacked, growth = self._played(solution)
+        missing = self.wanted - _times(self.voxels.moments, stacked)
+        lost = self.lost - _weighed(stacked, self.wanted, often) - _weighed(stacked, missing, often)
+        stretched = self.price * _weighed(growth, growth, often)
+        priced = _times(self.prior, solution)
+        downhill = _times(self.moves.T, missing.reshape(-1, len(often)))
+        downhill -= np.float32(self.price) * _times(self.along.T, growth) + priced
+        return _State(downhill=downhill, cost=lost + stretched + _weighed(solution, priced, often))
+
+    def _often(self, solution: Solution) -> Float32[np.ndarray, " K"]:
+        return bin_weights(solution.shape[1], self.voxels.num_frames)
+
+    def _played(self, solution: Solution) -> tuple[Stacked, Complex64[np.ndarray, "E K"]]:
+        """Frequencies of the bones' poses, and of how much edges grow, weighted."""
+        poses_at_once = 500_000  # 50 MB
+        num_bones, num_frequencies = len(self.skeleton), solution.shape[1]
         num_frames = FRAMES_A_FREQUENCY * num_frequencies if num_frequencies > 1 else 1
-        phases = np.arange(num_frames) / num_frames
-        theta = np.stack(list(iter_motion(_turns(solution), phases, self.target.num_frames)))
-        stacked = _stacked(poses(self.skeleton, theta))  # [4B, F, 3]
-        flat = stacked.reshape(len(stacked), -1)
-        moved = (self.means @ flat).reshape(len(self.rest), num_frames, 3) - self.rest[:, None]
-        vectors = (self.vectors @ flat).reshape(len(self.length), num_frames, 3)
-        grown = (np.sqrt(np.einsum("efc,efc->ef", vectors, vectors)) - self.length[:, None]) * self.scale[:, None]
-        bins = partial(_bins, num_frequencies=num_frequencies)
-        missing = self.wanted[:, :num_frequencies] - bins(moved)
-        growth = bins(grown[:, :, None])
-        often = bin_weights(num_frequencies, self.target.num_frames).astype(np.float64)
-        lost = float((np.abs(missing) ** 2 @ often).sum())
-        stretched = self.price * float((np.abs(growth) ** 2 @ often).sum())
-        priced = float(((solution.conj() * (self.prior @ solution)).real @ often).sum())
-        return _State(missing=missing, growth=growth, cost=lost + stretched + priced)
+        frame = np.arange(num_frames)
+        wave = np.exp(-2j * np.pi / num_frames * frame[:, None] * np.arange(num_frequencies)) / num_frames
+        wave = np.ascontiguousarray(wave.astype(np.complex64)).view(np.float32)
+        turns = self.turns(solution)
+        stacked = np.zeros((12 * num_bones, 2 * num_frequencies), np.float32)
+        growth = np.zeros((len(self.length), 2 * num_frequencies), np.float32)
+        for some in np.array_split(frame, -(-num_frames * num_bones // poses_at_once)):
+            theta = np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
+            now = _stacked(poses(self.skeleton, theta))  # [4B, 3, F]
+            vectors = (self.vectors @ now.reshape(4 * num_bones, -1)).reshape(-1, 3, len(some))
+            length = np.sqrt(np.einsum("ecf,ecf->ef", vectors, vectors)) - self.length[:, None]
+            growth += (length * self.scale[:, None]).astype(np.float32) @ wave[some]
+            now -= self.rest
+            stacked += now.reshape(12 * num_bones, -1).astype(np.float32) @ wave[some]
+        return stacked.view(np.complex64).reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
 
     def step(self, solution: Solution, state: _State) -> Solution:
         """The step to the least linearised cost, with no bone's turn above `MOST_STEP_RAD`."""
-        downhill = self.pull @ state.missing - self.price * (self.along.T @ state.growth) - self.prior @ solution
-        real, imaginary = np.split(self.factor.solve(np.concatenate([downhill.real, downhill.imag], axis=1)), 2, axis=1)
-        step = np.asarray(real + 1j * imaginary)
-        often = bin_weights(step.shape[1], self.target.num_frames)
-        turns = np.split(step, 3)[1].reshape(len(self.skeleton), 3, -1)
-        size = np.sqrt((np.abs(turns) ** 2 @ often).sum(axis=1))
+        downhill = state.downhill.view(np.float32).astype(np.float64)
+        step = np.ascontiguousarray(self.factor.solve(downhill), np.float32).view(np.complex64)
+        turns = step[3 * len(self.skeleton) : 6 * len(self.skeleton)].reshape(len(self.skeleton), 3, -1)
+        size = np.sqrt((np.abs(turns) ** 2 @ self._often(solution)).sum(axis=1))
         turns *= np.minimum(1, MOST_STEP_RAD / np.maximum(size, 1e-12))[:, None, None]
         turns[GROUND] = 0
         return step
@@ -184,22 +254,40 @@ class _Problem:
         """The same turns, with the feet that a side wind then moves."""
         skeleton, above = self.skeleton, self.skeleton.above
         foot = skeleton.foot_m.astype(np.float64)
-        turns = np.split(solution, 3)[1].reshape(len(skeleton), 3, -1)
-        moved = -_cross(foot - foot[above]) @ self.side_swing[above] @ turns[above]
+        lever = (-_cross(foot - foot[above]) @ self.side_swing[above]).astype(np.float32)
+        turns = solution[3 * len(skeleton) : 6 * len(skeleton)].reshape(len(skeleton), 3, -1)
+        moved = np.zeros_like(turns)
         for level in skeleton.levels:
-            moved[level] += moved[above[level]]
-        solution[2 * len(solution) // 3 :] = moved.reshape(len(solution) // 3, -1)
+            some = level.start + np.flatnonzero(self.bends[level])
+            moved[some] = moved[above[some]] + lever[some] @ turns[above[some]]
+        solution[6 * len(skeleton) :] = moved[self.bends].reshape(-1, solution.shape[1])
         return solution
 
+    def turns(self, solution: Solution) -> Complex64[np.ndarray, "B K 3"]:
+        """The turns of a solution, as a rig has them."""
+        count = len(self.skeleton)
+        return np.ascontiguousarray(solution[3 * count : 6 * count].reshape(count, 3, -1).transpose(0, 2, 1))
 
-def _turns(solution: Solution) -> Complex64[np.ndarray, "B K 3"]:
-    turns = np.split(solution, 3)[1].reshape(len(solution) // 9, 3, -1)
-    return np.ascontiguousarray(turns.transpose(0, 2, 1)).astype(np.complex64)
+    def solution(self, turns: Complex64[np.ndarray, "B L 3"], num_frequencies: int) -> Solution:
+        """Unknowns of K frequencies, of which the turns are the first."""
+        count = len(self.skeleton)
+        solution = np.zeros((6 * count + 3 * int(self.bends.sum()), num_frequencies), np.complex64)
+        solution[3 * count : 6 * count, : turns.shape[1]] = turns.transpose(0, 2, 1).reshape(3 * count, -1)
+        return self.with_side_feet(solution)
 
 
-def _bins(frames: Float64[np.ndarray, "n F c"], num_frequencies: int) -> Complex128[np.ndarray, "nc K"]:
-    spectrum = np.fft.rfft(frames, axis=1, norm="forward")[:, :num_frequencies]
-    return np.asarray(spectrum.transpose(0, 2, 1).reshape(-1, spectrum.shape[1]))
+def _times(
+    matrix: scipy.sparse.csr_array | scipy.sparse.csc_array, values: Complex64[np.ndarray, "..."]
+) -> Complex64[np.ndarray, "..."]:
+    """A real matrix times complex values."""
+    product = matrix.astype(np.float32, copy=False) @ values.reshape(len(values), -1).view(np.float32)
+    return np.asarray(product).view(np.complex64).reshape(-1, *values.shape[1:])
+
+
+def _weighed(one: np.ndarray, other: np.ndarray, often: Float32[np.ndarray, " K"]) -> float:
+    """Scalar product of complex values whose last axis is a frequency."""
+    pair = (values.reshape(-1, len(often)).view(np.float32) for values in (one, other))
+    return float(np.einsum("nk,nk->k", *pair, dtype=np.float64) @ np.repeat(often, 2))
 
 
 def _stride(target: Target) -> int:
@@ -217,10 +305,10 @@ def _placing(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "
     return scipy.sparse.csr_array((values[used], (row, columns[used])), shape=(num_points, 4 * num_bones))
 
 
-def _stacked(pose: Poses) -> Float64[np.ndarray, "B4 T 3"]:
+def _stacked(pose: Poses) -> Float64[np.ndarray, "B4 3 T"]:
     """Feet, then columns of the rotations, which `_placing` multiplies."""
     parts = [pose.place_m, *(pose.rotation[..., column] for column in range(3))]
-    return np.concatenate([part.transpose(1, 0, 2) for part in parts])
+    return np.concatenate([part.transpose(1, 2, 0) for part in parts])
 
 
 def _edge_ends(

@@ -101,10 +101,9 @@ def test_a_card_stays_where_it_hangs(size_m: float) -> None:
     mesh, _ = merged(tube([0, 0, 0], [0, 0, 10], 0.2), *cards)
     grid = voxelize(mesh, 128).grid
     moved = mesh.vertices + on_vertices(grid, mesh, sway(grid, 1, 0.3), 40)
-    welded, _ = weld(mesh)
+    welded, vertex = weld(mesh)
     attachments = find_attachments(welded, grid)
     assert len(attachments.children) == 20
-    vertex = weld(mesh)[1]
     place = np.empty((40, welded.num_vertices, 3), np.float32)
     place[:, vertex] = moved
     points = np.einsum("bsi,tbsic->tbsc", attachments.weights, place[:, attachments.corners])

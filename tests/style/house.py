@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 33_985,
+    "lines in dynamictree": 33_984,
     "lines in lab": 6_333,
     "lines in service, jobs and worker": 15_056,
-    "lines in tests": 40_173,
+    "lines in tests": 40_140,
     "names bound to numbers in dynamictree": 584,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,

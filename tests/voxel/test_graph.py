@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial.distance import cdist
 
 from dynamictree.voxel.graph import root_rows, voxel_graph
@@ -18,8 +18,7 @@ def grid_of(coords: list[list[int]] | np.ndarray, resolution: int = 32) -> Voxel
 def test_edges_are_those_of_a_slow_search_over_26_neighbours(rng: np.random.Generator) -> None:
     grid = grid_of(rng.integers(0, 6, (150, 3)))  # dense enough to hang together
     steps = np.abs(grid.coords[:, None] - grid.coords[None]).max(axis=2)
-    distances = cdist(grid.centres_m, grid.centres_m)
-    expected = np.where(steps == 1, distances, 0)
+    expected = np.where(steps == 1, cdist(grid.centres_m, grid.centres_m), 0)
     np.testing.assert_allclose(voxel_graph(grid).toarray(), expected, rtol=1e-6)
 
 
@@ -29,16 +28,12 @@ def test_a_graph_of_many_parts_is_made_one_by_shortest_gaps(rng: np.random.Gener
     assert connected_components(graph, directed=False)[0] == 1
     assert (abs(graph - graph.T) > 0).nnz == 0
     # a bridge is never longer than the longest edge of the minimum spanning tree of all voxels
-    from scipy.sparse.csgraph import minimum_spanning_tree
-
     longest = minimum_spanning_tree(cdist(grid.centres_m, grid.centres_m)).max()
     assert graph.max() == pytest.approx(longest, rel=1e-6)
 
 
 def test_two_large_parts_are_joined_by_one_bridge() -> None:
-    line = [[x, 0, 0] for x in range(10)]
-    far = [[x, 0, 0] for x in range(14, 32)]
-    graph = voxel_graph(grid_of(line + far))
+    graph = voxel_graph(grid_of([[x, 0, 0] for x in (*range(10), *range(14, 32))]))
     assert graph.nnz == 2 * (9 + 17 + 1)
     assert graph.max() == pytest.approx(5 * 0.5)
 
@@ -62,8 +57,7 @@ def test_the_tip_of_a_branch_that_hangs_to_the_ground_is_no_root(foot: int, tip:
 
 
 def test_two_trunks_that_meet_above_are_both_roots() -> None:
-    grid = hanging_tree(2, 2)
-    coords = grid.coords[root_rows(voxel_graph(grid), grid)]
+    coords = (grid := hanging_tree(2, 2)).coords[root_rows(voxel_graph(grid), grid)]
     assert sorted(set(coords[:, 0].tolist())) == [0, 1, 12, 13]
 
 
