@@ -110,9 +110,10 @@ def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None]
             line = child.stdout.readline()
             if not line:
                 return
-            step, part, total = json.loads(line)
-            start, share = _SHARES[step]
-            done = max(done, start + share * part / total)
+            if line.startswith(b"["):  # native libraries write there too, as OpenBLAS does
+                step, part, total = json.loads(line)
+                start, share = _SHARES[step]
+                done = max(done, start + share * part / total)
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

@@ -304,9 +304,8 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
 
 def _end_with_parent() -> None:
     """Ask the kernel (Linux) to kill this process when its parent dies: a killed parent cannot."""
-    pr_set_pdeathsig = 1  # linux/prctl.h
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
 def reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, str]:
