@@ -70,10 +70,11 @@ class Target:
 
 def fit_turns(skeleton: Skeleton, weights: Weights, target: Target) -> Complex64[np.ndarray, "B K 3"]:
     """Turn modes [rad], in the spectrum's convention, for the bones that carry the target's points."""
-    voxels = _Voxels(weights, target, _placing(skeleton, weights, target.points))
+    placing = _placing(skeleton, weights, target.points)
+    voxels = _Voxels(weights, target, placing)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
     for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
-        problem = _Problem(skeleton, weights, target, voxels, about=turns[:, 0].real.astype(np.float64))
+        problem = _Problem(skeleton, weights, target, placing, voxels, about=turns[:, 0].real)
         solution = problem.solution(turns, num_frequencies)
         for most in rounds:
             solution = _descended(problem, solution, most)
@@ -147,24 +148,23 @@ class _Problem:
         skeleton: Skeleton,
         weights: Weights,
         target: Target,
+        placing: scipy.sparse.csr_array,
         voxels: _Voxels,
-        about: Float64[np.ndarray, "B 3"],
+        about: Float32[np.ndarray, "B 3"],
     ) -> None:
         self.skeleton, self.voxels = skeleton, voxels
         num_bones = len(skeleton)
-        at_rest, there = (
-            poses(skeleton, theta.astype(np.float32)[None]) for theta in (np.zeros((num_bones, 3)), about)
-        )
+        at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
         self.rest = _stacked(at_rest)
         ends, self.length, self.scale = _edge_ends(skeleton, weights, target)
-        self.vectors = (ends @ _placing(skeleton, weights, target.points)).tocsr()  # [E, 4B]
+        self.vectors = (ends @ placing).tocsr()  # [E, 4B]
         self.price = STRETCH * len(voxels.coefficients) / max(len(target.edges[:: _stride(target)]), 1)
         self.bends = np.zeros(num_bones, np.bool_)
         self.bends[np.unique(self.vectors.indices % num_bones)] = True
         for level in reversed(skeleton.levels):
             self.bends[skeleton.above[level][self.bends[level]]] = True
 
-        turning = _turning(about)
+        turning = _turning(about.astype(np.float64))
         moves, chain = _linear(skeleton, scipy.sparse.eye_array(4 * num_bones).tocsr(), there, feet=0, swing=turning)
         growth, _ = _linear(skeleton, self.vectors, there, feet=0, swing=turning)
         along = self._lengthening(there) @ growth
