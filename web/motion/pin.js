@@ -13,7 +13,8 @@ const TOLERANCE = 1e-8;
 const [STEP_RAD, SETTLED] = [0.5, 3e-4];
 const DAMPING = { first: 0.1, least: 1e-9, most: 1e8, sure: 1e-2 };
 const [ACCEPT, REFUSE] = [0.25, 6]; // factors of the damping
-const LET_GO_S = 0.08; // once nothing is pinned, the bend goes like a critically damped spring of this time
+const LET_GO_S = 0.08; // once nothing is pinned, the place goes like a critically damped spring of this time
+const GONE = 3e-3; // of the way
 
 export class Pin {
   /** Of a place as of motion/grip.js. */
@@ -26,23 +27,27 @@ export class Pin {
 
   /** Bend so that `point`, where the wind has it, is carried to `target`; `groups` are those of the service. */
   hold(groups, point, target) {
+    this.target = target;
+    this._bend(groups, point, 1);
+  }
+
+  /** After the turn that ends with the release: at first slowly to where the groups alone have it; whether some is left. */
+  fade(groups, point, seconds) {
+    this.released = this.released === undefined ? 0 : this.released + seconds;
+    const share = (1 + this.released / LET_GO_S) * Math.exp(-this.released / LET_GO_S);
+    if (this.target) this._bend(groups, point, share);
+    return Boolean(this.target) && share > GONE;
+  }
+
+  _bend(groups, point, share) {
     const { chain, group, modes } = this;
     if (!chain.length) return;
     const bends = modes.bends(groups);
     const base = chain.map((j) => rowOf(bends, j));
-    group.bend = equilibrium(segmentsOf(modes, this.grip, chain, point), minus(target, point), {
-      base,
-      bend: group.bend,
-    }).bend;
-  }
-
-  /** After the release: the bend goes, at first slowly, or the place would jump; whether some is left. */
-  fade(seconds) {
-    this.released ??= { seconds: 0, bend: this.group.bend };
-    this.released.seconds += seconds;
-    const times = this.released.seconds / LET_GO_S;
-    this.group.bend = this.released.bend.map((k) => scaled(k, (1 + times) * Math.exp(-times)));
-    return this.group.bend.some((k) => length(k) > 1e-4);
+    const segments = segmentsOf(modes, this.grip, chain, point);
+    const aim = minus(this.target, point);
+    const alone = equilibrium(segments, aim, { base, bend: chain.map(() => [0, 0, 0]), rounds: 0 }).reached;
+    group.bend = equilibrium(segments, plus(alone, scaled(minus(aim, alone), share)), { base, bend: group.bend }).bend;
   }
 }
 

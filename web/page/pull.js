@@ -55,15 +55,16 @@ export class Pull {
   /** What is drawn of it in the wind of now, among the groups of `others`. */
   groupsNow(seconds, others) {
     const { grip, pin } = this;
-    if (pin && !grip && !pin.fade(seconds)) this.pin = null;
+    const around = [...this.groups, ...others];
+    const inWind = pin && gripInWind(this.hand.tree, pin.grip);
+    if (pin && !grip && !pin.fade(around, inWind, seconds)) this.pin = null;
     if (grip) {
       grip.beside.multiplyScalar(Math.exp(-seconds / EASE_S));
-      const inWind = gripInWind(this.hand.tree, grip.place);
       const target = grip.target.clone().add(grip.beside).toArray();
       grip.displacement = target.map((x, i) => x - inWind[i]);
       const missing = this.missing ?? [0, 0, 0]; // how far the source says that the tree does not go
       const reached = target.map((x, i) => x - missing[i]);
-      pin.hold([...this.groups, ...others], inWind, reached);
+      pin.hold(around, inWind, reached);
     }
     return this.drawn;
   }
