@@ -16,13 +16,20 @@ COMPONENTS = {5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
 def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
+    """Elements as they are stored; meshoptimizer decodes what it has packed."""
     entry = document.accessors[index]
     view = document.bufferViews[entry.bufferView]
-    width = WIDTHS[entry.type]
-    blob = document.binary_blob()
-    count = entry.count * width
-    start = (view.byteOffset or 0) + (entry.byteOffset or 0)
-    return np.frombuffer(blob, COMPONENTS[entry.componentType], count, start).reshape(-1, width)
+    width, component = WIDTHS[entry.type], np.dtype(COMPONENTS[entry.componentType])
+    content, start = document.binary_blob(), (view.byteOffset or 0) + (entry.byteOffset or 0)
+    stride = view.byteStride or width * component.itemsize
+    if packed := (view.extensions or {}).get("EXT_meshopt_compression"):
+        import meshopt
+
+        part = content[packed["byteOffset"] : packed["byteOffset"] + packed["byteLength"]]
+        facts = packed["count"], packed["byteStride"], packed["mode"], packed.get("filter", "NONE")
+        content, start = meshopt.decode_gltf_buffer(part, *facts).tobytes(), entry.byteOffset or 0
+    rows = np.frombuffer(content, np.uint8, entry.count * stride, start).reshape(-1, stride)
+    return np.ascontiguousarray(rows[:, : width * component.itemsize]).view(component)
 
 
 def z_up(vectors: np.ndarray) -> np.ndarray:
@@ -39,6 +46,7 @@ def played_morphs(content: bytes) -> np.ndarray:
     """A GLB's morph targets, weighted as its animation has them: [T + 1, N, 3]."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     targets = [accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets]
+    targets = [one / 32767 if one.dtype == np.int16 else one for one in targets]
     keys = accessor(document, document.animations[0].samplers[0].output).reshape(-1, len(targets))
     return z_up(np.einsum("tm,mnc->tnc", keys, np.stack(targets)))
 

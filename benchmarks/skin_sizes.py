@@ -47,7 +47,7 @@ def _sizes(mesh: TriangleMesh, source_bytes: int) -> dict[str, object]:
     row: dict[str, object] = {"source_mb": round(source_bytes / 1e6, 2), "vertices": mesh.num_vertices}
     with tempfile.TemporaryDirectory() as folder:
         for name, joints in (("morph", 0), ("all", None), ("256", 256), ("64", 64)):
-            product = "glb" if name == "morph" else "glb-skinned"
+            product = "glb-morph" if name == "morph" else "glb"
             facts: dict[str, dict[str, int | float]] = {}
             options = ExportParams(formats=(product,), joints=joints or None)
             path = write_products(mesh, spectrum, options, Path(folder), on_facts=facts.__setitem__)[product]

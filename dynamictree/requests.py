@@ -7,7 +7,7 @@ models, so a new parameter is added in one of both and nowhere else. They need p
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, StringConstraints
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StringConstraints
 
 from dynamictree.axis_names import DIRECTION_PATTERN
 from dynamictree.errors import InputError
@@ -35,8 +35,8 @@ PartNames = Annotated[
 Format = Literal[
     "ply",
     "glb",
+    "glb-morph",
     "glb-reduced",
-    "glb-skinned",
     "lod",
     "rig",
     "wind",
@@ -72,9 +72,6 @@ TURBULENT_FRAMES: dict[Format, int] = {
     "vat": MAX_FRAMES,
 }
 """The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""
-Joints = Literal[32, 64, 256]
-GlbCompression = Literal["none", "meshopt"]
-GlbTextures = Literal["source", "webp"]
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
@@ -277,7 +274,9 @@ class ExportParams(Request):
         "speed of the wind. In all that is written frame by frame and in skins. Morph targets, the page and pushes "
         "have none, so by default all show one motion",
     )
-    formats: tuple[Format, ...] | None = Field(
+    formats: (
+        tuple[Annotated[Format, BeforeValidator(lambda name: "glb" if name == "glb-skinned" else name)], ...] | None
+    ) = Field(
         default=None,
         min_length=1,
         max_length=16,
@@ -289,19 +288,20 @@ class ExportParams(Request):
         default=3, ge=0, le=3, description="Highest degree of a splat's spherical harmonics to write"
     )
     normals: bool = Field(
-        default=False, description="Write normals that move: as targets of glb and glb-reduced, as a texture of vat"
+        default=False,
+        description="Write normals that move: as targets of glb-morph and glb-reduced, as a texture of vat",
     )
-    glb_compression: GlbCompression = Field(
+    glb_compression: Literal["none", "meshopt"] = Field(
         default="none",
-        description="Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression",
+        description="Compression of glb, glb-morph, glb-reduced: meshopt needs a reader of EXT_meshopt_compression",
     )
-    glb_textures: GlbTextures = Field(
+    glb_textures: Literal["source", "webp"] = Field(
         default="source",
-        description="Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that "
-        "is smaller, which needs a reader of EXT_texture_webp",
+        description="Textures of glb, glb-morph, glb-reduced: PNG and JPEG as in the source, or WebP where that is "
+        "smaller, which needs a reader of EXT_texture_webp",
     )
-    joints: Joints | None = Field(
-        default=None, description="Joints of glb-skinned and usd-skinned, at most; all bones of the tree if unset"
+    joints: Literal[32, 64, 256] | None = Field(
+        default=None, description="Joints of glb and usd-skinned, at most; all bones of the tree if unset"
     )
     shot: Shot = Field(default_factory=Shot)
 

@@ -13,6 +13,11 @@ class Source:
     scale: float = 1.0  # metres in a unit of the file
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
 
+    @property
+    def extras(self) -> dict[str, object]:
+        """What a file in metres says of where the source was."""
+        return {"source_offset": list(self.offset)} if any(self.offset) else {}
+
 
 UNKNOWN = Source()
 METRES_Z_UP = Source(up_axis="+Z")

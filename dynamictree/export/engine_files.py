@@ -10,7 +10,7 @@ import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import MorphOptions, write_motion_glb
-from dynamictree.formats.gltf.skin import joint_name, write_joint_meshes_glb, write_skinned_glb
+from dynamictree.formats.gltf.skin import Packing, joint_name, write_joint_meshes_glb, write_skinned_glb
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 
@@ -62,8 +62,7 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """A skin whose joints lie in the branches, Unreal's wind groups of its joints, and collision capsules."""
-    # of the rig for engines that move joints themselves: what Unity, Unreal and Godot take in one skinned mesh
-    engine_joints = 256
+    engine_joints = 256  # what Unity, Unreal and Godot take in one skinned mesh
     from dynamictree.export.levels import wood_vertices
     from dynamictree.rig.branch_groups import capsules
     from dynamictree.rig.skin import reduced, skin_of
@@ -73,7 +72,7 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     report(0.5)
     shapes = capsules(few, tree.mesh.vertices, wood_vertices(tree.mesh))
     rig, collision = io.BytesIO(), io.BytesIO()
-    write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps)
+    write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps, packing=Packing(False, False))
     parts = {capsule.joint: _capsule_mesh(capsule) for capsule in shapes}
     write_joint_meshes_glb(parts, skin, collision, fps=tree.loop_fps, name="UCP_tree")
     files = {

@@ -18,7 +18,7 @@ from jaxtyping import Complex64, Float32
 
 from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files, rest_glb
 from dynamictree.formats.gltf.motion import loop_parts
-from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, write_glb
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
 from dynamictree.formats.stored_zip import iter_stored_zip
@@ -228,10 +228,8 @@ def baked_glb(
         name: writer.add_accessor(np.ascontiguousarray(values), target=VERTEX_BUFFER) for name, values in sets.items()
     }
     attributes["COLOR_0"] = writer.add_accessor(colours, target=VERTEX_BUFFER, normalized=True)
-    add_mesh(writer, mesh, more_attributes=attributes)
-    writer.append("nodes", {"mesh": 0, "name": "tree"})
     stream = io.BytesIO()
-    writer.finish(stream)
+    write_glb(mesh, stream, writer, attributes)
     return stream.getvalue()
 
 

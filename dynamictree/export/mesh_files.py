@@ -6,15 +6,12 @@ from typing import BinaryIO
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.formats.gltf.motion import MorphOptions, MorphSummary, write_motion_glb
+from dynamictree.formats.gltf.motion import REDUCED_TARGETS, MorphOptions, MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
-from dynamictree.requests import GlbCompression, GlbTextures
 from dynamictree.rig.flutter import fluttering
 from dynamictree.rig.skin import skin_of
 from dynamictree.skin import Skin, SkinSummary
-
-REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
 
 
 def write_ply_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -28,37 +25,35 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
 
 
 def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
+    """GLB whose joints are the bones, or the few of them that lose least."""
+    from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
+
+    skin, summary = _skin(tree)
+    packing = Packing(tree.params.glb_compression == "meshopt", tree.params.glb_textures == "webp")
+    return asdict(write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps, packing=packing))
+
+
+def write_morph_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with two morph targets per frequency of the loop, of which a storm has more."""
-    params = tree.params
-    return asdict(_write_glb(tree, stream, compression=params.glb_compression, textures=params.glb_textures))
+    return asdict(_write_morphs(tree, stream))
 
 
 def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """HTML file that plays the same loop from disk, without a server."""
+    from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
     from dynamictree.formats.motion.html import write_html
 
     glb = io.BytesIO()
-    _write_glb(tree, glb)
+    write_skinned_glb(tree.mesh, *_skin(tree), glb, fps=tree.loop_fps, packing=Packing(False, False))
     write_html(glb.getvalue(), stream, title="A tree in the wind")
 
 
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
-    num_targets = min(REDUCED_TARGETS, 2 * tree.loop.shape[1] - 1)
-    params = tree.params
-    return asdict(
-        _write_glb(tree, stream, num_targets, compression=params.glb_compression, textures=params.glb_textures)
-    )
+    return asdict(_write_morphs(tree, stream, min(REDUCED_TARGETS, 2 * tree.loop.shape[1] - 1)))
 
 
-def _write_glb(
-    tree: MovingTree,
-    stream: ByteWriter,
-    num_targets: int | None = None,
-    *,
-    compression: GlbCompression = "none",
-    textures: GlbTextures = "source",
-) -> MorphSummary:
+def _write_morphs(tree: MovingTree, stream: ByteWriter, num_targets: int | None = None) -> MorphSummary:
     return write_motion_glb(
         tree.mesh,
         tree.loop,
@@ -68,22 +63,11 @@ def _write_glb(
             fps=tree.loop_fps,
             num_targets=num_targets,
             with_normals=tree.params.normals,
-            compressed=compression == "meshopt",
-            as_webp=textures == "webp",
+            compressed=tree.params.glb_compression == "meshopt",
+            as_webp=tree.params.glb_textures == "webp",
         ),
         truth=tree.loop_frames,
     )
-
-
-def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """GLB whose joints are the bones, or the few of them that lose least."""
-    from dynamictree.formats.gltf import skin as skin_file
-
-    skin, summary = _skin(tree)
-    skin_file.write_skinned_glb(
-        tree.mesh, skin, summary, stream, fps=tree.loop_fps, as_webp=tree.params.glb_textures == "webp"
-    )
-    return asdict(summary)
 
 
 def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:

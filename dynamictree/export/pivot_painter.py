@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from PIL import Image
 
-from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, write_glb
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rig.branch_pivots import BranchPivots
@@ -75,12 +75,7 @@ def _unreal(vectors: Float32[np.ndarray, "E 3"] | Float64[np.ndarray, "E 3"]) ->
 def rest_glb(mesh: TriangleMesh, lookup: Float32[np.ndarray, "N 2"]) -> bytes:
     """The mesh at rest in one node, with the lookup as TEXCOORD_1."""
     writer, stream = GlbWriter(), io.BytesIO()
-    attributes = {}
-    if mesh.look.uv is None:
-        zeros = np.zeros((mesh.num_vertices, 2), np.float32)
-        attributes["TEXCOORD_0"] = writer.add_accessor(zeros, target=VERTEX_BUFFER)
-    attributes["TEXCOORD_1"] = writer.add_accessor(lookup, target=VERTEX_BUFFER)
-    add_mesh(writer, mesh, more_attributes=attributes)
-    writer.append("nodes", {"mesh": 0, "name": "tree"})
-    writer.finish(stream)
+    sets = {"TEXCOORD_1": lookup} | ({"TEXCOORD_0": np.zeros_like(lookup)} if mesh.look.uv is None else {})
+    attributes = {name: writer.add_accessor(values, target=VERTEX_BUFFER) for name, values in sets.items()}
+    write_glb(mesh, stream, writer, attributes)
     return stream.getvalue()

@@ -12,10 +12,10 @@ from dynamictree.export.mesh_files import (
     write_alembic,
     write_displacements,
     write_glb,
+    write_morph_glb,
     write_page,
     write_ply_sequence,
     write_reduced_glb,
-    write_skinned_glb,
     write_skinned_usdz,
     write_usdz,
     write_vertex_texture,
@@ -40,10 +40,9 @@ FRAMES = SPEED | FLUTTER | {"wind_mode", "num_frames", "fps", "loop", "first_fra
 DETAIL = frozenset({"share", "sh_degree"})
 SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
-JOINTS = frozenset({"joints"})
-COMPRESSION = frozenset({"glb_compression"})
-TEXTURES = frozenset({"glb_textures"})
-MORPHS = SPEED | NORMALS | COMPRESSION | TEXTURES | FLUTTER  # which they lack, and say how much that is
+SKIN = SPEED | FLUTTER | {"joints"}
+PACKING = frozenset({"glb_compression", "glb_textures"})
+MORPHS = SPEED | NORMALS | PACKING | FLUTTER  # which they lack, and say how much that is
 
 
 @dataclass(frozen=True)
@@ -81,30 +80,16 @@ def media_type(file_name: str) -> str:
 
 PRODUCTS: dict[Format, Product] = {
     "ply": Product("PLY sequence", "motion.ply.zip", "mesh", FRAMES, write=write_ply_sequence),
-    "glb": Product("Animated GLB", "tree.glb", "mesh", MORPHS, write=write_glb),
-    "glb-reduced": Product(
-        "Animated GLB, 8 targets",
-        "tree-8-targets.glb",
-        "mesh",
-        MORPHS,
-        write=write_reduced_glb,
-    ),
-    "glb-skinned": Product(
-        "Skinned GLB", "tree-skinned.glb", "mesh", SPEED | FLUTTER | JOINTS | TEXTURES, write=write_skinned_glb
-    ),
+    "glb": Product("Animated GLB", "tree.glb", "mesh", SKIN | PACKING, write=write_glb),
+    "glb-morph": Product("GLB with morph targets", "tree-morph.glb", "mesh", MORPHS, write=write_morph_glb),
+    "glb-reduced": Product("GLB with 8 targets", "tree-8-targets.glb", "mesh", MORPHS, write=write_reduced_glb),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
     "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),
-    "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | FLUTTER | NORMALS, write=write_page),
+    "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | FLUTTER, write=write_page),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "usd-skinned": Product(
-        "USD with a skeleton",
-        "tree-skinned.usdz",
-        "mesh",
-        SPEED | FLUTTER | JOINTS,
-        "pxr",
-        "usd",
-        write=write_skinned_usdz,
+        "USD with joints", "tree-skinned.usdz", "mesh", SKIN, "pxr", "usd", write=write_skinned_usdz
     ),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),

@@ -71,11 +71,11 @@ def test_three_plays_the_compressed_files_as_the_plain_ones(browser: Browser, tm
     spectrum = voxel_spectrum(sample, 32)[1]
     written = {}
     for compression in ("none", "meshopt"):
-        params = ExportParams(formats=("glb", "glb-reduced", "html"), glb_compression=compression)
+        params = ExportParams(formats=("glb", "glb-morph", "html"), glb_compression=compression)
         folder = tmp_path / compression
         folder.mkdir()
         written[compression] = write_products(sample.mesh, spectrum, params, folder)
-    for name in ("glb", "glb-reduced"):
+    for name in ("glb", "glb-morph"):
         files = [written[compression][name] for compression in ("none", "meshopt")]
         assert files[1].stat().st_size < 0.7 * files[0].stat().st_size
         seen = played(browser, written["none"]["html"], files, [0.0, 1.3, 3.2])

@@ -68,9 +68,9 @@ def test_without_webxr_no_headset_is_offered_and_phones_get_files(view: Open, ur
         const android = { userAgent: "Mozilla/5.0 (Linux; Android 15)" };
         const file = new URL("https://trees.example/v1/artifacts/A?filename=oak.glb");
         return [[phoneFormat(knows, {}), phoneFormat(other, android), phoneFormat(other, { userAgent: "X11" })],
-            addressFor("usd-skinned", file, "Oak"), addressFor("glb-skinned", file, "Oak & ash")];
+            addressFor("usd-skinned", file, "Oak"), addressFor("glb", file, "Oak & ash")];
     }""")
-    assert formats == ["usd-skinned", "glb-skinned", None]
+    assert formats == ["usd-skinned", "glb", None]
     assert apple == "https://trees.example/v1/artifacts/A?filename=oak.glb"
     assert android.startswith("intent://arvr.google.com/scene-viewer/1.0?file=https%3A%2F%2Ftrees.example%2Fv1")
     assert "title=Oak+%26+ash#Intent;scheme=https;" in android

@@ -27,6 +27,7 @@ PLACES = """(time) => {
   const places = [];
   player.renderer.setAnimationLoop(null);
   player.seek(time);
+  player.tree.updateMatrixWorld(true);
   player.tree.traverse((part) => {
     if (part.isMesh && !places.length) {
       for (let i = 0; i < part.geometry.attributes.position.count; i++) {

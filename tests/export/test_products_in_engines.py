@@ -79,13 +79,13 @@ def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
 def test_morph_targets_are_within_a_ten_thousandth_and_close_the_loop(
     products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
 ) -> None:
-    played = played_morphs(products[0]["glb"].read_bytes())
+    played = played_morphs(products[0]["glb-morph"].read_bytes())
     assert errors_m(played, truth)[1] < 1e-4 * tree[0].height_m
     np.testing.assert_array_equal(played[0], played[-1])
 
 
 @pytest.mark.parametrize(
-    ("name", "play"), [("glb", played_morphs), ("glb-reduced", played_morphs), ("glb-skinned", played_skin)]
+    ("name", "play"), [("glb", played_skin), ("glb-morph", played_morphs), ("glb-reduced", played_morphs)]
 )
 def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Products, truth: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     content, facts = products[0][name].read_bytes(), products[1][name]
@@ -102,18 +102,18 @@ def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
 ) -> None:
     mesh, spectrum = tree[0], replace(tree[1], wind=Wind(speed_m_s=8.0))
     facts: dict[str, Facts] = {}
-    options = ExportParams(formats=("motion", "glb"), fps=24.0, flutter=1.0)
+    options = ExportParams(formats=("motion", "glb-morph"), fps=24.0, flutter=1.0)
     paths = write_products(mesh, spectrum, options, tmp_path, on_facts=facts.__setitem__)
     with paths["motion"].open("rb") as stream:
         played = read_motion(stream).displacement
     np.testing.assert_allclose(played, np.stack(list(method.move(spectrum, mesh, flutter=1.0))), atol=1e-5)
     apart = float(np.sqrt(((played - truth) ** 2).sum(axis=2).max()))
     assert apart > 1e-3
-    assert facts["glb"]["max_error_m"] == pytest.approx(apart, rel=0.05)
+    assert facts["glb-morph"]["max_error_m"] == pytest.approx(apart, rel=0.05)
 
 
 def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
-    assert set(products[1]) == {"glb", "glb-reduced", "glb-skinned", "usd-skinned", "lod", "rig"}
+    assert set(products[1]) == {"glb", "glb-morph", "glb-reduced", "usd-skinned", "lod", "rig"}
 
 
 def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.ndarray) -> None:
@@ -127,12 +127,12 @@ def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
 ) -> None:
     path = products[0]["usd-skinned"]
     played, facts = played_usd_skin(path), products[1]["usd-skinned"]
-    assert facts == products[1]["glb-skinned"]
+    assert facts == products[1]["glb"]
     rms, most = errors_m(played, truth)
     assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
     assert facts["max_error_m"] == pytest.approx(most, rel=1e-3)
     np.testing.assert_allclose(played[-1], played[0], atol=1e-7)
-    np.testing.assert_allclose(played, played_skin(products[0]["glb-skinned"].read_bytes()), atol=1e-5)
+    np.testing.assert_allclose(played, played_skin(products[0]["glb"].read_bytes()), atol=1e-5)
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     assert stage.GetTimeCodesPerSecond() == 24
@@ -172,7 +172,7 @@ def test_trimesh_reads_the_sequence_and_every_glb(
     for number in (0, 33, 99):
         frame = trimesh.load(io.BytesIO(archive.read(f"frame_{number:04d}.ply")), file_type="ply", process=False)
         assert np.abs(frame.vertices - mesh.vertices - truth[number]).max() < 2e-6
-    for name in ("glb", "glb-reduced", "glb-skinned"):
+    for name in ("glb", "glb-morph", "glb-reduced"):
         scene = trimesh.load(products[0][name])
         assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
 
@@ -185,14 +185,14 @@ def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(
     errors = [skin_of(rig, mesh.vertices, count)[1].relative_error for count in (8, 32, 128, all_joints)]
     assert errors[0] > errors[1] > 1.3 * errors[2] > 0
     assert errors[3] < 0.1 * errors[2]  # of keys in 16 bits
-    assert products[1]["glb-skinned"]["num_joints"] <= 64
+    assert products[1]["glb"]["num_joints"] <= 64
 
 
 def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray, tmp_path: Path
 ) -> None:
     """Keys in 16 bits are off by 0.03 mrad, which no child adds to: 2e-5 of the height, with floats 4e-6."""
-    path = write_products(*tree, ExportParams(formats=("glb-skinned",), flutter=0.0), tmp_path)["glb-skinned"]
+    path = write_products(*tree, ExportParams(formats=("glb",), flutter=0.0), tmp_path)["glb"]
     assert errors_m(played_skin(path.read_bytes()), truth)[1] < 2e-5 * tree[0].height_m
     rest = len(trimesh.Trimesh(tree[0].vertices, tree[0].faces, process=False).export(file_type="glb"))
     assert path.stat().st_size < 1.3 * rest + 1e6
@@ -217,7 +217,7 @@ def test_a_skin_stays_in_the_document_of_its_source(
     coefficients = np.zeros((len(grid), 3, 3), np.complex64)
     coefficients[:, 1, 0] = coefficients[:, 2, 1] = 0.05 * (grid.centres_m[:, 2] / grid.centres_m[:, 2].max()) ** 2
     spectrum = SparseVoxelSpectrum(grid=grid, coefficients=coefficients)
-    path = write_products(mesh, spectrum, ExportParams(formats=("glb-skinned",)), tmp_path)["glb-skinned"]
+    path = write_products(mesh, spectrum, ExportParams(formats=("glb",)), tmp_path)["glb"]
     content = path.read_bytes()
     truth = np.stack(list(method.move(spectrum, mesh)))
     assert np.linalg.norm(truth, axis=2).max() > 0.05
@@ -276,5 +276,5 @@ def test_capsules_lie_in_the_wood_and_follow_it(
 @pytest.mark.slow
 def test_khronos_validator_finds_nothing_wrong(products: Products, tmp_path: Path) -> None:
     zipfile.ZipFile(products[0]["vat"]).extract("tree.glb", tmp_path)
-    files = [products[0][name] for name in ("glb", "glb-reduced", "glb-skinned")] + [tmp_path / "tree.glb"]
+    files = [products[0][name] for name in ("glb", "glb-morph", "glb-reduced")] + [tmp_path / "tree.glb"]
     assert [(report["numErrors"], report["numWarnings"]) for report in validated(files)] == [(0, 0)] * 4

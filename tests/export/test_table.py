@@ -39,9 +39,9 @@ CHANGED = {
     "glb_textures": {"glb_textures": "webp"},
 }
 
-SLOW = ("glb-skinned", "lod", "rig", "wind", "usd", "usd-skinned", "usd-splat", "html-splat", "mp4", "png")
+SLOW = ("lod", "rig", "wind", "usd", "usd-skinned", "usd-splat", "html-splat", "mp4", "png")
 SAME_AT_THIS_SIZE = {
-    ("glb-skinned", "joints"),
+    ("glb", "joints"),
     ("usd-skinned", "joints"),
 }  # 48 vertices need fewer joints than the least allowed
 

@@ -74,7 +74,7 @@ def test_a_paper_s_model_moves_two_trees_on_a_grid_finer_than_its_own(tmp_path: 
     [
         ((24.0, 7.5), get_args(Format)[:10]),
         ((24.0, 7.5), get_args(Format)[10:]),
-        ((1.0, 35.0), ("glb", "glb-skinned", "motion", "vat")),
+        ((1.0, 35.0), ("glb", "glb-morph", "motion", "vat")),
     ],
 )
 def test_every_product_shows_a_tall_tree_and_a_small_one(

@@ -46,14 +46,14 @@ def test_a_vertex_has_one_place(
     vertices = np.random.default_rng(0).choice(grown.mesh.num_vertices, 1000, replace=False)
     expected = np.stack(list(method.move(spectrum, grown.mesh, num_frames=TIMES)))[:, vertices]
     stride = spectrum.num_frames // TIMES
-    formats = ("glb", "glb-skinned", "motion", "usd")
+    formats = ("glb", "glb-morph", "motion", "usd")
     files = write_products(grown.mesh, spectrum, ExportParams(formats=formats), tmp_path)
     with files["motion"].open("rb") as stream:
         stored = read_motion(stream).displacement
     opened = {
         "motion": stored,
-        "glb": played_morphs(files["glb"].read_bytes()),
-        "glb-skinned": played_skin(files["glb-skinned"].read_bytes()),
+        "glb": played_skin(files["glb"].read_bytes()),
+        "glb-morph": played_morphs(files["glb-morph"].read_bytes()),
         "usd": played_usdz(files["usd"]),
     }
     places = {name: frames[: spectrum.num_frames : stride][:, vertices] for name, frames in opened.items()}

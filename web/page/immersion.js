@@ -42,7 +42,7 @@ export class Immersion {
 /** What the phone's own viewer plays: Quick Look, Android's Scene Viewer; null elsewhere. */
 export function phoneFormat({ relList } = document.createElement("a"), { userAgent } = navigator) {
   if (relList.supports("ar")) return "usd-skinned";
-  return /android/i.test(userAgent) ? "glb-skinned" : null;
+  return /android/i.test(userAgent) ? "glb" : null;
 }
 
 /** What opens a file in the phone's viewer. */

@@ -9,17 +9,17 @@ export default {
     readme: readme("for Blender 4 and 5", [
       "1. Set the frame rate to 24 (Output properties, Frame Rate): the loop then has whole frames.",
       "2. File > Import > glTF 2.0, choose tree.glb.",
-      "3. Press Space. The tree sways: the motion lies in shape keys, all of them between 0 and 1.",
+      "3. Press Space. The tree sways: bones move it, one for each twig and leaf.",
       "4. To repeat it: Graph Editor, select all curves, Shift E, Make Cyclic.",
       "5. Render with Eevee or Cycles as it is; materials and textures are those of your file.",
       "Of a splat: splat.ply.zip has one PLY a frame, for an add-on that reads splats.",
     ]),
   },
   unity: {
-    mesh: ["glb-skinned", "wind"],
+    mesh: ["glb", "wind"],
     readme: readme("for Unity 2022 and later", [
       "1. Window > Package Manager > + > Add by name: com.unity.cloud.gltfast",
-      "2. Put tree-skinned.glb into Assets, drag it into the scene.",
+      "2. Put tree.glb into Assets, drag it into the scene.",
       "3. Select the clip 'sway', tick Loop Time, and give it to an Animator.",
       "4. Press Play: joints move the tree, four a vertex, at the cost of any character.",
       "For wind that never repeats and bends with its speed: tree.wind.zip.",
@@ -27,9 +27,9 @@ export default {
     ]),
   },
   unreal: {
-    mesh: ["glb-skinned", "wind"],
+    mesh: ["glb", "wind"],
     readme: readme("for Unreal 5", [
-      "1. Import tree-skinned.glb (Interchange) as a skeletal mesh with its animation.",
+      "1. Import tree.glb (Interchange) as a skeletal mesh with its animation.",
       "2. Drag the animation sequence into the level, tick Looping.",
       "3. Press Play.",
       "For foliage and wind that never repeats: tree.wind.zip.",
@@ -38,9 +38,9 @@ export default {
     ]),
   },
   godot: {
-    mesh: ["glb-skinned", "wind"],
+    mesh: ["glb", "wind"],
     readme: readme("for Godot 4", [
-      "1. Copy tree-skinned.glb into the project; it imports by itself.",
+      "1. Copy tree.glb into the project; it imports by itself.",
       "2. Double-click it, choose the animation 'sway', set Loop Mode to Linear, Reimport.",
       "3. Drag it into a scene and press Play in its AnimationPlayer.",
       "For wind that never repeats and bends with its speed: unpack tree.wind.zip into the project.",

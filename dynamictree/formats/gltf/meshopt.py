@@ -5,7 +5,7 @@ of a 32,767th fit, integers; normals become octahedral. Colours, joints, weights
 reader gets plain views back, by `decompressed`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -72,14 +72,18 @@ def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]
         (_largest(writer.root, content, index) for index, role in roles.items() if role == "target"), default=0.0
     )
     changes: dict[int, Float32[np.ndarray, "count width"]] = {}
-    of_view = _accessor_of_view(writer.root)
+    of_view = _accessor_of_view(writer.root, roles)
     writer.chunks, writer.num_bytes, unpacked = [], 0, 0
     for number, view in enumerate(views):
         start, length = view.get("byteOffset", 0), view["byteLength"]
         index = of_view.get(number)
         stream = None
         if index is not None and index in roles:
-            stream = _stream(meshopt, writer.root["accessors"][index], view, content, roles[index], largest)
+            accessor = writer.root["accessors"][index]
+            if roles[index] == "keys":  # of all joints
+                size = COMPONENTS[accessor["componentType"]].itemsize * WIDTHS.get(accessor["type"], 0)
+                accessor = accessor | {"count": length // max(size, 1)}
+            stream = _stream(meshopt, accessor, view, content, roles[index], largest)
         packed = b"" if stream is None else meshopt.encode_gltf_buffer(stream.rows, stream.mode)
         if stream is None or not packed or len(packed) >= length:
             view["byteOffset"] = writer.add_bytes(content[start : start + length])
@@ -204,6 +208,8 @@ def _roles(root: dict[str, Any]) -> dict[int, str]:
             for target in primitive.get("targets", []):
                 for name, index in target.items():
                     use(index, "target" if name in ("POSITION", "NORMAL") else "other target")
+    for skin in root.get("skins", []):
+        use(skin.get("inverseBindMatrices"), "keys")
     for animation in root.get("animations", []):
         for sampler in animation["samplers"]:
             use(sampler["input"], "keys")
@@ -211,8 +217,8 @@ def _roles(root: dict[str, Any]) -> dict[int, str]:
     return {index: roles.pop() for index, roles in uses.items() if len(roles) == 1}
 
 
-def _accessor_of_view(root: dict[str, Any]) -> dict[int, int]:
-    """The accessor of each view that only one uses, from its first byte."""
+def _accessor_of_view(root: dict[str, Any], roles: Mapping[int, str]) -> dict[int, int]:
+    """The accessor of each view that only one uses, from its first byte; the first of several of keys alike."""
     users: dict[int, list[int]] = {}
     for index, accessor in enumerate(root.get("accessors", [])):
         if "bufferView" in accessor:
@@ -220,7 +226,12 @@ def _accessor_of_view(root: dict[str, Any]) -> dict[int, int]:
         for part in accessor.get("sparse", {}).values() if isinstance(accessor.get("sparse"), dict) else ():
             if isinstance(part, dict):
                 users.setdefault(part["bufferView"], []).extend([-1, -1])
-    single = {view: rows[0] for view, rows in users.items() if len(rows) == 1}
+    kinds = [(roles.get(row), entry["componentType"], entry["type"]) for row, entry in enumerate(root["accessors"])]
+    single = {
+        view: rows[0]
+        for view, rows in users.items()
+        if len(rows) == 1 or (min(rows) >= 0 and [kind[0] for kind in {kinds[row] for row in rows}] == ["keys"])
+    }
     return {
         view: index
         for view, index in single.items()

@@ -103,8 +103,7 @@ def write_motion_glb(
     )
     if options.with_normals:
         summary = ShadedMorphSummary(**asdict(summary), **asdict(error))
-    shift = {"source_offset": list(mesh.source.offset)} if any(mesh.source.offset) else {}
-    template.writer.extras = asdict(summary) | shift
+    template.writer.extras = asdict(summary) | mesh.source.extras
     template.writer.finish(stream)
     return summary
 

@@ -4,12 +4,14 @@ What engines play most cheaply. The file tells in its `asset.extras` how far it 
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Float32, Float64, Int32
 
 from dynamictree.byte_stream import ByteWriter
+from dynamictree.formats.gltf.meshopt import compress
 from dynamictree.formats.gltf.template import add_mesh_joints, can_carry_joints, open_template
 from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import GlbWriter, add_mesh
@@ -18,38 +20,57 @@ from dynamictree.skin import Skin, SkinSummary
 from dynamictree.up_axis import up_rotation
 
 
+class Packing(NamedTuple):
+    """How a file is packed: by meshoptimizer, and with textures as WebP where that is smaller."""
+
+    compressed: bool
+    as_webp: bool
+
+
 def write_skinned_glb(
-    mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float, as_webp: bool = False
-) -> None:
-    """Write one period with linear keys, the last equal to the first.
+    mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float, packing: Packing
+) -> SkinSummary:
+    """Write one period with linear keys, the last equal to the first; give the errors with those of the packing.
 
     A mesh that was read from glTF stays in its document, unless that places it by a skin or by instances of its own.
-    `as_webp` writes textures as WebP where that is smaller.
     """
-    if mesh.gltf is not None and can_carry_joints(mesh.gltf):
-        template = open_template(mesh)
-        writer = template.writer
-        source = mesh.source
-        shift = source.scale * up_rotation(source.up_axis) @ np.array(source.offset)  # to the document's own origin
-        rest = (skin.joint_m + shift) @ up_rotation("+Y")
-        skeleton, first = _add_joints(writer, skin.parent, rest)
+    in_source = mesh.gltf is not None and can_carry_joints(mesh.gltf)
+    template = open_template(mesh if in_source else replace(mesh, gltf=None))
+    writer = template.writer
+    source, rest = mesh.source, _rest(skin)
+    if in_source:  # to the document's own origin
+        rest = rest + source.scale * up_rotation(source.up_axis) @ np.array(source.offset) @ up_rotation("+Y")
+    skeleton, first = _add_joints(writer, skin.parent, rest)
+    if in_source:
         nodes = template.attach_joints(skin, lambda placed: _add_skin(writer, rest, first, placed))
         scene = writer.root["scenes"][writer.root.get("scene", 0)]
         scene["nodes"] = [*scene["nodes"], *nodes, skeleton]
     else:
-        writer = GlbWriter()
         attributes = add_mesh_joints(writer, skin)
-        add_mesh(writer, mesh, more_attributes=attributes)
-        writer.append("nodes", {"mesh": 0, "skin": 0, "name": "tree"})
-        rest = _rest(skin)
-        skeleton, first = _add_joints(writer, skin.parent, rest)
-        _add_skin(writer, rest, first, np.eye(4))
+        for primitive in writer.root["meshes"][0]["primitives"]:
+            primitive["attributes"] |= attributes
+        writer.root["nodes"][0]["skin"] = _add_skin(writer, rest, first, np.eye(4))
         writer.append("scenes", {"nodes": [0, skeleton]})
     _add_sway(writer, skin, fps, first)
-    writer.extras = asdict(summary)
-    if as_webp:
+    if packing.as_webp:
         webp_textures(writer)
+    if packing.compressed:
+        summary = _with_change(summary, template.changes(compress(writer), (), 0, mesh.num_vertices).reshape(-1, 3))
+    writer.extras = asdict(summary) | source.extras
     writer.finish(stream)
+    return summary
+
+
+def _with_change(summary: SkinSummary, change_m: Float32[np.ndarray, "N 3"]) -> SkinSummary:
+    """Errors with what the mesh at rest is off by, which its joints carry with it: the largest is an upper bound."""
+    squares = (change_m**2).sum(axis=1, dtype=np.float64)
+    rms_m = float(np.hypot(summary.rms_error_m, np.sqrt(squares.mean())))
+    return replace(
+        summary,
+        relative_error=summary.relative_error * rms_m / summary.rms_error_m if summary.rms_error_m else 0.0,
+        rms_error_m=rms_m,
+        max_error_m=summary.max_error_m + float(np.sqrt(squares.max())),
+    )
 
 
 def write_joint_meshes_glb(

@@ -6,7 +6,7 @@ Targets are attached primitive by primitive, in the primitive's own axes and uni
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -125,6 +125,7 @@ class Template:
             entry = root["nodes"][node]
             fields = {name: entry.pop(name) for name in ("mesh", "weights") if name in entry}
             nodes.append(self.writer.append("nodes", {"name": "tree", "skin": skins[key], **fields}))
+            self.slots = [replace(slot, node=nodes[-1]) if slot.node == node else slot for slot in self.slots]
         return nodes
 
     def attach_texture_coordinates(self, places: Float32[np.ndarray, "N 2"]) -> str:

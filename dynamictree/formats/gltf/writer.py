@@ -86,10 +86,12 @@ class GlbWriter:
             stream.write(chunk)
 
 
-def write_glb(mesh: TriangleMesh, stream: ByteWriter) -> None:
-    """Write a mesh at rest, with its materials, textures and colours."""
-    writer = GlbWriter()
-    add_mesh(writer, mesh)
+def write_glb(
+    mesh: TriangleMesh, stream: ByteWriter, writer: GlbWriter | None = None, attributes: Mapping[str, int] | None = None
+) -> None:
+    """Write a mesh at rest, with its materials, textures, colours and further attributes that a writer has begun."""
+    writer = writer or GlbWriter()
+    add_mesh(writer, mesh, more_attributes=attributes)
     writer.append("nodes", {"mesh": 0, "name": "tree"})
     writer.finish(stream)
 

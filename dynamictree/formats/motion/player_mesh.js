@@ -17,7 +17,7 @@ export async function show(glb, { scene }) {
   ground.position.y = box.min.y;
   scene.add(ground);
   tree.traverse((part) => {
-    part.frustumCulled = false; // bounds do not follow morph targets
+    part.frustumCulled = false; // bounds do not follow joints
   });
   const mixer = new THREE.AnimationMixer(tree);
   mixer.clipAction(animations[0]).play();
