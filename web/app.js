@@ -63,10 +63,7 @@ export class App {
       onProblem: (error) => this.onProblem(error, () => this.jobs.show()),
     });
     this.company = new CompanyPanel(stage, player);
-    this.wind = new WindPanel(stage, player, {
-      onMake: (wind) => this.session.animateIn(wind),
-      onProblem,
-    });
+    this.wind = new WindPanel(stage, player, { onMake: (wind) => this.session.animateIn(wind), onProblem });
     this.views = new ViewPanel(stage, player);
     this.form = new TreeForm(stage, { onApply: (wanted) => this.session.remake(wanted), tree: () => scene.tree });
     this.doubt = new SizeDoubt({

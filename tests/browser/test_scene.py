@@ -59,12 +59,12 @@ def test_shadows_can_be_switched_off(paused: Viewer) -> None:
     assert viewer.complaints == []
 
 
-def test_the_samples_of_a_shadow_are_turned_together(view: Open, url: str) -> None:
-    viewer = view(640, 480)
-    viewer.open(url)
-    sampling = viewer.page.evaluate("async () => (await import('three')).ShaderChunk.shadowmap_pars_fragment")
-    assert "turned * vec2(" in sampling
-    assert "vogelDiskSample( 0" not in sampling, "three.js writes it otherwise now"
+def test_the_samples_of_a_shadow_are_turned_together_and_software_takes_one(view: Open, url: str) -> None:
+    (viewer := view(640, 480)).open(url)
+    of = "async () => ((await import('/web/draw/shadow.js')).sampleShadows({}), (await import('three')).ShaderChunk)"
+    card, software = (viewer.page.evaluate(of.format(kind))["shadowmap_pars_fragment"] for kind in ("false", "true"))
+    assert card.count("turned * vec2(") == 5
+    assert "shadow = texture(shadowMap, shadowCoord.xyz)" in software
 
 
 # In each turn: the share of pixels that a shadow drawn in this moment would make lighter or darker than what is seen

@@ -25,7 +25,7 @@ export async function immerse(stage, kind, { onSelect = () => {} } = {}) {
   floor.rotation.x = Math.PI / 2;
   floor.add(camera);
   scene.add(floor);
-  surroundings.groundVisible = ground && kind === "vr"; // a room has its own
+  surroundings.ground.visible = ground && kind === "vr"; // a room has its own
   renderer.xr.enabled = true;
   session.addEventListener("select", onSelect);
   session.addEventListener("end", () => {
@@ -33,7 +33,7 @@ export async function immerse(stage, kind, { onSelect = () => {} } = {}) {
     floor.removeFromParent();
     floor.remove(camera);
     camera.copy(seen);
-    surroundings.groundVisible = ground;
+    surroundings.ground.visible = ground;
     stage.resize();
     stage.controls.update();
   });

@@ -23,17 +23,25 @@ export function leavesItsShadow({ surface, swings, shadowed, stage }) {
 const SAMPLES = 5;
 const GOLDEN_ANGLE = 2.399963229728653;
 
-/** The same samples of a shadow's edge, turned together by one sine and cosine a pixel where three.js takes one each. */
-export function turnSamplesTogether() {
-  const { shadowmap_pars_fragment: before } = THREE.ShaderChunk;
+const { shadowmap_pars_fragment: BEFORE } = THREE.ShaderChunk;
+
+/**
+ * The same samples of a shadow's edge, turned together by one sine and cosine a pixel where three.js takes one each. In
+ * `software` one, between texels, in a loop: software skips one beside the map, as it does not skip a branch.
+ */
+export function sampleShadows(software) {
   const place = (i) => {
     const radius = Math.sqrt((i + 0.5) / SAMPLES);
     return [Math.cos(i * GOLDEN_ANGLE), Math.sin(i * GOLDEN_ANGLE)].map((share) => (radius * share).toFixed(8));
   };
-  const together = before
-    .replace(/(float phi = .*);/, "$1; mat2 turned = mat2(cos(phi), sin(phi), -sin(phi), cos(phi));")
-    .replace(/vogelDiskSample\( (\d), 5, phi \)/g, (_, i) => `turned * vec2(${place(Number(i))})`);
-  if (together.split("turned").length !== SAMPLES + 2)
+  const one = "for (int i = int(frustumTest); i > 0; i--) shadow = texture(shadowMap, shadowCoord.xyz);";
+  const sampled = software
+    ? BEFORE.replace(/if \( frustumTest \) \{[^}]*vogel[^}]*\}/, one)
+    : BEFORE.replace(/(float phi = .*);/, "$1; mat2 turned = mat2(cos(phi), sin(phi), -sin(phi), cos(phi));").replace(
+        /vogelDiskSample\( (\d), 5, phi \)/g,
+        (_, i) => `turned * vec2(${place(Number(i))})`,
+      );
+  if (sampled.includes("vogelDiskSample( 0") || sampled === BEFORE)
     throw new Error("three.js samples a shadow's edge otherwise now");
-  THREE.ShaderChunk.shadowmap_pars_fragment = together;
+  THREE.ShaderChunk.shadowmap_pars_fragment = sampled;
 }

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Resolution } from "./resolution.js";
-import { turnSamplesTogether } from "./shadow.js";
+import { sampleShadows } from "./shadow.js";
 import { contextOf } from "./software.js";
 import { Surroundings } from "./surroundings.js";
 
@@ -11,8 +11,6 @@ const FIELD_OF_VIEW = 30;
 const ROUND = Math.SQRT1_2 / 2; // corners of the square in a crown's circle, in shares of its width
 const FILLED = 0.94; // of the free part's half
 const FIRST_VIEW = new THREE.Vector3(-0.38, -1, 0.2).normalize();
-
-turnSamplesTogether();
 
 export class Stage {
   /** `onContext(lost)` is called when the graphics context is lost and when it is back. */
@@ -31,7 +29,8 @@ export class Stage {
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
     this.camera.up.set(0, 0, 1);
-    this.surroundings = new Surroundings(this.scene);
+    sampleShadows(soft);
+    this.surroundings = new Surroundings(this.scene, soft);
     this.resolution = new Resolution(soft ? 2 : 1, soft);
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
@@ -80,9 +79,10 @@ export class Stage {
     this.box = new THREE.Box3(min.clone(), max.clone());
     this.seen = this.box; // and what stands beside the tree
     this.middle = new THREE.Vector3().addVectors(min, max).multiplyScalar(0.5);
-    this.radius = new THREE.Vector3().subVectors(max, min).length() / 2;
+    const half = new THREE.Vector3().subVectors(max, min).multiplyScalar(0.5);
+    this.radius = half.length();
     this.height = max.z - min.z;
-    this.surroundings.frame(this.middle, this.radius, min.z);
+    this.surroundings.frame(this.middle, half, this.radius, min.z);
     this.home();
   }
 

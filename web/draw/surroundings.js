@@ -6,30 +6,24 @@ import { SLACK } from "./shadow.js";
 
 const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
 const LOOKS = {
-  light: {
-    sky: 0xf4f8ff,
-    earth: 0xb9b09a,
-    ambient: 1.35,
-    sun: 0xfff1dc,
-    strength: 2.7,
-    ground: 0xdcdccf,
-    shadow: 0.3,
-  },
+  light: { sky: 0xf4f8ff, earth: 0xb9b09a, ambient: 1.35, sun: 0xfff1dc, strength: 2.7, ground: 0xdcdccf, shadow: 0.3 },
   dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
 };
+const AROUND = 0.3; // of the radius: so far motion may carry a shadow out of the box
 const ARROW_SHARE = 0.85; // of what is seen beside the tree
 
 export class Surroundings {
-  constructor(scene) {
+  /** In `software` a shadow has a quarter of the texels, by which its pass costs there. */
+  constructor(scene, software) {
     this.sky = new THREE.HemisphereLight();
     this.sky.position.set(0, 0, 1);
     this.sun = new THREE.DirectionalLight();
     this.sun.castShadow = true;
-    this.sun.shadow.mapSize.set(2048, 2048);
+    this.sun.shadow.mapSize.setScalar(software ? 1024 : 2048);
     this.sun.shadow.radius = 3;
+    this.sun.shadow.camera.up.set(0, 0, 1);
     this.ground = new Ground();
     this.arrow = windArrow();
-    this.scene = scene;
     this.sunPlace = SUN;
     scene.add(this.sky, this.sun, this.sun.target, this.ground, this.arrow);
   }
@@ -52,24 +46,32 @@ export class Surroundings {
     const level = Math.cos(height);
     this.sunward = new THREE.Vector3(level * Math.cos(from), level * Math.sin(from), Math.sin(height));
     this.sun.position.copy(this.sun.target.position).addScaledVector(this.sunward, 4 * (this.radius ?? 1));
+    if (this.radius) this._fitShadow();
+  }
+
+  /** The sun sees the box as closely as motion allows: its map has no texels, and the ground no lookups, for what is beside. */
+  _fitShadow() {
+    const { radius, half, sunward } = this;
+    const right = new THREE.Vector3(0, 0, 1).cross(sunward).normalize();
+    const up = new THREE.Vector3().crossVectors(sunward, right);
+    const [x, y] = [right, up].map((axis) => AROUND * radius + half.dot(positive(axis)));
+    const box = { left: -x, right: x, top: y, bottom: -y, near: radius, far: 8 * radius };
+    Object.assign(this.sun.shadow.camera, box).updateProjectionMatrix();
   }
 
   get sunPlace() {
     return this._sunPlace;
   }
 
-  /** Place everything under a box of this middle, radius and lowest z. */
-  frame(middle, radius, bottom) {
+  /** Place everything under a box of this middle, half sizes, radius and lowest z. */
+  frame(middle, half, radius, bottom) {
     this.ground.position.set(middle.x, middle.y, bottom - 0.002 * radius);
     this.ground.scale.setScalar(radius * 2.3);
     this.arrow.position.set(middle.x, middle.y, bottom);
     this.radius = radius;
+    this.half = half;
     this.sun.target.position.copy(middle);
     this.sunPlace = this.sunPlace;
-    const reach = 1.25 * radius;
-    const box = { left: -reach, right: reach, top: reach, bottom: -reach, near: radius, far: 8 * radius };
-    Object.assign(this.sun.shadow.camera, box);
-    this.sun.shadow.camera.updateProjectionMatrix();
     this.sun.shadow.normalBias = radius * SLACK;
     this.sun.shadow.bias = -0.0008;
   }
@@ -85,23 +87,16 @@ export class Surroundings {
     this.arrow.material.color.set(colour);
     this.arrow.material.opacity = 0.35 + 0.5 * Math.min(strength, 1);
   }
-
-  set shadows(cast) {
-    this.sun.castShadow = cast;
-  }
-
-  set groundVisible(visible) {
-    this.ground.visible = visible;
-  }
 }
+
+const positive = ({ x, y, z }) => new THREE.Vector3(Math.abs(x), Math.abs(y), Math.abs(z));
 
 /** Three chevrons on the ground before the tree, pointing along +X. */
 function windArrow() {
   const places = [];
   for (let i = 0; i < 3; i++) {
     const x = 0.84 + 0.085 * i;
-    const wing = 0.045;
-    const thick = 0.03;
+    const [wing, thick] = [0.045, 0.03];
     for (const side of [1, -1]) {
       const tip = [x, 0];
       const tipBack = [x - thick * 1.5, 0];

@@ -34,7 +34,7 @@ async function begin() {
   const hand = new Hand(stage, { onGrab: (places) => showGrips(stage, places) });
   const player = new Player(hand);
   const scene = new Scene(stage);
-  stage.surroundings.groundVisible = !options.has("transparent");
+  stage.surroundings.ground.visible = !options.has("transparent");
   stage.controls.autoRotate = options.has("turntable");
   stage.look(theme());
   onSystemTheme(() => stage.look(theme()));

@@ -8,8 +8,8 @@ export class LightPanel {
     this.stage = stage;
     $("sun-from").oninput = $("sun-height").oninput = () => this._showSun();
     $("ground").onchange = $("shadows").onchange = () => {
-      stage.surroundings.groundVisible = $("ground").checked;
-      stage.surroundings.shadows = $("shadows").checked;
+      stage.surroundings.ground.visible = $("ground").checked;
+      stage.surroundings.sun.castShadow = $("shadows").checked;
       stage.stale = true;
     };
     $("background").onchange = () => {
