@@ -5,8 +5,9 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock
+from time import monotonic
 
-from cachetools import TTLCache, cached
+from cachetools import TLRUCache, cached
 
 from jobs.settings import Settings
 
@@ -15,18 +16,18 @@ def free_bytes(settings: Settings) -> int:
     """What may still be written below `state_dir` [bytes]."""
     settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     free = shutil.disk_usage(settings.scratch_dir).free
-    if settings.state_size_bytes is None:
-        return free
-    return max(min(free, settings.state_size_bytes - used_bytes(settings.state_dir.resolve())), 0)
+    if settings.state_size_bytes is not None:
+        free = min(free, settings.state_size_bytes - used(settings.state_dir.resolve())[0])
+    return max(free, 0)
 
 
-@cached(TTLCache(maxsize=4, ttl=1.0), lock=Lock())
-def used_bytes(folder: Path) -> int:
-    """What the files of a folder take; one with two names counts once [bytes]."""
-    sizes: dict[int, int] = {}
+@cached(TLRUCache(maxsize=4, ttu=lambda _, walk, now: now + max(1.0, 100 * walk[1])), lock=Lock())
+def used(folder: Path) -> tuple[int, float]:
+    """What the files of a folder take [bytes], one with two names once; and how long that took [s], 1 % of a core."""
+    began, sizes = monotonic(), dict[int, int]()
     for parent, _, names in os.walk(folder):
         for name in names:
             with suppress(FileNotFoundError):
                 stat = os.lstat(os.path.join(parent, name))
                 sizes[stat.st_ino] = 512 * stat.st_blocks
-    return sum(sizes.values())
+    return sum(sizes.values()), monotonic() - began

@@ -63,10 +63,9 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
     Raises:
         ProblemError: less than `min_free_bytes` would be left after `wanted` more.
     """
-    settings = owned.services.settings
+    settings, promised = owned.services.settings, 0
     free = free_bytes(settings)
     in_storage = owned.services.artifacts.free_bytes()
-    promised = 0
     room = free - settings.min_free_bytes
     if in_storage is not None:  # a folder, where parts of uploads lie too; object storage has no end that we can see
         free = min(free, in_storage)

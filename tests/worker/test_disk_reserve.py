@@ -12,7 +12,7 @@ from jobs.lifecycle.attempts import start_stage
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, hold_lease
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
-from jobs.storage.disk import free_bytes, used_bytes
+from jobs.storage.disk import free_bytes, used
 from jobs.store import Store
 from service.app import create_app
 from tests.rows import asset_row, stored_part
@@ -73,18 +73,18 @@ def test_a_stage_stops_before_it_takes_the_rest_of_the_disk(small_disk: Path) ->
 def test_a_volume_is_full_at_its_own_size(tmp_path: Path) -> None:
     """The disk below it has more; half-received uploads that are linked twice count once."""
     settings = Settings(state_dir=tmp_path, min_free_bytes=8 * MIB, state_size_bytes=16 * MIB)
-    used_bytes.cache_clear()
+    used.cache_clear()
     assert free_bytes(settings) == 16 * MIB
     (tmp_path / "upload").write_bytes(bytes(11 * MIB))
     (tmp_path / "linked").hardlink_to(tmp_path / "upload")
-    used_bytes.cache_clear()
+    used.cache_clear()
     assert free_bytes(settings) == 5 * MIB
     require_free_disk(settings)
     with TestClient(create_app(settings), "http://localhost") as client:
         assert client.get("/readyz").json()["storage"] == "full"
         assert client.post("/v1/assets", files={"file": ("a.obj", b"v 0 0 0")}).json()["code"] == "disk-full"
     (tmp_path / "product").write_bytes(bytes(3 * MIB))
-    used_bytes.cache_clear()
+    used.cache_clear()
     with pytest.raises(StorageFullError):
         require_free_disk(settings)
 
