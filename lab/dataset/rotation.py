@@ -36,13 +36,6 @@ def to_matrix(quaternion: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "
     return np.stack([np.stack(row) for row in rows])
 
 
-def cross(first: Float32[np.ndarray, "3 ..."], second: Float32[np.ndarray, "3 ..."]) -> Float32[np.ndarray, "3 ..."]:
-    """Vector product."""
-    a, b, c = first
-    x, y, z = second
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
-
-
 def carried(
     quaternion: Float32[np.ndarray, "4 ..."], vector: Float32[np.ndarray, "3 ..."]
 ) -> Float32[np.ndarray, "3 ..."]:

@@ -47,19 +47,21 @@ class Sample:
         return self.motion.displacement(self.mesh.vertices, self.node)
 
 
-def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None) -> Sample:
+def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, gusts: int = 0) -> Sample:
     """Generate the tree and motion of a seed; the result is identical on every run and machine.
 
     Args:
         seed: 0 or more.
         species: name in `SPECIES`, or CROSSED; by default drawn from the seed, among SPECIES.
         wind: by default drawn from the seed.
+        gusts: which of the motions of this tree in this wind; the dataset has the first.
 
     Raises:
         InputError: no such species, or a negative seed.
     """
     chosen, own_wind, tree, rng = _drawn(seed, species, wind)
-    motion = sway(tree, own_wind, rng)
+    for _ in range(gusts + 1):
+        motion = sway(tree, own_wind, rng)
     return Sample(
         seed=seed,
         species=chosen.name,

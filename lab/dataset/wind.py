@@ -33,7 +33,7 @@ from lab.dataset.oscillator import (
     oscillators,
     simulated_law_hz,
 )
-from lab.dataset.rotation import carried, cross, product, to_matrix, turn_of
+from lab.dataset.rotation import carried, product, to_matrix, turn_of
 from lab.dataset.sapling import Tree
 from lab.dataset.tubes import own_rings
 
@@ -182,7 +182,7 @@ def _step(
 ) -> None:
     """Rotate by one segment's share of bend and twist, and move to the end of the segment."""
     axis = (segment / np.maximum(np.linalg.norm(segment, axis=1, keepdims=True), 1e-9)).T[:, :, None]
-    bend = share[None, :, None] * (cross(axis, deflection) + axis * twist)
+    bend = share[None, :, None] * (np.cross(axis, deflection, axis=0) + axis * twist)
     pose.turn[:] = product(pose.turn, turn_of(bend))
     pose.place[:] = pose.place + carried(pose.turn, segment.T[:, :, None])
 
@@ -238,7 +238,7 @@ def _leaf_motion(leaves: Leaves, bearer: _Moving, air: Air, rng: np.random.Gener
     lean = np.stack([filtered(component, omega, LEAF_OWN_DAMPING) for component in angle])
     flap, twist = _flutter(leaves, np.sqrt((passing**2).sum(axis=0)), rng)
     axis, across = leaves.axis.T[:, :, None], leaves.normal.T[:, :, None]
-    bend = cross(axis, (lean + across * flap).astype(np.float32)) + axis * twist
+    bend = np.cross(axis, (lean + across * flap).astype(np.float32), axis=0) + axis * twist
     turn = to_matrix(product(begin.turn, turn_of(bend)))  # [3, 3, Q, T]
     return Sway(
         shift=np.ascontiguousarray(shift.transpose(2, 1, 0)),

@@ -12,7 +12,7 @@ from torch import Tensor
 from dynamictree.errors import InputError
 from dynamictree.models.small.features import TreeFeatures, tree_features
 from dynamictree.models.wind import wind_axes
-from dynamictree.spectrum import Wind
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels, surface_moments
 from lab.dataset.sample import make_sample, voxel_spectrum
 from lab.dataset.shards import StoredTree, iter_shard
@@ -47,10 +47,8 @@ def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[S
 
 def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = True) -> Example:
     """Convert a tree of a shard; `with_mesh=False` treats it as voxels without moments."""
-    coefficients = stored.spectrum(resolution).coefficients
-    tree = tree_features(voxels_of(stored, resolution) if with_mesh else stored.voxels(resolution))
-    turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
-    return Example(tree=tree, wind=stored.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
+    voxels = voxels_of(stored, resolution) if with_mesh else stored.voxels(resolution)
+    return _example(voxels, stored.wind, stored.spectrum(resolution))
 
 
 def voxels_of(stored: StoredTree, resolution: int = 128) -> SurfaceVoxels:
@@ -59,10 +57,19 @@ def voxels_of(stored: StoredTree, resolution: int = 128) -> SurfaceVoxels:
     return replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid))
 
 
-def make_example(seed: int, resolution: int = 128) -> Example:
-    """Generate the dataset's tree of a seed, and convert it."""
-    sample = make_sample(seed)
+def make_example(seed: int, resolution: int = 128, species: str | None = None, *, gusts: int = 0) -> Example:
+    """Generate the dataset's tree of a seed, and convert it; arguments as of `make_sample`."""
+    sample = make_sample(seed, species, gusts=gusts)
     voxels, spectrum = voxel_spectrum(sample, resolution)
+    return _example(voxels, sample.wind, spectrum)
+
+
+def gust_pair(stored: StoredTree) -> tuple[Example, Example]:
+    """A tree of a shard in its wind, and in other gusts of the same mean."""
+    return example_of(stored), make_example(stored.seed, species=stored.species, gusts=1)
+
+
+def _example(voxels: SurfaceVoxels, wind: Wind, spectrum: SparseVoxelSpectrum) -> Example:
     tree = tree_features(voxels)
-    turned = spectrum.coefficients @ wind_axes(sample.wind).T / float(tree.height_m[0])
-    return Example(tree=tree, wind=sample.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
+    turned = spectrum.coefficients @ wind_axes(wind).T / float(tree.height_m[0])
+    return Example(tree=tree, wind=wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))

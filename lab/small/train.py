@@ -17,7 +17,7 @@ from torch import Tensor
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
-from lab.small.examples import example_of, iter_training
+from lab.small.examples import example_of, gust_pair, iter_training
 from lab.small.spread import measure_field, measure_spread
 from lab.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
 from lab.small.training_steps import (
@@ -185,7 +185,7 @@ def _train_denoiser(
             _tell(on_step, "denoiser", step, plan.denoiser.schedule.num_steps, loss)
     network.denoiser.load_state_dict(trainer.average.state_dict())
     trees = iter_training(shards, first=first, count=plan.denoiser_trees)
-    measure_spread(network, amplitude_rows(network.foliage, map(example_of, trees), rng))
+    measure_spread(network, map(gust_pair, trees))
     measure_field(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
 
 

@@ -1,5 +1,7 @@
 """What is measured between the trainings gives the motion what its regression lacks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,26 +13,36 @@ from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from lab.dataset.sample import make_sample
 from lab.dataset.shards import store
-from lab.small.examples import example_of, make_example, voxels_of
+from lab.small.examples import gust_pair, make_example, voxels_of
 from lab.small.spread import measure_field, measure_spread
-from lab.small.training_steps import amplitude_rows
 from lab.small.whitening import fit_shares
 
 
-def test_what_is_drawn_has_the_energy_and_the_spread_that_trees_have() -> None:
+def tiny_network() -> SmallNetwork:
     torch.manual_seed(0)
     shape = DenoiserShape(width=8, embedding=8, num_blocks=1)
-    network = SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)).eval()
-    stored = store(make_sample(1), resolutions=(128,))
-    example = example_of(stored)
-    rows = amplitude_rows(network.foliage, [example] * 4, np.random.default_rng(0))
-    measure_spread(network, rows)
+    return SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)).eval()
+
+
+def test_what_is_drawn_has_the_energy_that_trees_have() -> None:
+    network, stored = tiny_network(), store(make_sample(1), resolutions=(128,))
+    measure_spread(network, [gust_pair(stored)] * 4)
     measure_field(network, [stored], seed=0)
-    model = SmallModel(network, name="tiny")
-    drawn = [model.generate(voxels_of(stored), wind=stored.wind, seed=seed).coefficients for seed in range(5, 9)]
-    energy = np.mean([np.log((np.abs(one[:, 7:]) ** 2).sum()) for one in drawn])
-    true = np.log((np.abs(stored.spectrum().coefficients[:, 7:]) ** 2).sum())
-    assert energy == pytest.approx(true, abs=0.2)
+    model, voxels = SmallModel(network, name="tiny"), voxels_of(stored)
+    drawn = [model.generate(voxels, wind=stored.wind, seed=seed).coefficients for seed in range(5, 9)]
+    *energies, true = (np.log((np.abs(one[:, 7:]) ** 2).sum()) for one in (*drawn, stored.spectrum().coefficients))
+    assert np.mean(energies) == pytest.approx(true, abs=0.2)
+
+
+@pytest.mark.parametrize("spread", [0.3, 1.0, 1.6])
+def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(spread: float) -> None:
+    network, example = tiny_network(), make_example(1)
+    generator, pair = torch.Generator().manual_seed(0), []
+    for lull in (1.0, 0.1):
+        normal = torch.randn(*example.spectrum.shape, dtype=torch.complex64, generator=generator)
+        pair.append(replace(example, spectrum=lull * normal * normal.abs() ** (spread - 1)))
+    measure_spread(network, [(pair[0], pair[1])] * 4)
+    np.testing.assert_allclose(network.spread_at(torch.tensor(example.wind.speed_m_s).log()), spread, rtol=0.15)
 
 
 def test_fitted_shares_are_those_that_made_the_field() -> None:
