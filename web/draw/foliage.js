@@ -14,10 +14,8 @@ export function softenFoliage(geometry, surface) {
   const crown = new THREE.Box3();
   for (const { box, count } of boxes.values()) if (isLeaf(box, count)) crown.union(box);
   const middle = crown.getCenter(new THREE.Vector3());
-  const half = crown
-    .getSize(new THREE.Vector3())
-    .multiplyScalar(0.5)
-    .max(new THREE.Vector3(1e-6, 1e-6, 1e-6));
+  const half = crown.getSize(new THREE.Vector3()).multiplyScalar(0.5);
+  half.max(new THREE.Vector3(1e-6, 1e-6, 1e-6));
   const shade = new Uint8Array(3 * N).fill(255);
   const { normal } = geometry.attributes;
   const own = new THREE.Vector3();
@@ -26,10 +24,8 @@ export function softenFoliage(geometry, surface) {
     let light = 1;
     const { box, count } = boxes.get(part[v]);
     if (isLeaf(box, count)) {
-      out
-        .fromArray(vertices, 3 * v)
-        .sub(middle)
-        .divide(half);
+      out.fromArray(vertices, 3 * v).sub(middle);
+      out.divide(half);
       light = (0.62 + 0.38 * THREE.MathUtils.smoothstep(out.length(), 0.15, 0.95)) * (0.86 + 0.28 * hash(part[v]));
       out.divide(half).normalize();
       own.fromBufferAttribute(normal, v);

@@ -110,14 +110,10 @@ export function surfaceMaterials(surface, uniforms) {
 
 /** The tree at rest, to be laid over the one that moves: its outline filled once, however many leaves lie behind each other. */
 export function ghostOf(geometry) {
-  const once = {
-    stencilWrite: true,
-    stencilFunc: THREE.NotEqualStencilFunc,
-    stencilRef: 1,
-    stencilZPass: THREE.ReplaceStencilOp,
-  };
+  const once = { stencilWrite: true, stencilFunc: THREE.NotEqualStencilFunc, stencilRef: 1 };
   const faint = { transparent: true, opacity: 0.3, depthWrite: false, side: THREE.DoubleSide };
-  const ghost = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ ...faint, ...once }));
+  const material = new THREE.MeshBasicMaterial({ ...faint, ...once, stencilZPass: THREE.ReplaceStencilOp });
+  const ghost = new THREE.Mesh(geometry, material);
   ghost.visible = false;
   return ghost;
 }

@@ -11,7 +11,6 @@ export class Pass {
       minFilter: THREE.NearestFilter,
       magFilter: THREE.NearestFilter,
       depthBuffer: false,
-      generateMipmaps: false,
     });
     this.material = new THREE.ShaderMaterial({
       defines,

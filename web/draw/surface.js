@@ -74,10 +74,8 @@ export function carryByJoints(surface, modes) {
     if (!turn_bone[v]) continue;
     const [joints, weights] = carriersOf(modes, surface, v);
     bone_rows.set(joints, 4 * v);
-    bone_weights.set(
-      weights.map((w) => Math.round(255 * w)),
-      4 * v,
-    );
+    const bytes = weights.map((w) => Math.round(255 * w));
+    bone_weights.set(bytes, 4 * v);
   }
   geometry.attributes.boneRows.needsUpdate = geometry.attributes.boneWeights.needsUpdate = true;
 }

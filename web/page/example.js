@@ -12,6 +12,15 @@ export async function fetchExample() {
   return Object.fromEntries(await Promise.all(files));
 }
 
+/** Ask for the motion of a job before the page does: by then the browser has it. */
+export async function fetchMotion(job) {
+  const key = sessionStorage.getItem("key");
+  const ask = (path) => fetch(path, { headers: key ? { Authorization: `Bearer ${key}` } : {} });
+  const { result } = await (await ask(`/v1/jobs/${job}`)).json();
+  const asked = ["modes?shapes=false", "surface"].map((part) => ask(`/v1/spectra/${result.spectrum_id}/${part}`));
+  for (const response of asked) await (await response).arrayBuffer();
+}
+
 export async function bytesOf(path) {
   const response = await fetch(path);
   if (!response.ok) throw new Error(`${path}: ${response.status}`);

@@ -21,7 +21,7 @@ export class Files {
 
   clear() {
     this.listed = new Map(); // by name
-    this.job = this.report = null;
+    this.job = this.report = this.seen = null;
     this.treeName = "";
     $("artifacts").replaceChildren();
     $("more").open = false;
@@ -32,8 +32,8 @@ export class Files {
     this.job ??= job;
     const owner = this.job;
     if (treeName) this.treeName = treeName;
-    const key = JSON.stringify(job.result);
-    if (!job.result || (this.seen === key && !hasEnded(job))) return;
+    const key = JSON.stringify([job.id, job.state, job.result]);
+    if (!job.result || this.seen === key) return;
     this.seen = key;
     const ids = new Set([...this._beside(), job.id]);
     const lists = await Promise.all([...ids].map((id) => this.client.artifacts(id).catch(() => [])));

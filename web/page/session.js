@@ -52,7 +52,7 @@ export class Session {
       this.scene.poster(job, run.signal).catch(() => {}); // only a preview
       // a cloud's points also stand in for its Gaussians, which come last
       if (asset && (asset.kind === "cloud" || !job.result?.spectrum_id)) this._showRest(asset, run);
-      await this._follow(jobId, run);
+      await this._follow(jobId, run, job);
     });
   }
 
@@ -154,13 +154,14 @@ export class Session {
   }
 
   /** Follow a job to its end; show its motion as soon as there is a spectrum, its files once they are written. */
-  async _follow(jobId, run) {
+  async _follow(jobId, run, known = null) {
     let job = /** @type {any} */ (null);
     let motion = null;
     this.onJob(jobId);
     const watch = async () => {
       // a break is reported at once, so the watch does not try again by itself
-      for await (job of this.client.watch(jobId, { ...run, again: false })) {
+      const ended = known && hasEnded(known); // nothing of it will change
+      for await (job of ended ? [known] : this.client.watch(jobId, { ...run, again: false })) {
         run.update({ job, away: null });
         if (job.result?.spectrum_id) {
           motion ??= this._showMotion(job, run);
