@@ -32,28 +32,10 @@ MAX_SEED = 2**53 - 1
 PartNames = Annotated[
     tuple[Annotated[str, StringConstraints(min_length=1, max_length=200)], ...], Field(min_length=1, max_length=64)
 ]
-Format = Literal[
-    "ply",
-    "glb",
-    "glb-morph",
-    "glb-reduced",
-    "lod",
-    "rig",
-    "wind",
-    "html",
-    "usd",
-    "usd-skinned",
-    "alembic",
-    "vat",
-    "motion",
-    "splat-ply",
-    "splat",
-    "html-splat",
-    "usd-splat",
-    "png",
-    "webp",
-    "mp4",
-]
+_GltfFormat = Literal["glb", "glb-morph", "glb-reduced", "lod", "rig", "wind", "html"]
+_MeshFormat = Literal["ply", "usd", "usd-skinned", "alembic", "vat", "motion"]
+_SplatFormat = Literal["splat-ply", "splat", "html-splat", "usd-splat"]
+Format = Literal[_GltfFormat, _MeshFormat, _SplatFormat, "png", "webp", "mp4"]
 MESH_FORMATS: tuple[Format, ...] = ("ply", "glb", "png")
 CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
 """What is written where a request names no formats: of a mesh or photos, and of a splat or scan."""

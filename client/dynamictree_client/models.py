@@ -528,7 +528,6 @@ class Product(Model):
     """One format that a motion can be written as."""
 
     format: Literal[
-        "ply",
         "glb",
         "glb-morph",
         "glb-reduced",
@@ -536,6 +535,7 @@ class Product(Model):
         "rig",
         "wind",
         "html",
+        "ply",
         "usd",
         "usd-skinned",
         "alembic",
@@ -946,7 +946,6 @@ class AnimateParams(DiffuseParams):
     formats: (
         list[
             Literal[
-                "ply",
                 "glb",
                 "glb-morph",
                 "glb-reduced",
@@ -954,6 +953,7 @@ class AnimateParams(DiffuseParams):
                 "rig",
                 "wind",
                 "html",
+                "ply",
                 "usd",
                 "usd-skinned",
                 "alembic",

@@ -137,16 +137,20 @@ class _Surface:
         smallest, there = np.full(len(own), np.inf), np.zeros(len(own), np.int64)
         seeks = np.arange(len(own))
         for count in (min(pieces, len(above)) for pieces in _NEAR_PIECES):
-            full = [np.zeros(0, np.int64)]
+            full = np.full(len(own), -1.0)  # gap to the last of so many, where there may be more
             for some in np.array_split(seeks, -(-len(seeks) // _PIECES_AT_ONCE) or 1):
                 gap, nearest = _nearest(tree, self.places[own[some]], reach_m=reach_m, count=count)
-                full.append(some[np.isfinite(gap[:, -1])])
+                full[some] = np.where(np.isfinite(gap[:, -1]), gap[:, -1], -1)
                 other = above[np.minimum(nearest, len(above) - 1)]
                 gap = np.where(rank[self.owner[other]] > rank[self.owner[own[some]]][:, None], gap, np.inf)
                 column = np.argmin(gap, axis=1)[:, None]
                 smallest[some], there[some] = (np.take_along_axis(of, column, axis=1)[:, 0] for of in (gap, other))
-            seeks = np.concatenate(full)
-            seeks = seeks[np.isinf(smallest[seeks])]
+            best_m = np.full(len(self.extent), np.inf)
+            np.minimum.at(best_m, self.owner[own], smallest)
+            more = (
+                (full >= 0) & np.isinf(smallest) & (full <= best_m[self.owner[own]])
+            )  # else its part has a nearer one
+            seeks = np.flatnonzero(more)
         best = _first_of_each(self.owner[own], smallest)
         return np.stack([own[best], there[best]], axis=1)
 

@@ -76,28 +76,23 @@ def fit_turns(skeleton: Skeleton, weights: Weights, target: Target) -> Complex64
     for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
         problem = _Problem(skeleton, weights, target, placing, voxels, about=turns[:, 0].real)
         solution = problem.solution(turns, num_frequencies)
+        played = solution, *problem.played(solution)
         for most in rounds:
-            solution = _descended(problem, solution, most)
-        turns = problem.turns(solution)
+            now = _descended(problem, problem.read(*played), most)
+            played = now.solution, now.stacked, now.growth
+        turns = problem.turns(now.solution)
     return turns
 
 
-def _descended(problem: "_Problem", solution: Solution, rounds: int) -> Solution:
-    problem.read(solution)
-    now = problem.state(solution)
+def _descended(problem: "_Problem", now: "_State", rounds: int) -> "_State":
     for _ in range(rounds):
-        step = problem.step(solution, now)
-        for length in STEP_LENGTHS:
-            tried = problem.with_side_feet(solution + np.float32(length) * step)
-            then = problem.state(tried)
-            if then.cost < now.cost:
-                break
-        else:
-            return solution
-        gain, solution, now = now.cost - then.cost, tried, then
-        if gain < LEAST_GAIN * now.cost:
+        step = problem.step(now)
+        tried = (problem.state(problem.with_side_feet(now.solution + np.float32(s) * step)) for s in STEP_LENGTHS)
+        better = next((then for then in tried if then.cost < now.cost), now)
+        gain, now = now.cost - better.cost, better
+        if gain <= LEAST_GAIN * now.cost:
             break
-    return solution
+    return now
 
 
 class _Voxels:
@@ -122,20 +117,22 @@ class _Voxels:
     def read(self, stacked: Stacked) -> tuple[Stacked, float]:
         """What the voxels miss, summed over each bone's shares, and the sum of its squares [m²]."""
         missed, lost = np.zeros_like(stacked), 0.0
-        often = bin_weights(stacked.shape[2], self.num_frames)
         for start in range(0, len(self.coefficients), _VOXELS_AT_ONCE):
             some = slice(start, start + _VOXELS_AT_ONCE)
             means = scipy.sparse.csr_array(self.means[some])
             missing = self.coefficients[some, : stacked.shape[2]].transpose(0, 2, 1) - _times(means, stacked)
-            lost += _weighed(missing, missing, often)
+            lost += _weighed(missing, missing, self.num_frames)
             missed += _times(means.T, missing)
         return missed, lost
 
 
 @dataclass(frozen=True, kw_only=True)
 class _State:
-    """What a solution costs, and how the cost falls with each unknown."""
+    """What a loop of a solution shows and costs, and how the cost falls with each unknown."""
 
+    solution: Solution
+    stacked: Stacked  # frequencies
+    growth: Complex64[np.ndarray, "E K"]  # of edges, weighted
     downhill: Solution
     cost: float
 
@@ -155,12 +152,14 @@ class _Problem:
         self.skeleton, self.voxels = skeleton, voxels
         num_bones = len(skeleton)
         at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
-        self.rest = _stacked(at_rest)
         ends, self.length, self.scale = _edge_ends(skeleton, weights, target)
         self.vectors = (ends @ placing).tocsr()  # [E, 4B]
         self.price = STRETCH * len(voxels.coefficients) / max(len(target.edges[:: _stride(target)]), 1)
         self.bends = np.zeros(num_bones, np.bool_)
-        self.bends[np.unique(self.vectors.indices % num_bones)] = True
+        self.stretches = np.unique(self.vectors.indices % num_bones)  # bones that edges can pull at
+        self.bends[self.stretches] = True
+        columns = (self.stretches + num_bones * np.arange(4)[:, None]).ravel()
+        self.their_vectors = self.vectors[:, columns]
         for level in reversed(skeleton.levels):
             self.bends[skeleton.above[level][self.bends[level]]] = True
 
@@ -196,56 +195,66 @@ class _Problem:
         ends = 3 * np.arange(count + 1)
         return scipy.sparse.csr_array((along.ravel(), np.arange(3 * count), ends), shape=(count, 3 * count))
 
-    def read(self, solution: Solution) -> None:
-        """Want of each bone what its voxels miss."""
-        stacked, _ = self._played(solution)
+    def read(self, solution: Solution, stacked: Stacked, growth: Complex64[np.ndarray, "E K"]) -> _State:
+        """Want of each bone what its voxels miss in a loop that was played."""
         missed, lost = self.voxels.read(stacked)
         self.wanted = _times(self.voxels.moments, stacked) + missed
-        often = self._often(solution)
-        self.lost = lost + _weighed(stacked, self.wanted, often) + _weighed(stacked, missed, often)
+        self.lost = lost + self._weighed(stacked, self.wanted) + self._weighed(stacked, missed)
+        return self._state(solution, stacked, growth, missed, lost)
 
     def state(self, solution: Solution) -> _State:
         """Play a loop of the rig, and compare its frequencies."""
-        often = self._often(solution)
-        stacked, growth = self._played(solution)
+        stacked, growth = self.played(solution)
         missing = self.wanted - _times(self.voxels.moments, stacked)
-        lost = self.lost - _weighed(stacked, self.wanted, often) - _weighed(stacked, missing, often)
-        stretched = self.price * _weighed(growth, growth, often)
+        lost = self.lost - self._weighed(stacked, self.wanted) - self._weighed(stacked, missing)
+        return self._state(solution, stacked, growth, missing, lost)
+
+    def _state(
+        self, solution: Solution, stacked: Stacked, growth: Complex64[np.ndarray, "E K"], missing: Stacked, lost: float
+    ) -> _State:
         priced = _times(self.prior, solution)
-        downhill = _times(self.moves.T, missing.reshape(-1, len(often)))
+        downhill = _times(self.moves.T, missing.reshape(-1, solution.shape[1]))
         downhill -= np.float32(self.price) * _times(self.along.T, growth) + priced
-        return _State(downhill=downhill, cost=lost + stretched + _weighed(solution, priced, often))
+        cost = lost + self.price * self._weighed(growth, growth) + self._weighed(solution, priced)
+        return _State(solution=solution, stacked=stacked, growth=growth, downhill=downhill, cost=cost)
 
-    def _often(self, solution: Solution) -> Float32[np.ndarray, " K"]:
-        return bin_weights(solution.shape[1], self.voxels.num_frames)
+    def _weighed(self, one: np.ndarray, other: np.ndarray) -> float:
+        return _weighed(one, other, self.voxels.num_frames)
 
-    def _played(self, solution: Solution) -> tuple[Stacked, Complex64[np.ndarray, "E K"]]:
+    def played(self, solution: Solution) -> tuple[Stacked, Complex64[np.ndarray, "E K"]]:
         """Frequencies of the bones' poses, and of how much edges grow, weighted."""
-        poses_at_once = 500_000  # 50 MB
+        poses_at_once = 500_000  # 50 MB; twelve times as many are added up at once
         num_bones, num_frequencies = len(self.skeleton), solution.shape[1]
         num_frames = FRAMES_A_FREQUENCY * num_frequencies if num_frequencies > 1 else 1
         frame = np.arange(num_frames)
         wave = np.exp(-2j * np.pi / num_frames * frame[:, None] * np.arange(num_frequencies)) / num_frames
         wave = np.ascontiguousarray(wave.astype(np.complex64)).view(np.float32)
         turns = self.turns(solution)
-        stacked = np.zeros((12 * num_bones, 2 * num_frequencies), np.float32)
+        moved = np.zeros((2 * num_frequencies, num_bones, 4, 3), np.float32)  # feet, then columns of rotations
         growth = np.zeros((len(self.length), 2 * num_frequencies), np.float32)
-        for some in np.array_split(frame, -(-num_frames * num_bones // poses_at_once)):
-            theta = np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
-            now = _stacked(poses(self.skeleton, theta))  # [4B, 3, F]
-            vectors = (self.vectors @ now.reshape(4 * num_bones, -1)).reshape(-1, 3, len(some))
-            length = np.sqrt(np.einsum("ecf,ecf->ef", vectors, vectors)) - self.length[:, None]
-            growth += (length * self.scale[:, None]).astype(np.float32) @ wave[some]
-            now -= self.rest
-            stacked += now.reshape(12 * num_bones, -1).astype(np.float32) @ wave[some]
-        return stacked.view(np.complex64).reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
+        for group in np.array_split(frame, -(-num_frames * num_bones // (12 * poses_at_once))):
+            off = np.empty((len(group), num_bones, 4, 3), np.float32)  # of the pose at rest
+            for row in np.array_split(np.arange(len(group)), -(-len(group) * num_bones // poses_at_once)):
+                some = group[row]
+                now = poses(
+                    self.skeleton, np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
+                )
+                theirs = Poses(rotation=now.rotation[:, self.stretches], place_m=now.place_m[:, self.stretches])
+                vectors = (self.their_vectors @ _stacked(theirs).reshape(-1, 3 * len(some))).reshape(-1, 3, len(some))
+                length = np.sqrt(np.einsum("ecf,ecf->ef", vectors, vectors)) - self.length[:, None]
+                growth += (length * self.scale[:, None]).astype(np.float32) @ wave[some]
+                off[row, :, 0] = now.place_m - self.skeleton.foot_m
+                off[row, :, 1:] = now.rotation.swapaxes(2, 3) - np.eye(3)
+            moved += (wave[group].T @ off.reshape(len(group), -1)).reshape(moved.shape)
+        stacked = np.ascontiguousarray(moved.transpose(2, 1, 3, 0)).view(np.complex64)
+        return stacked.reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
 
-    def step(self, solution: Solution, state: _State) -> Solution:
+    def step(self, state: _State) -> Solution:
         """The step to the least linearised cost, with no bone's turn above `MOST_STEP_RAD`."""
         downhill = state.downhill.view(np.float32).astype(np.float64)
         step = np.ascontiguousarray(self.factor.solve(downhill), np.float32).view(np.complex64)
         turns = step[3 * len(self.skeleton) : 6 * len(self.skeleton)].reshape(len(self.skeleton), 3, -1)
-        size = np.sqrt((np.abs(turns) ** 2 @ self._often(solution)).sum(axis=1))
+        size = np.sqrt((np.abs(turns) ** 2 @ bin_weights(step.shape[1], self.voxels.num_frames)).sum(axis=1))
         turns *= np.minimum(1, MOST_STEP_RAD / np.maximum(size, 1e-12))[:, None, None]
         turns[GROUND] = 0
         return step
@@ -284,10 +293,12 @@ def _times(
     return np.asarray(product).view(np.complex64).reshape(-1, *values.shape[1:])
 
 
-def _weighed(one: np.ndarray, other: np.ndarray, often: Float32[np.ndarray, " K"]) -> float:
-    """Scalar product of complex values whose last axis is a frequency."""
+def _weighed(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
+    """Scalar product of complex values whose last axis is a frequency: float32 over some, float64 over these."""
+    often = bin_weights(one.shape[-1], num_frames)
     pair = (values.reshape(-1, len(often)).view(np.float32) for values in (one, other))
-    return float(np.einsum("nk,nk->k", *pair, dtype=np.float64) @ np.repeat(often, 2))
+    parts = zip(*(np.array_split(values, len(values) // 512 + 1) for values in pair), strict=True)
+    return float(sum(np.einsum("nk,nk->k", *some).astype(np.float64) for some in parts) @ np.repeat(often, 2))
 
 
 def _stride(target: Target) -> int:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 33_984,
+    "lines in dynamictree": 33_981,
     "lines in lab": 6_333,
     "lines in service, jobs and worker": 15_056,
     "lines in tests": 40_140,
