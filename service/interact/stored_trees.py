@@ -1,5 +1,6 @@
 """Load spectra, and the meshes and clouds that they were made for, from storage."""
 
+import time
 from io import BytesIO
 from typing import Literal
 
@@ -69,7 +70,7 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
 
 
 def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
-    """What a job computed for a spectrum and its mesh on its way to the products, by `RESULT_SOURCES`; None without.
+    """What a job computed for a spectrum and its mesh, by `RESULT_SOURCES`, or computes now; None without.
 
     Raises:
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
@@ -84,7 +85,10 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
         return None
     choice = CloudParams.part_of(job.params).model_dump(mode="json")
     key = intermediate_key(name, job, [digests[source] for source in RESULT_SOURCES[name]], choice)
-    files = find_stored(owned.store, owned.services.artifacts, key)
+    wanted = (owned.store, owned.services.artifacts, key)
+    while not (files := find_stored(*wanted)) and owned.store.job(job.id).state == "running":
+        time.sleep(0.1)  # a worker computes it now: twice at once, it would take longer
+    files = files or find_stored(*wanted)  # the job may have ended in between
     return _stored(owned, files[0].sha256, f"{name} of spectrum {spectrum_id}") if files else None
 
 

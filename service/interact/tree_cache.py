@@ -130,11 +130,7 @@ def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> Moving
         capture, choice = load_source_cloud(owned, spectrum_id)
         binding = bind(capture.cloud, mesh, mask=moving_part(capture, choice))
         rows = np.flatnonzero(binding.moving).astype(np.int32)
-        moving = replace(
-            binding,
-            cloud=binding.cloud.subset(rows).with_sh_degree(0),
-            face_of=binding.face_of[rows],
-            weights=binding.weights[rows],
-        )
+        cloud = binding.cloud.subset(rows).with_sh_degree(0)
+        moving = replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows])
         ready.gaussians = MovingGaussians(rows, Deformer(moving))
     return ready.gaussians

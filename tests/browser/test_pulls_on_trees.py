@@ -168,9 +168,6 @@ def figures(rows: list[dict[str, Any]]) -> dict[str, float]:
     path = np.array([row["at"] for row in [during[-1], *after]])
     steps = np.hypot(*np.diff(path, axis=0).T)
     return {
-        "frames": len(during),
-        "frames_within": len(within),
-        "gap_p50_px": round(float(np.median(gaps)), 2),
         "gap_p95_px": round(float(np.percentile(gaps, 95)), 2),
         "gap_max_px": round(max(gaps), 2),
         "feet_voxels": round(max(row["feet"] for row in rows), 3),

@@ -27,6 +27,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
+from service.interact import stored_trees
 from service.local.serve import Announcer
 from service.routes import pages, surface
 from service.routes.modes import LARGE
@@ -243,6 +244,14 @@ def test_an_asset_that_is_no_mesh_or_has_lost_its_bytes_has_no_surface(client: T
     assert (response.status_code, response.json()["code"]) == (410, "expired")
 
 
+def test_the_rig_of_a_job_that_runs_is_awaited(client: TestClient, services, spectrum_id: str, monkeypatch) -> None:
+    looks, job, kind = [], services.store.job, type(services.store)
+    monkeypatch.setattr(stored_trees, "find_stored", lambda *_: looks.append(1))
+    monkeypatch.setattr(kind, "job", lambda _, id: replace(job(id), state="succeeded" if looks[2:] else "running"))
+    assert client.get(f"/v1/spectra/{spectrum_id}/modes").status_code == 200
+    assert len(looks) == 4
+
+
 def test_a_surface_has_the_bones_that_turn_in_the_wind(
     client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum
 ) -> None:
@@ -253,11 +262,8 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(
     parts = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None]  # [B, K, 3, 2]
     apart = np.abs(parts[..., 0] + 1j * parts[..., 1] - turns).max(axis=(0, 2))
     assert (apart <= 1e-3 * np.abs(turns).max(axis=(0, 2)) + 1e-6).all()
-    for name, expected in (
-        ("parent", skeleton.parent),
-        ("bone", rig.vertices.rows[:, 0]),
-        ("share", rig.vertices.shares[:, 1]),
-    ):
+    rows, shares = rig.vertices.rows[:, 0], rig.vertices.shares[:, 1]
+    for name, expected in (("parent", skeleton.parent), ("bone", rows), ("share", shares)):
         np.testing.assert_allclose(tensors[f"turn_{name}"], expected, atol=1e-6)
     np.testing.assert_allclose(tensors["turn_foot_m"], skeleton.foot_m, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(tensors["turn_direction"], axis=1), 1, atol=1e-6)
