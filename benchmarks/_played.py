@@ -154,3 +154,26 @@ def played_vertex_texture(content: bytes) -> np.ndarray:
         row = np.floor((v + frame * facts["rows_per_frame"] / facts["height"]) * facts["height"]).astype(int)
         frames.append(texels[row, np.floor(u * facts["width"]).astype(int)])
     return z_up(np.stack(frames))
+
+
+def played_ply(path: Path) -> np.ndarray:
+    """Vertices of every file of a sequence, as trimesh reads them: [T, N, 3]."""
+    import trimesh
+
+    archive = zipfile.ZipFile(path)
+    files = (io.BytesIO(archive.read(name)) for name in archive.namelist())
+    return np.stack([trimesh.load(file, file_type="ply", process=False).vertices for file in files])
+
+
+def played_product(name: str, path: Path, rest: np.ndarray) -> np.ndarray:
+    """Displacement at every frame of a product, less `rest` where it has places."""
+    from safetensors.numpy import load_file
+
+    if name in ("alembic", "ply"):
+        return {"alembic": played_alembic, "ply": played_ply}[name](path) - rest
+    if name in ("usd", "usd-skinned"):
+        return {"usd": played_usdz, "usd-skinned": played_usd_skin}[name](path)
+    if name == "motion":
+        return load_file(path)["displacement"]
+    play = {"glb": played_skin, "vat": played_vertex_texture}.get(name, played_morphs)
+    return play(path.read_bytes())

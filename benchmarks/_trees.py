@@ -1,10 +1,35 @@
-"""The demo tree with fewer or more vertices: same branches, same voxels where nothing is left out."""
+"""Trees to measure: one of each kind, and the demo tree with fewer or more vertices and the same branches."""
+
+from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.golden_motion import SAMPLES
+from dynamictree.commands.input_files import read_source
 from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.requests import CloudParams, Reading
 from lab.dataset.sample import make_sample
 from recipes.demo import SEED, SPECIES
+
+KINDS = (
+    "round-broadleaf",
+    "conical-conifer",
+    "palm",
+    "mesh/tree-lime.glb",
+    "mesh/quaternius_common_tree/CommonTree_2.obj",
+)
+KINDS += ("../cases/potted.glb", "splat/tree_10k.splat", "scan/tls_tree_1.txt")
+"""Grown trees, and files under DYNAMICTREE_SAMPLES: cards, a crown of one surface, a pot, a splat, a scan."""
+
+
+def tree_of_kind(name: str) -> TriangleMesh | None:
+    """The mesh that moves, as one primitive; None where its file is missing."""
+    if "/" not in name:
+        return make_sample(3, name).mesh
+    if not (SAMPLES / name).exists():
+        return None
+    mesh, _ = read_source(SAMPLES / name, Reading(), choice=CloudParams(), mask=None, beside=None)
+    return replace(mesh, gltf=None)
 
 
 def demo_mesh(num_vertices: int | None = None) -> TriangleMesh:

@@ -8,7 +8,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from benchmarks._machine import machine
-from benchmarks._played import played_alembic, played_morphs, played_skin, played_usdz, played_vertex_texture
+from benchmarks._played import played_product
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from lab.dataset.sample import make_sample, voxel_spectrum
@@ -28,7 +28,7 @@ def run() -> dict[str, object]:
             options = ExportParams(formats=(name,))
             path = write_products(sample.mesh, spectrum, options, Path(folder))[name]
             seconds = time.perf_counter() - began
-            gap = ((_played(name, path, sample.mesh.vertices)[:100] - truth) ** 2).sum(axis=2)
+            gap = ((played_product(name, path, sample.mesh.vertices)[:100] - truth) ** 2).sum(axis=2)
             results[name] = {
                 "max_mm": round(1e3 * float(np.sqrt(gap.max())), 4),
                 "rms_mm": round(1e3 * float(np.sqrt(gap.mean())), 4),
@@ -45,12 +45,3 @@ def run() -> dict[str, object]:
         "sizes": {"vertices": sample.mesh.num_vertices, "frames": 100, "motion_rms_mm": round(motion_mm, 1)},
         **machine("numpy", "pygltflib", "usd-core", "OpenEXR"),
     }
-
-
-def _played(name: str, path: Path, rest: np.ndarray) -> np.ndarray:
-    if name == "usd":
-        return played_usdz(path)
-    if name == "alembic":
-        return played_alembic(path) - rest
-    play = {"glb": played_skin, "vat": played_vertex_texture}.get(name, played_morphs)
-    return play(path.read_bytes())

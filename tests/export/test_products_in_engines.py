@@ -16,12 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks._played import (
     accessor,
-    played_alembic,
     played_morphs,
     played_skin,
     played_usd_skin,
-    played_usdz,
-    played_vertex_texture,
     reported_facts,
     world_matrices,
     z_up,
@@ -76,18 +73,10 @@ def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(gap.mean())), float(np.sqrt(gap.max()))
 
 
-def test_morph_targets_are_within_a_ten_thousandth_and_close_the_loop(
-    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
-) -> None:
-    played = played_morphs(products[0]["glb-morph"].read_bytes())
-    assert errors_m(played, truth)[1] < 1e-4 * tree[0].height_m
-    np.testing.assert_array_equal(played[0], played[-1])
-
-
 @pytest.mark.parametrize(
     ("name", "play"), [("glb", played_skin), ("glb-morph", played_morphs), ("glb-reduced", played_morphs)]
 )
-def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Products, truth: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Products, tree, truth: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     content, facts = products[0][name].read_bytes(), products[1][name]
     rms, most = errors_m(play(content), truth)
     assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
@@ -95,6 +84,7 @@ def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Pro
     assert facts["relative_error"] == pytest.approx(rms / np.sqrt((truth**2).sum(axis=2).mean()), rel=1e-3)
     assert reported_facts(content) == facts
     assert 0 < facts["relative_error"] < 0.35
+    assert sum(len(part.faces) for part in trimesh.load(products[0][name]).geometry.values()) == tree[0].num_faces
 
 
 def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
@@ -116,12 +106,6 @@ def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> Non
     assert set(products[1]) == {"glb", "glb-morph", "glb-reduced", "usd-skinned", "lod", "rig"}
 
 
-def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.ndarray) -> None:
-    assert errors_m(played_usdz(products[0]["usd"]), truth)[1] < 1e-6
-    half = float(np.spacing(np.float16(np.abs(truth).max())))
-    assert errors_m(played_vertex_texture(products[0]["vat"].read_bytes()), truth)[1] < half
-
-
 def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
     products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
 ) -> None:
@@ -138,11 +122,10 @@ def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
     assert stage.GetTimeCodesPerSecond() == 24
 
 
-def test_alembic_shows_every_frame_with_material_sets_and_seams(
-    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
+def test_alembic_has_material_sets_and_seams(
+    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum]
 ) -> None:
     mesh, path = tree[0], products[0]["alembic"]
-    assert errors_m(played_alembic(path) - mesh.vertices, truth)[1] < 1e-6
     schema = AbcGeom.IPolyMesh(Abc.IArchive(str(path)).getTop(), "tree").getSchema()
     assert schema.getTimeSampling().getSampleTime(1) == pytest.approx(1 / 24)
     corners = np.array(memoryview(schema.getValue().getFaceIndices())).reshape(-1, 3)
@@ -162,19 +145,6 @@ def test_alembic_shows_every_frame_with_material_sets_and_seams(
     np.testing.assert_allclose(
         np.array(memoryview(read)), uv[mesh.faces[:, ::-1].ravel()] * [1, -1] + [0, 1], atol=1e-7
     )
-
-
-def test_trimesh_reads_the_sequence_and_every_glb(
-    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
-) -> None:
-    mesh = tree[0]
-    archive = zipfile.ZipFile(products[0]["ply"])
-    for number in (0, 33, 99):
-        frame = trimesh.load(io.BytesIO(archive.read(f"frame_{number:04d}.ply")), file_type="ply", process=False)
-        assert np.abs(frame.vertices - mesh.vertices - truth[number]).max() < 2e-6
-    for name in ("glb", "glb-morph", "glb-reduced"):
-        scene = trimesh.load(products[0][name])
-        assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
 
 
 def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(

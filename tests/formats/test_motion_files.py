@@ -152,13 +152,6 @@ def test_every_frame_of_the_zip_is_the_mesh_at_that_frame(rng: np.random.Generat
         np.testing.assert_array_equal(result.look.vertex_colors, mesh.look.vertex_colors)
 
 
-def test_frames_of_the_zip_are_read_by_trimesh(rng: np.random.Generator) -> None:
-    mesh = trunk_and_crown(rng)
-    archive = unzipped(mesh, iter([np.zeros((mesh.num_vertices, 3), np.float32)]))
-    result = trimesh.load_mesh(archive.open("frame_0000.ply"), file_type="ply", process=False)
-    np.testing.assert_allclose(result.vertices, mesh.vertices)
-
-
 def test_the_zip_streams_one_frame_at_a_time_and_is_the_same_each_time(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     reads = 0

@@ -32,9 +32,14 @@ def spectrum(grown) -> SparseVoxelSpectrum:
 
 @pytest.fixture
 def spectrum_id(client: TestClient, services: Services, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
-    bundle = tmp_path / "mesh.safetensors"
+    return served_id(client, services, grown.mesh, spectrum, tmp_path)
+
+
+def served_id(client: TestClient, services: Services, mesh, spectrum: SparseVoxelSpectrum, folder: Path) -> str:
+    """The id of a spectrum that a job of the service has had as its result."""
+    bundle = folder / "mesh.safetensors"
     with bundle.open("wb") as stream:
-        write_bundle(grown.mesh, stream)
+        write_bundle(mesh, stream)
     part = stored_part(services.artifacts, bundle)
     now = services.store.clock()
     row = asset_row(part, now=now, id=ASSET_ID, expires_at=now + 500)
