@@ -74,7 +74,7 @@ class MovingTree:
         most_lost = 1e-4
         vertices, weights = self.mesh.vertices, self.rig.vertices
         some = slice(None, None, -(-len(vertices) // sampled_vertices))
-        fewest, most = self.spectrum.num_frequencies, self.spectrum.num_frames // 2
+        fewest, most = self.spectrum.num_frequencies, self.spectrum.num_frames // 2 + 1
         size = 2 * np.linalg.norm(self.rig.loop(vertices[some], weights[some], most), axis=2)  # [n, most]
         lost = [size[:, enough:].sum(axis=1).max() for enough in (fewest, 2 * fewest)]
         if lost[0] <= most_lost * self.mesh.height_m:
