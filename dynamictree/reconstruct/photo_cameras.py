@@ -96,7 +96,5 @@ def nearest_to_axes(
 ) -> Float64[np.ndarray, "3"]:
     """The point of least squared distance to all viewing axes."""
     projectors = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [V, 3, 3]
-    point: Float64[np.ndarray, 3] = np.linalg.lstsq(
-        projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, positions), rcond=None
-    )[0]
-    return point
+    wanted = np.einsum("vij,vj->i", projectors, positions)
+    return np.asarray(np.linalg.lstsq(projectors.sum(axis=0), wanted, rcond=None)[0])

@@ -171,7 +171,7 @@ class _Problem:
         self.side_swing = -across @ _QUARTER @ across
         side_growth, side_chain = _linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
         aside = self._lengthening(at_rest) @ side_growth
-        apart = _apart(skeleton, weights, target)
+        apart = _apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
         prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
@@ -380,8 +380,11 @@ def _linear(
     return moves, chain
 
 
-def _apart(skeleton: Skeleton, weights: Weights, target: Target) -> scipy.sparse.csr_array:
+def _apart(skeleton: Skeleton, weights: Weights, target: Target, carried: np.ndarray) -> scipy.sparse.csr_array:
     """What neighbours turn apart times the length of the shorter bone, weighted [m]; 9B columns."""
+    stiff = 0.004  # price for each voxel beyond: without it, a trunk turns at its foot with what its crown misses
+    for level in reversed(skeleton.levels):
+        np.add.at(carried, skeleton.above[level], carried[level])
     num_bones, parent = len(skeleton), skeleton.parent
     joined = np.unique(np.sort(weights.rows[target.edges, 0], axis=1), axis=0)
     first, second = joined[
@@ -390,8 +393,10 @@ def _apart(skeleton: Skeleton, weights: Weights, target: Target) -> scipy.sparse
     child = np.arange(1, num_bones)
     one, other = np.concatenate([child, first]), np.concatenate([parent[1:], second])
     price = np.repeat([APART, APART_BESIDE], [len(child), len(first)])
+    beyond, voxel = np.append(carried[child], np.zeros(len(first))), target.voxel_m**2
     length = (skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1)
-    lever_m = np.sqrt(price * (np.minimum(length[one], length[other]) + target.voxel_m**2))[:, None, None] * np.eye(3)
+    length = np.minimum(length[one], length[other])
+    lever_m = np.sqrt(price * (length + voxel) + stiff * beyond * (length + 10 * voxel))[:, None, None] * np.eye(3)
     rows = np.arange(len(one))
     return _blocks((len(one), num_bones), (rows, num_bones + one, lever_m), (rows, num_bones + other, -lever_m))
 

@@ -68,10 +68,7 @@ class VoxelGrid:
 
     def coords_of(self, points: Float32[np.ndarray, "N 3"]) -> Int32[np.ndarray, "N 3"]:
         """Index of the voxel that each point lies in, occupied or not; may be outside of the cube."""
-        coords: Int32[np.ndarray, "N 3"] = np.floor((points - np.asarray(self.origin_m)) / self.voxel_size_m).astype(
-            np.int32
-        )
-        return coords
+        return np.asarray(np.floor((points - np.asarray(self.origin_m)) / self.voxel_size_m), np.int32)
 
     def rows_of(self, coords: Int32[np.ndarray, "N 3"]) -> Int32[np.ndarray, " N"]:
         """Row in `coords` of each voxel index, or -1 where that voxel is not occupied."""

@@ -61,10 +61,7 @@ def _factorial(n: int) -> float:
 def draw_slowly(
     leaves: Leaves, camera: Camera, *, width: int, height: int, antialias: bool, min_alpha: float = MIN_ALPHA
 ) -> Tensor:
-    """Colour and depth, both times alpha, and what is left of the light [H, W, 5].
-
-    With `min_alpha=0` nothing is left out.
-    """
+    """Colour and depth, both times alpha, and what is left of the light [H, W, 5]; of all, with `min_alpha=0`."""
     turn = torch.tensor(camera.world_to_camera)
     k = torch.tensor(camera.intrinsics_px(width, height))
     offset = leaves.means - torch.tensor(camera.position_m)

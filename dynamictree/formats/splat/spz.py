@@ -178,10 +178,7 @@ def _bytes(values: Num[np.ndarray, "G ..."]) -> UInt8[np.ndarray, "G bytes"]:
 def _coarse(coefficients: Float32[np.ndarray, "G D 3"], bits: int) -> Float32[np.ndarray, "G D 3"]:
     """Round coefficients to fewer values, for better compression; zero stays zero."""
     bucket = 1 << 8 - bits
-    result: Float32[np.ndarray, "G D 3"] = (
-        (np.rint(coefficients * 128 + 128) + bucket // 2) // bucket * bucket
-    ).astype(np.float32)
-    return result
+    return np.asarray((np.rint(coefficients * 128 + 128) + bucket // 2) // bucket * bucket, np.float32)
 
 
 def _first_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
