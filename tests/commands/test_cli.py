@@ -90,7 +90,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     [
         (["--fps", "500"], "--fps is 500.0: it should be less than or equal to 240"),
         (["--wind-speed", "31"], "--wind-speed is 31.0: it should be less than or equal to 30"),
-        (["--format", "gif"], "--format is 'gif': it should be 'ply', 'glb'"),
+        (["--format", "gif"], "--format is 'gif': it should be 'glb', 'glb-morph'"),
         (["--box", "1,2"], "--box is '1,2': six numbers are needed"),
         (["--resolution", "32"], "--resolution is 32: it should be 128, 256 or 512"),
         (["--up-axis", "up"], "--up-axis is 'up'"),

@@ -28,8 +28,8 @@ def test_a_job_s_glb_differs_from_the_upload_by_its_motion_only(runtime: Runtime
     answer = asyncio.run(parse(request, runtime.settings))
     assert answer.code is None, answer
     row = asset_row(stored_part(runtime.artifacts, folder / "prepared"), now=runtime.store.clock())
-    lease = with_spectrum(runtime, add_asset(runtime.store, row)[0], tmp_path, formats=["glb"])
+    lease = with_spectrum(runtime, add_asset(runtime.store, row)[0], tmp_path, formats=["glb-morph"])
     run(runtime, lease)
-    written = document_of(content(runtime, lease.job.id, "tree.glb"))
+    written = document_of(content(runtime, lease.job.id, "tree-morph.glb"))
     assert without_motion(written) == looks(document_of(artists.wooded().glb()))
     assert written.root["animations"][0]["channels"]
