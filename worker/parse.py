@@ -108,12 +108,7 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
 
     companions = beside_model(name, {other: path.read_bytes() for other, path in beside.items()})
     with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
-        mesh = read_mesh(
-            source,
-            file_type=file_type,
-            reading=Reading.part_of(request.reading),
-            companions=companions,
-        )
+        mesh = read_mesh(source, file_type=file_type, reading=Reading.part_of(request.reading), companions=companions)
     with request.prepared.open("xb") as stream:
         write_bundle(mesh, stream)
     return ParseAnswer(kind="mesh", summary=describe_mesh(mesh))

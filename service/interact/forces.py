@@ -35,11 +35,7 @@ Winds = Annotated[
 ]
 Output = Literal["modal", "voxels", "vertices", "gaussians"]
 
-_VECTORS = {
-    "impulse": ("impulse_n_s",),
-    "drag": ("force_n", "displacement_m"),
-    "wind": ("wind_m_s",),
-}
+_VECTORS = {"impulse": ("impulse_n_s",), "drag": ("force_n", "displacement_m"), "wind": ("wind_m_s",)}
 
 
 class AtPayload(Payload):

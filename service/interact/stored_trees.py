@@ -2,6 +2,7 @@
 
 import time
 from io import BytesIO
+from threading import BoundedSemaphore
 from typing import Literal
 
 from dynamictree.formats.tensors.spectrum import read_spectrum
@@ -20,6 +21,8 @@ from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM
 from service.http.problems import ProblemError
 from service.http.routing import is_id
 from service.services import Owned
+
+_AWAITING = BoundedSemaphore(16)  # each occupies one of the process's 40 threads; a page sends two
 
 
 def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
@@ -74,6 +77,7 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
 
     Raises:
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
+        ProblemError: too many requests wait already.
     """
     artifact = spectrum_artifact(owned, spectrum_id)
     job = owned.store.job(artifact.job_id)
@@ -86,8 +90,15 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
     choice = CloudParams.part_of(job.params).model_dump(mode="json")
     key = intermediate_key(name, job, [digests[source] for source in RESULT_SOURCES[name]], choice)
     wanted = (owned.store, owned.services.artifacts, key)
-    while not (files := find_stored(*wanted)) and owned.store.job(job.id).state == "running":
-        time.sleep(0.1)  # a worker computes it now: twice at once, it would take longer
+    waits = _AWAITING.acquire(blocking=False)
+    try:
+        while not (files := find_stored(*wanted)) and owned.store.job(job.id).state == "running":
+            if not waits:
+                raise ProblemError("overloaded", f"too many requests wait for what jobs compute now, as the {name}")
+            time.sleep(0.1)  # a worker computes it now: twice at once, it would take longer
+    finally:
+        if waits:
+            _AWAITING.release()
     files = files or find_stored(*wanted)  # the job may have ended in between
     return _stored(owned, files[0].sha256, f"{name} of spectrum {spectrum_id}") if files else None
 

@@ -50,11 +50,7 @@ _FORM = {
                             "maxItems": MAX_FILES,
                             "items": {"type": "string", "contentMediaType": "application/octet-stream"},
                         },
-                        "kind": {
-                            "type": "string",
-                            "enum": list(ASSET_KINDS),
-                            "description": "by name if unset",
-                        },
+                        "kind": {"type": "string", "enum": list(ASSET_KINDS), "description": "by name if unset"},
                         "metadata": {"type": "string", "description": "a JSON object of your texts, returned as it is"},
                         **{
                             name: field["anyOf"][0] | {"description": field["description"]}  # a form has no null

@@ -365,12 +365,9 @@ def _interact_payload(body: InteractRequest, system: ModalSystem, answer: Answer
         }
         for index, group in enumerate(answer.groups)
     ]
+    reached = [reached_payload(place) for place in answer.reached]
     final = state_payload(answer.groups, answer.final, answer.final_bends)
-    return _facts(body, system) | {
-        "groups": groups,
-        "reached": [reached_payload(reached) for reached in answer.reached],
-        "final_state": final,
-    }
+    return _facts(body, system) | {"groups": groups, "reached": reached, "final_state": final}
 
 
 def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object]) -> bytes:

@@ -58,13 +58,7 @@ def blue_gaussians(url: str, job_id: str) -> int:
 
 @pytest.mark.parametrize(("width", "height", "scheme"), [(1100, 720, "light"), (390, 760, "dark")])
 def test_a_drag_on_a_photo_cuts_out_the_plant(
-    view: Open,
-    url: str,
-    photos_job: str,
-    axe: Callable[[Page], list[str]],
-    width: int,
-    height: int,
-    scheme: str,
+    view: Open, url: str, photos_job: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
 ) -> None:
     touch = width < 800
     viewer = view(width, height, scheme=scheme, touch=touch)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from html.parser import HTMLParser
 from pathlib import Path
+from threading import Semaphore
 
 import numpy as np
 import pytest
@@ -248,8 +249,13 @@ def test_the_rig_of_a_job_that_runs_is_awaited(client: TestClient, services, spe
     looks, job, kind = [], services.store.job, type(services.store)
     monkeypatch.setattr(stored_trees, "find_stored", lambda *_: looks.append(1))
     monkeypatch.setattr(kind, "job", lambda _, id: replace(job(id), state="succeeded" if looks[2:] else "running"))
+    monkeypatch.setattr(stored_trees, "_AWAITING", Semaphore(0))  # as many wait as may
+    refused = client.get(f"/v1/spectra/{spectrum_id}/modes")
+    assert (refused.status_code, refused.json()["code"], refused.headers["Retry-After"]) == (503, "overloaded", "5")
+    monkeypatch.setattr(stored_trees, "_AWAITING", place := Semaphore(1))
     assert client.get(f"/v1/spectra/{spectrum_id}/modes").status_code == 200
-    assert len(looks) == 4
+    assert len(looks) == 1 + 3
+    assert place.acquire(blocking=False), "it keeps its place"
 
 
 def test_a_surface_has_the_bones_that_turn_in_the_wind(
