@@ -41,13 +41,7 @@ def test_an_asset_in_use_is_not_deleted(store: Store, asset: AssetRecord) -> Non
 
 
 def test_what_was_never_there_is_not_found(store: Store) -> None:
-    for read in (
-        partial(read_asset, store),
-        store.job,
-        store.artifact,
-        store.cancel,
-        partial(delete_asset, store),
-    ):
+    for read in (partial(read_asset, store), store.job, store.artifact, store.cancel, partial(delete_asset, store)):
         with pytest.raises(NotFoundError):
             read("01ARZ3NDEKTSV4RRFFQ69G5FAV")
 

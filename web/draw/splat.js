@@ -84,9 +84,10 @@ export class SplatView {
     };
   }
 
-  /** Whether there is something to see: the first sorting has ended. */
+  /** Whether there is something to see: the first sorting has ended, and it was not still that of another splat. */
   get drawn() {
-    return this.renderer.activeSplats > 0;
+    const { activeSplats, display } = this.renderer;
+    return activeSplats > 0 && display.mapping.some(({ node }) => node === this.mesh);
   }
   get visible() {
     return this.mesh.visible;
@@ -97,6 +98,7 @@ export class SplatView {
 
   /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
   evaluate(q, turn) {
+    if (!this.drawn) this.renderer.activeSplats = 0; // else another's is drawn until this one is sorted
     const { camera, radius } = this.stage;
     const { position } = camera;
     const now = [turn, ...q].join();

@@ -160,11 +160,8 @@ export class Tree {
   /** Colour how far bin k moves each place; returns the furthest [m]. */
   showBin(k) {
     const { surface } = this;
-    const sizes = binSizes(
-      surface,
-      k,
-      surface.turn_bone.map((_, v) => v),
-    );
+    const all = surface.turn_bone.map((_, v) => v);
+    const sizes = binSizes(surface, k, all);
     const largest = sizes.reduce((most, size) => Math.max(most, size), 1e-12);
     const { share } = surface.geometry.attributes;
     share.array.set(sizes.map((size) => size / largest));
