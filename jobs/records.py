@@ -7,6 +7,7 @@ from jobs.states import TERMINAL, AssetKind, JobState, JobType, Priority, StageS
 
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 """What a JSON column holds."""
+Facts = Mapping[str, int | float | list[str]]  # what a file has to tell, by name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +110,7 @@ class OutputFile:
     media_type: str
     sha256: str
     bytes: int
-    facts: Mapping[str, int | float] = field(default_factory=dict)  # how far it is from the motion, by name
+    facts: Facts = field(default_factory=dict)  # how far it is from the motion, by name; warnings of a report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +126,7 @@ class ArtifactRecord:
     bytes: int
     created_at: float
     expires_at: float
-    facts: Mapping[str, int | float] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from dynamictree.request_model import Request
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from dynamictree.weights import list_weights
 from jobs.lifecycle.attempts import offer, publish_stage, start_stage, touch_blob
-from jobs.records import AssetRecord, JobRecord, OutputFile
+from jobs.records import AssetRecord, Facts, JobRecord, OutputFile
 from jobs.states import JobType
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
@@ -238,7 +238,7 @@ class Attempt:
         make(path)
         return replace(self._stored(path), name=name, media_type=OCTETS)
 
-    def _stored(self, path: Path, facts: Mapping[str, int | float] | None = None) -> OutputFile:
+    def _stored(self, path: Path, facts: Facts | None = None) -> OutputFile:
         """Store a file's bytes."""
         from dynamictree.export.table import media_type  # with the stages, not at start
 

@@ -1,5 +1,6 @@
 """The four stages of a job. Inputs and outputs are files, so that any worker can continue."""
 
+import json
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -7,7 +8,6 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Protocol, TypeVar
 
 from dynamictree import method
-from dynamictree.export.moving_tree import Facts
 from dynamictree.export.stored_rig import Recall
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
@@ -21,7 +21,7 @@ from dynamictree.plant.capture import Capture, carrying_mesh, only_tree
 from dynamictree.plant.choice import with_choice
 from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
-from jobs.records import JobRecord
+from jobs.records import Facts, JobRecord
 from jobs.states import JobType
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 
@@ -73,6 +73,8 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         ),
     )
     assert capture.mesh is not None
+    report = json.loads((given.folder / "report.json").read_text())
+    given.facts["report.json"] = {"warnings": report["warnings"]}
     _written(capture.mesh, write_bundle, given.folder / MESH_BUNDLE)
     _written(capture, write_bundle, given.folder / CLOUD_BUNDLE)
     return sorted(path for path in given.folder.iterdir() if not path.name.startswith("."))

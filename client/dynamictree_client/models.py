@@ -662,6 +662,8 @@ class Result(Model):
     # how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, `still_parts`;
     # null once the asset's record is removed
     source: dict[str, str | int | float | list[float | dict[str, str | int | float]] | None] | None
+    # of photos: what makes the reconstruction doubtful, and what to do
+    warnings: list[str]
     artifacts_url: str
 
 

@@ -31,6 +31,7 @@ class ResultPayload(Payload):
         description="how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, "
         "`still_parts`; null once the asset's record is removed"
     )
+    warnings: list[str] = Field(description="of photos: what makes the reconstruction doubtful, and what to do")
     artifacts_url: str
 
 
@@ -132,16 +133,26 @@ def _result(job: JobRecord, artifacts: list[ArtifactRecord], source: AssetSummar
     if not artifacts:
         return None
     ids = {artifact.name: artifact.id for artifact in artifacts}
-    return ResultPayload(
+    facts = {artifact.name: artifact.facts for artifact in artifacts}
+    return ResultPayload.of(
+        job,
         mesh_id=ids.get(MESH),
         voxels_id=ids.get(VOXELS),
         spectrum_id=ids.get(SPECTRUM),
         source=source,
+        warnings=facts.get("report.json", {}).get("warnings", []),
         artifacts_url=f"/v1/jobs/{job.id}/artifacts",
     )
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
     """A job's manifest as a response body."""
-    listed = [ArtifactPayload.of(artifact, url=f"/v1/artifacts/{artifact.id}") for artifact in artifacts]
+    listed = [
+        ArtifactPayload.of(
+            artifact,
+            facts={k: v for k, v in artifact.facts.items() if k != "warnings"},
+            url=f"/v1/artifacts/{artifact.id}",
+        )
+        for artifact in artifacts
+    ]
     return ManifestPayload(job_id=job.id, complete=job.state == JobState.SUCCEEDED, artifacts=listed)

@@ -16,8 +16,12 @@ def test_facts_reach_the_manifest_and_the_cache(client: TestClient, asset: Asset
     lease = hold(services, str(job["id"]))
     output = OutputFile(name="a.glb", media_type="model/gltf-binary", sha256="a" * 64, bytes=1, facts=FACTS)
     silent = OutputFile(name="b.glb", media_type="model/gltf-binary", sha256="b" * 64, bytes=1)
+    warned = {"warnings": ["26 of 60 photos have a camera"]}
+    report = OutputFile(name="report.json", media_type="application/json", sha256="c" * 64, bytes=1, facts=warned)
     start_stage(services.store, lease, "voxelize")
-    publish_stage(services.store, lease, "voxelize", (output, silent), key="k" * 64, cached=False, retention_s=1000)
+    files = (output, silent, report)
+    publish_stage(services.store, lease, "voxelize", files, key="k" * 64, cached=False, retention_s=1000)
     manifest = client.get(f"/v1/jobs/{job['id']}/artifacts").json()
-    assert {artifact["name"]: artifact["facts"] for artifact in manifest["artifacts"]} == {"a.glb": FACTS, "b.glb": {}}
-    assert cached_stage(services.store, "k" * 64) == (output, silent)
+    assert [artifact["facts"] for artifact in manifest["artifacts"]] == [FACTS, {}, {}]
+    assert client.get(f"/v1/jobs/{job['id']}").json()["result"]["warnings"] == warned["warnings"]
+    assert cached_stage(services.store, "k" * 64) == files

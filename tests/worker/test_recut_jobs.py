@@ -78,7 +78,8 @@ def test_a_box_and_a_height_cut_what_was_learned(runtime: Runtime, learned: Asse
     assert read_gaussian_ply(content(runtime, job, "splat.ply")).num_gaussians == NUM_STEM
     mesh = read_mesh_bundle(content(runtime, job, MESH_BUNDLE))
     np.testing.assert_allclose([mesh.vertices[:, 2].min(), mesh.height_m], [0, 2.0], atol=1e-5)
-    assert "report.json" in {artifact.name for artifact in runtime.store.artifacts_of(job.id)}
+    facts = {artifact.name: artifact.facts for artifact in runtime.store.artifacts_of(job.id)}
+    assert facts["report.json"] == {"warnings": []}
 
 
 def test_a_stroke_cuts_what_was_learned(runtime: Runtime, learned_potted: AssetRecord) -> None:
