@@ -14,12 +14,8 @@ from jobs.states import JobState, JobType
 from jobs.store import Store
 
 REMEMBERED_S = 10.0
-LEAST_PROGRESS = 0.02
-"""Of a stage that runs, before its pace tells when it ends."""
 OF_PHOTOS_S: dict[JobType, float] = {"reconstruct": 420.0, "voxelize": 5.0, "diffuse": 20.0, "animate": 40.0}
 """Seconds that the stages of a job on photos usually take on two cores."""
-LEAST_OF_PHOTOS_S = 20.0
-"""A first stage that takes longer reconstructs photos; a cloud takes seconds."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +55,10 @@ class JobDurations:
             return unknown
         left = 0.0
         for stage in job.stages:
-            expected = self._expected_s(job, stage)
-            if expected is None:
+            of_stage = self._left_s(job, stage)
+            if of_stage is None:
                 return unknown
-            left += (1 - stage.progress) * expected
+            left += of_stage
         if position:
             each = self._median("seconds", "any job", partial(run_seconds, self.store))
             if each is None:
@@ -73,24 +69,29 @@ class JobDurations:
 
     def _progress(self, job: JobRecord) -> float:
         """Mean over the stages; of photos weighed by usual times, which a job keeps, so that it never goes back."""
-        first = job.stages[0]
+        first, least_of_photos_s = job.stages[0], 20.0  # a cloud takes seconds
         weights = {stage.name: 1.0 for stage in job.stages}
         took = 0.0 if first.started_at is None else (first.finished_at or self.store.clock()) - first.started_at
-        if first.name == "reconstruct" and first.progress > 0 and not first.cached and took >= LEAST_OF_PHOTOS_S:
+        if first.name == "reconstruct" and first.progress > 0 and not first.cached and took >= least_of_photos_s:
             weights = OF_PHOTOS_S
         whole = sum(weights[stage.name] for stage in job.stages)
         return round(sum(weights[stage.name] * stage.progress for stage in job.stages) / whole, 4)
 
-    def _expected_s(self, job: JobRecord, stage: StageRecord) -> float | None:
-        """Seconds that a stage will take in all; 0 of one that is done."""
+    def _left_s(self, job: JobRecord, stage: StageRecord) -> float | None:
+        """Seconds until a stage ends: by its pace, or what it usually takes less what it took."""
         if stage.state == "succeeded":
             return 0.0
-        if stage.state == "running" and stage.started_at is not None and stage.progress >= LEAST_PROGRESS:
-            return (self.store.clock() - stage.started_at) / stage.progress
-        seconds = self.stage_seconds((stage.name,))
-        if seconds is None and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
-            return OF_PHOTOS_S[stage.name]
-        return seconds
+        least_progress = 0.02  # before the pace of a stage tells when it ends
+        begun = stage.started_at if stage.state == "running" else None
+        took = 0.0 if begun is None else self.store.clock() - begun
+        if stage.progress >= least_progress:
+            return took / stage.progress - took
+        expected = self.stage_seconds((stage.name,))
+        if expected is None and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
+            expected = OF_PHOTOS_S[stage.name]
+        if expected is None:
+            return None
+        return max((1 - stage.progress) * expected - took, took / 4)  # what is overdue takes a quarter longer
 
     def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:
         value = self._medians.get((what, of))

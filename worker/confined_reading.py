@@ -29,14 +29,6 @@ CHILD = "worker.confined_reading"
 ERRORS = {error.code: error for error in (FormatError, InputError)}
 """What the child may say of the files, by its code."""
 
-FILM_MEMORY_BYTES = 6 * 2**30
-"""Of each process: decoding 4K takes below one."""
-
-WAIT_S = 10.0
-"""For a child to end that has closed its output."""
-
-MAX_LINE_BYTES = 16 * 2**20
-
 
 class Request(BaseModel):
     """Files that the child reads, and its output folder: photos with the folder of their cameras, or a film."""
@@ -96,6 +88,8 @@ def write_confined_frames(
 
 def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
     """Run the child on a request; end it, and the programs that it runs, whatever ends this call."""
+    most_bytes = 16 * 2**20  # of a line
+    ends_within_s = 10.0  # once its output is closed
     request.folder.mkdir(parents=True, exist_ok=True)
     with subprocess.Popen(
         [sys.executable, "-P", "-m", CHILD],
@@ -111,14 +105,14 @@ def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
             with suppress(BrokenPipeError):  # it died before it read the request
                 child.stdin.write(request.model_dump_json().encode())
                 child.stdin.close()
-            while line := child.stdout.readline(MAX_LINE_BYTES):
+            while line := child.stdout.readline(most_bytes):
                 answer = Answer.model_validate_json(line)
                 if answer.code is not None:
                     raise ERRORS.get(answer.code, InputError)(answer.message)
                 if answer.step is None:
                     return answer
                 on_step(*answer.step)
-            child.wait(WAIT_S)
+            child.wait(ends_within_s)
         finally:
             if child.returncode is None:
                 os.killpg(child.pid, signal.SIGKILL)
@@ -154,7 +148,8 @@ def _photos(request: Request, tell: Callable[[Answer], None]) -> Answer:
 
 
 def _frames(request: Request, film: Path, tell: Callable[[Answer], None]) -> Answer:
-    resource.setrlimit(resource.RLIMIT_AS, (FILM_MEMORY_BYTES, FILM_MEMORY_BYTES))
+    memory_bytes = 6 * 2**30  # of each process: decoding 4K takes below one
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     confine(request.folder, [film], program=Path(ffmpeg_program()).resolve())
     tempfile.tempdir = str(request.folder)
     return Answer(frames=write_sharp_frames(film, request.folder, request.wanted, lambda: tell(Answer(step=()))))

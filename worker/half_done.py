@@ -29,11 +29,6 @@ def half_done_folder(settings: Settings, job: JobRecord) -> Path:
     return settings.scratch_dir / f"{HALF_DONE}{job.asset_id}-{frames}"
 
 
-def asset_of(path: Path) -> str:
-    """The asset that a folder belongs to."""
-    return path.name.removeprefix(HALF_DONE).partition("-")[0]
-
-
 @contextmanager
 def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
     """Work in a folder alone; gives whether another job was there meanwhile, whose result may be stored now.

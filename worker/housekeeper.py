@@ -54,7 +54,7 @@ from jobs.storage.upload_parts import PartStore, open_parts
 from jobs.storage.uploads import bury, expired_uploads
 from jobs.store import Store
 from worker.courier import Courier
-from worker.half_done import asset_of, discard
+from worker.half_done import discard
 
 logger = logging.getLogger(__name__)
 Thing = TypeVar("Thing")
@@ -153,16 +153,16 @@ class Housekeeper:
         """Delete what was left a day ago; half-done work also where its asset is gone or the disk is full."""
         old = time.time() - left.stat().st_mtime > SCRATCH_AGE_S
         if left.name.startswith(HALF_DONE) and left.is_dir():
-            if old or free_bytes(self.settings) < self.settings.min_free_bytes or not self._has_asset(asset_of(left)):
+            if old or free_bytes(self.settings) < self.settings.min_free_bytes or not self._has_asset(left):
                 discard(left)
         elif old and left.is_dir() and not left.is_symlink():
             shutil.rmtree(left)
         elif old:
             left.unlink(missing_ok=True)
 
-    def _has_asset(self, asset_id: str) -> bool:
+    def _has_asset(self, half_done: Path) -> bool:
         try:
-            read_asset(self.store, asset_id)
+            read_asset(self.store, half_done.name.removeprefix(HALF_DONE).partition("-")[0])
         except (NotFoundError, GoneError):
             return False
         return True

@@ -10,12 +10,6 @@ from pathlib import Path
 
 from jobs.settings import Settings
 
-SHARE = 0.8
-"""Of what the machine or container has; the rest is Celery's own process, the heartbeat and files in /tmp."""
-
-M_ARENA_MAX = -8
-"""Of glibc's malloc.h."""
-
 CGROUP_LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # of version 2, of version 1
 
 
@@ -24,7 +18,8 @@ def limit_memory(settings: Settings) -> int:
 
     An allocation beyond it raises MemoryError, which ends the job with `out-of-memory`.
     """
-    allowed = settings.job_memory_bytes or int(SHARE * available_bytes())
+    share = 0.8  # the rest is Celery's own process, the heartbeat and files in /tmp
+    allowed = settings.job_memory_bytes or int(share * available_bytes())
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     allowed = allowed if hard == resource.RLIM_INFINITY else min(allowed, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (allowed, hard))
@@ -49,7 +44,7 @@ def share_one_arena() -> None:
     """
     option = getattr(ctypes.CDLL(None), "mallopt", None)
     if option is not None:
-        option(M_ARENA_MAX, 1)
+        option(-8, 1)  # M_ARENA_MAX of glibc's malloc.h
 
 
 def return_freed_memory() -> None:
