@@ -21,7 +21,7 @@ from dynamictree.reconstruct.views import SparseModel, read_model
 
 _GRACE_S = 3.0  # from SIGTERM to SIGKILL
 _TIME_LIMIT_S = 3600.0
-_SHARES = {"features": (0.0, 0.5), "matches": (0.5, 0.4), "cameras": (0.9, 0.08), "undistort": (0.98, 0.02)}
+_SHARES = {"features": (0.0, 0.35), "matches": (0.35, 0.35), "cameras": (0.7, 0.28), "undistort": (0.98, 0.02)}
 
 ADVICE = (
     "take sharp photos of a thing that stands still, in even light, from all around, one every 10 to 20 degrees, "
@@ -111,9 +111,9 @@ def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None]
             if not line:
                 return
             if line.startswith(b"["):  # native libraries write there too, as OpenBLAS does
-                step, part, total = json.loads(line)
+                step, part, total, first, last = json.loads(line)
                 start, share = _SHARES[step]
-                done = max(done, start + share * part / total)
+                done = max(done, first + (last - first) * (start + share * part / total))
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

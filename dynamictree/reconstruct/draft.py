@@ -22,10 +22,6 @@ EVERY_S = 20.0
 _OPAQUE_LOGIT = np.float32(2)
 
 
-def ignore_file(path: Path) -> None:
-    """Report to nobody."""
-
-
 @dataclass(kw_only=True)
 class Draft:
     """A small splat of the region around the subject, upright and of unknown size; each takes the last one's place."""

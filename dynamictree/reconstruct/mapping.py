@@ -1,7 +1,7 @@
 """Structure from motion by pycolmap (BSD), as `python -m dynamictree.reconstruct.mapping` with a job on stdin.
 
 Its native code cannot be interrupted, so the caller ends the whole process. Progress goes to stdout, one JSON array
-per line: step, done, total.
+per line: step, done, total, and the part of all the work that the search is, as two shares.
 """
 
 import ctypes
@@ -43,12 +43,13 @@ def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | Non
     Features are sought within masks, since a plant on a turntable moves and its background does not; but where they
     leave out most photos, as with thin stems, everywhere.
     """
-    search = _Search(folder=folder, photos=photos, given=given)
-    model = search.model()
     masked = [photo.name for photo in photos if photo.masked]
+    half = 0.5 if given is None and masked else 1.0
+    search = _Search(folder=folder, photos=photos, given=given, part=(0.0, half))
+    model = search.model()
     if given is None and masked and (model is None or _num_registered(model) < _FEW * len(photos)):
         unmasked = [replace(photo, masked=False) for photo in photos]
-        whole_search = _Search(folder=folder, photos=unmasked, given=None, database_name=DATABASES[1])
+        whole_search = replace(search, photos=unmasked, part=(half, 1.0), database_name=DATABASES[1])
         whole = whole_search.model()
         if model is None or (whole is not None and _num_registered(whole) > _num_registered(model)):
             model, search = whole, whole_search
@@ -63,6 +64,7 @@ class _Search:
     folder: Path
     photos: list[Photo]
     given: list[InputCamera] | None
+    part: tuple[float, float]
     database_name: str = DATABASES[0]
     threads: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
 
@@ -73,6 +75,10 @@ class _Search:
     @property
     def images(self) -> Path:
         return self.folder / "photos"
+
+    def tell(self, step: str, done: int, total: int) -> None:
+        sys.stdout.write(json.dumps([step, done, total, *self.part]) + "\n")
+        sys.stdout.flush()
 
     def model(self) -> pycolmap.Reconstruction | None:
         _extract(self)
@@ -87,18 +93,13 @@ def _match(search: _Search) -> None:
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = search.threads
     for first in range(0, len(pairs), pairs_at_once):
-        _tell("matches", first, len(pairs))
+        search.tell("matches", first, len(pairs))
         chunk = pairs[first : first + pairs_at_once]
         listing = search.folder / "pairs.txt"
         listing.write_text("".join(f"{photos[i].name} {photos[j].name}\n" for i, j in chunk))
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
         pycolmap.match_image_pairs(search.database, matching, pairing)
-    _tell("matches", len(pairs), len(pairs))
-
-
-def _tell(step: str, done: int, total: int) -> None:
-    sys.stdout.write(json.dumps([step, done, total]) + "\n")
-    sys.stdout.flush()
+    search.tell("matches", len(pairs), len(pairs))
 
 
 def _extract(search: _Search) -> None:
@@ -113,7 +114,7 @@ def _extract(search: _Search) -> None:
         reader = _reader(search, photo, cameras_by_name.get(photo.name))
         missing = [name for name in names if name not in done]
         while missing:
-            _tell("features", len(done), len(search.photos))
+            search.tell("features", len(done), len(search.photos))
             shared = next((done[name] for name in names if name in done), None)
             if shared is not None:
                 reader.existing_camera_id = shared
@@ -122,7 +123,7 @@ def _extract(search: _Search) -> None:
             pycolmap.extract_features(search.database, search.images, chunk, single, reader, extraction)
             missing = missing[len(chunk) :]
             done = _camera_ids(search.database)
-    _tell("features", len(search.photos), len(search.photos))
+    search.tell("features", len(search.photos), len(search.photos))
 
 
 def _camera_ids(database: Path) -> dict[str, int]:
@@ -164,8 +165,8 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
     # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
     pose_inliers = ((30, 0.25), (15, 0.1))
     best = None
-    for min_inliers, min_ratio in pose_inliers:
-        models = _map_once(search, min_inliers, min_ratio)
+    for attempt, (min_inliers, min_ratio) in enumerate(pose_inliers):
+        models = _map_once(search, attempt, min_inliers, min_ratio)
         for model in models.values():
             leave_out_loose(model)
         best = max([*models.values(), *([best] if best else [])], key=_num_registered, default=None)
@@ -176,7 +177,7 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
 
 def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstruction:
     """The known cameras, refined where the photos disagree with them, and what of the matches fits them."""
-    _tell("cameras", 0, 1)
+    search.tell("cameras", 0, 1)
     model = pycolmap.Reconstruction()
     poses = {camera.photo: camera.world_to_camera for camera in given}
     with pycolmap.Database.open(search.database) as database:
@@ -201,7 +202,7 @@ def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstr
 
     positions = {name: -pose[:, :3].T @ pose[:, 3] for name, pose in poses.items()}
     result = refined(triangulated(model), positions, triangulated)
-    _tell("cameras", 1, 1)
+    search.tell("cameras", 1, 1)
     return result
 
 
@@ -222,7 +223,7 @@ def _num_registered(model: pycolmap.Reconstruction) -> int:
     return int(model.num_reg_images())
 
 
-def _map_once(search: _Search, min_inliers: int, min_ratio: float) -> dict[int, pycolmap.Reconstruction]:
+def _map_once(search: _Search, attempt: int, min_inliers: int, min_ratio: float) -> dict[int, pycolmap.Reconstruction]:
     number = len(search.photos)
     options = pycolmap.IncrementalPipelineOptions()
     options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = min_inliers, min_ratio
@@ -233,20 +234,18 @@ def _map_once(search: _Search, min_inliers: int, min_ratio: float) -> dict[int, 
 
     def count() -> None:
         registered[0] += 1
-        _tell("cameras", min(registered[0], number), number)
+        search.tell("cameras", attempt * number + min(registered[0], number), 2 * number)
 
     sparse = search.folder / "sparse"
     sparse.mkdir(exist_ok=True)
-    _tell("cameras", 0, number)
     models: dict[int, pycolmap.Reconstruction] = pycolmap.incremental_mapping(
         search.database, search.images, sparse, options, next_image_callback=count
     )
-    _tell("cameras", number, number)
     return models
 
 
 def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[str]) -> None:
-    _tell("undistort", 0, 1)
+    search.tell("undistort", 0, 1)
     folder, threads = search.folder, search.threads
     place = {photo.name: row for row, photo in enumerate(search.photos)}
     chosen, undistorted = folder / "chosen", folder / "undistorted"
@@ -299,7 +298,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     document = {"reprojection_error_px": error_px, "views": views, "left_out": left_out, "markers": markers}
     being_written.write_text(json.dumps(document))
     being_written.replace(folder / "views.json")
-    _tell("undistort", 1, 1)
+    search.tell("undistort", 1, 1)
 
 
 def _end_with_parent() -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Protocol
 
 from dynamictree.files import replacing
+from dynamictree.reconstruct.cameras import pairs_to_match
+from dynamictree.reconstruct.options import ReconstructOptions
 
 STAGES = ("photos", "cameras", "depth", "splat", "mesh")
 """In order."""
@@ -37,19 +39,14 @@ class StageReport(Protocol):
         """Report a share in [0, 1]."""
 
 
-def ignore_progress(progress: Progress) -> None:
-    """Report to nobody."""
-
-
-def expected_seconds(
-    *, num_photos: int, num_pairs: int, num_views: int, num_steps: int, side_px: int
-) -> dict[str, float]:
+def expected_seconds(num_photos: int, options: ReconstructOptions) -> dict[str, float]:
     """Processor seconds that each stage usually takes; only their ratios matter. Measured: docs/decisions."""
+    schedule = options.schedule
     return {
         "photos": 0.1 * num_photos,
-        "cameras": 1.5 * num_photos + 0.06 * num_pairs,
-        "depth": 3.0 * num_views,
-        "splat": num_steps * (0.01 + 0.1 * (side_px / 640) ** 2),
+        "cameras": 1.5 * num_photos + 0.06 * len(pairs_to_match(num_photos)),
+        "depth": 3.0 * min(num_photos, options.max_views),
+        "splat": schedule.num_steps * (0.01 + 0.1 * (schedule.side_px / 640) ** 2),
         "mesh": 10.0,
     }
 

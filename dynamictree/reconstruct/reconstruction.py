@@ -13,10 +13,10 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
-from dynamictree.reconstruct.cameras import ADVICE, find_cameras, pairs_to_match
+from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import best_mesh_of
 from dynamictree.reconstruct.cut import of_the_mesh
-from dynamictree.reconstruct.draft import Draft, OnFile, ignore_file
+from dynamictree.reconstruct.draft import Draft, OnFile
 from dynamictree.reconstruct.exposure import evenly_exposed
 from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames, write_sharp_frames
 from dynamictree.reconstruct.input_cameras import files_with_cameras
@@ -25,7 +25,7 @@ from dynamictree.reconstruct.options import ReconstructOptions
 from dynamictree.reconstruct.photo_cameras import write_cameras
 from dynamictree.reconstruct.photo_previews import write_photo_previews
 from dynamictree.reconstruct.photos import PhotoFile, ReadPhotos, list_photos, read_photos
-from dynamictree.reconstruct.progress import OnProgress, Progress, StageClock, expected_seconds, ignore_progress
+from dynamictree.reconstruct.progress import OnProgress, Progress, StageClock, expected_seconds
 from dynamictree.reconstruct.report import photos_to_compare, quality_warnings, write_report_picture
 from dynamictree.reconstruct.result import MarkerReport, Reconstruction, Report
 from dynamictree.reconstruct.scene import Scene, find_scene
@@ -44,8 +44,8 @@ class Callbacks:
 
     read_photos: ReadPhotos = read_photos
     write_frames: WriteFrames = write_sharp_frames
-    on_progress: OnProgress = ignore_progress  # an exception in it ends child processes and passes through
-    on_file: OnFile = ignore_file  # gets each product as soon as it is complete, and each draft
+    on_progress: OnProgress = lambda progress: None  # an exception in it ends child processes and passes through
+    on_file: OnFile = lambda path: None  # gets each product as soon as it is complete, and each draft
 
 
 def reconstruct(
@@ -81,26 +81,35 @@ def reconstruct(
     unknown_height_m = 1.0  # of a mesh whose scale is unknown
     options, callbacks = options or ReconstructOptions(), callbacks or Callbacks()
     draft = Draft(folder=folder, on_file=callbacks.on_file)
+    latest = Progress(stage="photos", share=0.0, total=0.0)
+
+    def on_progress(progress: Progress) -> None:
+        nonlocal latest
+        latest = progress
+        callbacks.on_progress(progress)
+
     with ExitStack() as stack:
         path = work or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
         frames = None
         if isinstance(photos, Film):
-            beginning = Progress(stage="photos", share=0.0, total=0.0)
             frames = FilmPhotos(
                 film=photos,
                 folder=path / f"frames-{photos.count}-{photos.path.stat().st_size}",
-                on_work=lambda: callbacks.on_progress(beginning),
+                on_work=lambda: callbacks.on_progress(latest),
                 write_frames=callbacks.write_frames,
             )
             photos, root = frames.first(), frames.folder
         listed = list_photos(photos, root, side_px=options.photo_px)
         stack.enter_context(alone_in_work(path, _sources(listed, root), options))
-        clock = StageClock(callbacks.on_progress, _expected_s(len(listed), options), path / TIMES)
-        model = _find_cameras(listed, root, path, clock, callbacks.read_photos)
+        expected_s = expected_seconds(len(listed), options)
+        half = 1.0 if frames is None else 0.5  # a film's cameras are sought again, with frames that fill its gaps
+        expected_s["cameras"] /= half
+        clock = StageClock(on_progress, expected_s, path / TIMES)
+        model = _find_cameras(listed, root, path, clock, callbacks.read_photos, part=(0.0, half))
         if frames is not None and (more := frames.more(model)):
             listed = list_photos(more, root, side_px=options.photo_px)
             extend_work(path, _sources(listed, root), options)
-            model = _find_cameras(listed, root, path, clock, callbacks.read_photos)
+            model = _find_cameras(listed, root, path, clock, callbacks.read_photos, part=(half, 1.0))
         write_cameras([view.photo_camera for view in model.views], folder, scale="unknown")
         callbacks.on_file(folder / "cameras.json")
         model = evenly_exposed(model)
@@ -147,17 +156,6 @@ def reconstruct(
     return result
 
 
-def _expected_s(num_photos: int, options: ReconstructOptions) -> dict[str, float]:
-    schedule = options.schedule
-    return expected_seconds(
-        num_photos=num_photos,
-        num_pairs=len(pairs_to_match(num_photos)),
-        num_views=min(num_photos, options.max_views),
-        num_steps=schedule.num_steps,
-        side_px=schedule.side_px,
-    )
-
-
 def _sources(photos: list[PhotoFile], root: Path | None) -> list[Path]:
     """All files that decide on cameras, depths and splat."""
     masks = [photo.mask for photo in photos if photo.mask is not None]
@@ -165,14 +163,26 @@ def _sources(photos: list[PhotoFile], root: Path | None) -> list[Path]:
 
 
 def _find_cameras(
-    photos: list[PhotoFile], root: Path | None, work: Path, clock: StageClock, read_photos: ReadPhotos
+    photos: list[PhotoFile],
+    root: Path | None,
+    work: Path,
+    clock: StageClock,
+    read_photos: ReadPhotos,
+    *,
+    part: tuple[float, float],
 ) -> SparseModel:
-    """Take cameras from files beside the photos, from an earlier call, or from structure from motion."""
+    """Take cameras from files beside the photos, from an earlier call, or from structure from motion.
+
+    `part` is of the stage that looks for cameras: where it begins and ends, in [0, 1].
+    """
+    first, last = part
     with clock.stage("photos") as report:
         given, prepared = read_photos(photos, root, work / PHOTOS, lambda done, total: report(done / total))
     with clock.stage("cameras") as report:
         model = read_model(work, {photo.name: photo.source for photo in prepared})
-        return model or find_cameras(prepared, work, given=given, on_progress=report)
+        return model or find_cameras(
+            prepared, work, given=given, on_progress=lambda share: report(first + (last - first) * share)
+        )
 
 
 def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, " G"]:

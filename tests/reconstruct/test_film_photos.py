@@ -9,6 +9,7 @@ import scipy.ndimage
 from PIL import Image
 
 from dynamictree.errors import FormatError, InputError
+from dynamictree.reconstruct import Callbacks, Progress, reconstruct, reconstruction
 from dynamictree.reconstruct.film_photos import (
     Film,
     FilmPhotos,
@@ -56,6 +57,7 @@ class Recorder:
     def write(
         self, film: Path, folder: Path, wanted: int | Sequence[Stretch], on_work: Callable[[], None]
     ) -> list[Path]:
+        on_work()
         self.wanted.append(wanted)
         frames = (
             FRAMES if isinstance(wanted, int) else [part.first + row for part in wanted for row in range(part.count)]
@@ -93,6 +95,28 @@ def test_frames_are_added_where_neighbouring_ones_were_lost(photos: FilmPhotos) 
     assert added[0] > 94
     assert added[-1] < 174
     assert photos.more(model(registered)) == []  # once
+
+
+def test_progress_never_goes_back_while_more_frames_are_sought(
+    film: Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fell from 0.32 to 0, and then stood still for 65 s."""
+    models, totals = [model([frame for frame in FRAMES if not 100 < frame < 170])], []
+
+    def find(*_: object, on_progress: Callable[[float], None], **__: object) -> SparseModel:
+        on_progress(1.0)
+        return models.pop()
+
+    def listen(progress: Progress) -> None:
+        totals.append(progress.total)
+
+    monkeypatch.setattr(reconstruction, "find_cameras", find)
+    (tmp_path / "walk.mp4").touch()
+    callbacks = Callbacks(read_photos=lambda *_: (None, []), write_frames=film.write, on_progress=listen)
+    with pytest.raises(IndexError):  # the second search is enough
+        reconstruct(Film(path=tmp_path / "walk.mp4", count=len(FRAMES)), tmp_path, callbacks=callbacks)
+    assert totals == sorted(totals)
+    assert 0.1 < totals[-2] < totals[-1]
 
 
 def test_a_walk_that_was_registered_all_around_needs_no_more(photos: FilmPhotos, film: Recorder) -> None:

@@ -19,7 +19,7 @@ from dynamictree.photo_requests import MIN_PHOTOS, LearningParams, Quality
 from dynamictree.reconstruct import ReconstructOptions, mapping
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.options import options_of
-from dynamictree.reconstruct.photos import list_photos, prepare_photos
+from dynamictree.reconstruct.photos import Photo, list_photos, prepare_photos
 from dynamictree.reconstruct.work_folder import DEPTHS, SPLAT, TIMES, alone_in_work
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_input_cameras import write_transforms
@@ -199,11 +199,20 @@ def _mapping_in(folder: Path) -> bool:
     return False
 
 
+def test_a_search_without_masks_goes_on_where_that_with_masks_ended(tmp_path, capsys, monkeypatch):
+    """Progress stood still for 225 s."""
+    for step in ("_extract", "_match", "_map"):
+        monkeypatch.setattr(mapping, step, lambda search: search.tell("features", 0, 1))
+    mapping.map_photos(tmp_path, [Photo(source="a", name="a", width=1, height=1, focal_px=None, masked=True)], None)
+    parts = [json.loads(line)[3:] for line in capsys.readouterr().out.splitlines()]
+    assert parts == 3 * [[0.0, 0.5]] + 3 * [[0.5, 1.0]]
+
+
 def test_features_of_an_ended_search_are_not_sought_again(orbit, tmp_path):
     prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
 
     def features(number: int) -> dict[str, tuple[int, int, bytes]]:
-        search = mapping._Search(folder=tmp_path, photos=prepared[:number], given=None, threads=2)
+        search = mapping._Search(folder=tmp_path, photos=prepared[:number], given=None, part=(0.0, 1.0), threads=2)
         mapping._extract(search)
         with pycolmap.Database.open(search.database) as database:
             return {

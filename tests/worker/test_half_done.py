@@ -13,6 +13,8 @@ import pytest
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, InputError
+from dynamictree.photo_requests import LearningParams
+from dynamictree.reconstruct.options import options_of
 from dynamictree.reconstruct.progress import expected_seconds
 from dynamictree.reconstruct.splat_state import SplatState
 from jobs.lifecycle.attempts import offer, publish_stage, start_stage
@@ -36,7 +38,7 @@ STEPS = 100
 
 def at_step(step: int) -> float:
     """Progress of a job on the orbit's photos at a step of the splat."""
-    expected_s = expected_seconds(num_photos=14, num_pairs=91, num_views=14, num_steps=STEPS, side_px=640)
+    expected_s = expected_seconds(14, options_of(LearningParams(splat_steps=STEPS)))
     before = sum(expected_s[stage] for stage in ("photos", "cameras", "depth"))
     return 0.95 * (before + expected_s["splat"] * step / STEPS) / sum(expected_s.values())
 
@@ -83,7 +85,7 @@ def ended(runtime: Runtime, job: JobRecord, limit: float) -> JobRecord:
 
 def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRecord) -> None:
     first, second = add_job(runtime, film), add_job(runtime, film, splat_steps=100)
-    failed = ended(runtime, first, 0.03)
+    failed = ended(runtime, first, 0.02)
     assert (failed.state, failed.error_code) == (JobState.FAILED, "time-limit")
     assert "run it again: it goes on where it was" in (failed.error_message or "")
     [frames] = half_done_folder(runtime.settings, first).glob("frames-*")
