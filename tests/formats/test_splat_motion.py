@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load, save
 
+from benchmarks._scene import sheet
 from dynamictree.errors import FormatError, InputError, NumericsError
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
@@ -34,9 +35,7 @@ def splat() -> AnimatedSplat:
     rng = np.random.default_rng(8)
     x, y = np.meshgrid(np.linspace(0, 2, 20), np.linspace(0, 2, 20), indexing="ij")
     vertices = np.stack([x, y, 0.2 * np.sin(2 * x)], axis=-1).reshape(-1, 3).astype(np.float32)
-    i = np.arange(400, dtype=np.int32).reshape(20, 20)
-    faces = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
-    mesh = TriangleMesh(vertices=vertices, faces=faces)
+    mesh = TriangleMesh(vertices=vertices, faces=sheet(2 * 19**2).faces[::2])
     count = 500
     quaternions = rng.normal(size=(count, 4))
     cloud = GaussianCloud(

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from benchmarks._scene import sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -37,12 +38,8 @@ def plane(side: int = 6) -> TriangleMesh:
     """A level square of 1 m, whose texture coordinates are its x and y."""
     x, y = np.meshgrid(*[np.linspace(0, 1, side)] * 2, indexing="ij")
     vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32)
-    i = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    lower = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
-    upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
-    return TriangleMesh(
-        vertices=vertices, faces=np.concatenate([lower, upper]), look=MeshLook(uv=vertices[:, :2].copy())
-    )
+    faces = sheet(2 * (side - 1) ** 2).faces
+    return TriangleMesh(vertices=vertices, faces=faces, look=MeshLook(uv=vertices[:, :2].copy()))
 
 
 def textured(material: Material) -> TriangleMesh:

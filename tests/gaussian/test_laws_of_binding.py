@@ -9,6 +9,7 @@ import trimesh
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
+from benchmarks._scene import sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import (
     STILL,
@@ -33,10 +34,7 @@ def mesh() -> TriangleMesh:
     """A bent sheet, 5 m from the origin."""
     x, y = np.meshgrid(np.linspace(0, 2, 24), np.linspace(0, 2, 24), indexing="ij")
     vertices = np.stack([x + 5, y, 0.3 * np.sin(3 * x) * np.cos(2 * y)], axis=-1).reshape(-1, 3).astype(np.float32)
-    i = np.arange(24 * 24, dtype=np.int32).reshape(24, 24)
-    lower = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
-    upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
-    return TriangleMesh(vertices=vertices, faces=np.concatenate([lower, upper]))
+    return TriangleMesh(vertices=vertices, faces=sheet(2 * 23**2).faces)
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,10 @@
 """Cameras that come with the photos, in every format, are the cameras that took them."""
 
 import json
-import struct
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 
 from dynamictree.errors import FormatError
@@ -44,42 +44,17 @@ def write_transforms(folder: Path, orbit: Orbit, *, blender: bool = False, **cha
     return path
 
 
-def poses(orbit: Orbit) -> list[list[float]]:
-    """COLMAP's quaternion wxyz and translation."""
-    rows = []
-    for camera in orbit.cameras:
-        r = camera.world_to_camera
-        w = np.sqrt(max(1 + np.trace(r), 1e-12)) / 2
-        if w > 1e-3:
-            turn = [w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w))]
-        else:
-            values, vectors = np.linalg.eigh(r + r.T)
-            turn = [0.0, *vectors[:, np.argmax(values)]]
-        rows.append([*turn, *(-r @ camera.position_m)])
-    return rows
-
-
-def write_colmap_text(folder: Path, orbit: Orbit) -> None:
+def write_colmap(folder: Path, orbit: Orbit, suffix: str) -> None:
+    """As COLMAP has it; the images see points, one more each."""
+    model, lens = pycolmap.Reconstruction(), (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
+    camera = pycolmap.Camera(camera_id=7, model="PINHOLE", width=WIDTH, height=HEIGHT, params=lens)
+    model.add_camera_with_trivial_rig(camera)
+    for number, (path, true) in enumerate(zip(orbit.photos, orbit.cameras, strict=True)):
+        image = pycolmap.Image(name=path.name, keypoints=np.ones((number, 2)), camera_id=7, image_id=number + 1)
+        pose = np.column_stack([true.world_to_camera, -true.world_to_camera @ true.position_m])
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
     folder.mkdir(parents=True)
-    lens = f"7 PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
-    (folder / "cameras.txt").write_text(f"# Camera list\n{lens}\n")
-    lines = ["# Image list"]
-    for number, (name, pose) in enumerate(zip(names_of(orbit), poses(orbit), strict=True)):
-        points = "" if number % 2 else "10.5 20.5 -1 11.5 7.0 3"
-        lines += [f"{number + 1} {' '.join(map(repr, map(float, pose)))} 7 {Path(name).name}", points]
-    (folder / "images.txt").write_text("\n".join(lines) + "\n")
-
-
-def write_colmap_binary(folder: Path, orbit: Orbit) -> None:
-    folder.mkdir(parents=True)
-    lens = struct.pack("<QiiQQ4d", 1, 7, 1, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-    (folder / "cameras.bin").write_bytes(lens)
-    rows = [struct.pack("<Q", len(orbit.photos))]
-    for number, (name, pose) in enumerate(zip(names_of(orbit), poses(orbit), strict=True)):
-        points = struct.pack("<ddq", 1.0, 2.0, -1) * number
-        head = struct.pack("<i7di", number + 1, *pose, 7)
-        rows.append(head + Path(name).name.encode() + b"\0" + struct.pack("<Q", number) + points)
-    (folder / "images.bin").write_bytes(b"".join(rows))
+    (model.write_text if suffix == "txt" else model.write_binary)(folder)
 
 
 def write_llff(folder: Path, orbit: Orbit) -> None:
@@ -95,8 +70,8 @@ def write_llff(folder: Path, orbit: Orbit) -> None:
 WRITERS = {
     "nerfstudio": write_transforms,
     "blender": lambda root, orbit: write_transforms(root, orbit, blender=True),
-    "colmap text": lambda root, orbit: write_colmap_text(root / "sparse" / "0", orbit),
-    "colmap binary": lambda root, orbit: write_colmap_binary(root / "sparse" / "0", orbit),
+    "colmap text": lambda root, orbit: write_colmap(root / "sparse" / "0", orbit, "txt"),
+    "colmap binary": lambda root, orbit: write_colmap(root / "sparse" / "0", orbit, "bin"),
     "llff": lambda root, orbit: write_llff(root / "llff", orbit),
 }
 
@@ -116,7 +91,7 @@ def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
 
 
 def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp_path, orbit):
-    write_colmap_binary(tmp_path / "sparse" / "0", orbit)
+    write_colmap(tmp_path / "sparse" / "0", orbit, "bin")
     write_llff(tmp_path / "llff", orbit)
     sizes = dict(zip((f"images_4/image{n:03}.png" for n in range(99)), sizes_of(orbit).values(), strict=False))
     given = find_input_cameras(tmp_path, sizes)
@@ -164,19 +139,19 @@ def test_a_scale_in_the_rotation_is_taken_out(tmp_path, orbit):
 
 
 def broken_colmap(root: Path, orbit: Orbit, cut: int) -> None:
-    write_colmap_binary(root / "sparse", orbit)
+    write_colmap(root / "sparse", orbit, "bin")
     path = root / "sparse" / "images.bin"
     path.write_bytes(path.read_bytes()[:cut])
 
 
 def lens_of_unknown_model(root: Path, orbit: Orbit) -> None:
-    write_colmap_text(root / "sparse", orbit)
+    write_colmap(root / "sparse", orbit, "txt")
     path = root / "sparse" / "cameras.txt"
     path.write_text(path.read_text().replace("PINHOLE", "PERISCOPE"))
 
 
 def only_cameras(root: Path, orbit: Orbit) -> None:
-    write_colmap_text(root / "sparse", orbit)
+    write_colmap(root / "sparse", orbit, "txt")
     (root / "sparse" / "images.txt").unlink()
 
 

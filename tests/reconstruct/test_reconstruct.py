@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
+from skimage.transform import SimilarityTransform
 
 from dynamictree.errors import CameraSearchError, Cancelled, ReconstructionError
 from dynamictree.formats.mesh_file import read_mesh
@@ -27,16 +28,6 @@ from tests.reconstruct.conftest import WIDTH, Orbit
 from tests.reconstruct.test_input_cameras import write_transforms
 
 pytestmark = pytest.mark.timeout(600)  # half a minute on two free cores; native code that other work may starve
-
-
-def aligned(reconstruction: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Scale, rotation and shift that best take found points to true ones (Umeyama 1991)."""
-    middle_result, middle_true = reconstruction.mean(axis=0), true.mean(axis=0)
-    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (reconstruction - middle_result))
-    flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ flip @ vt
-    scale = (sizes * np.diag(flip)).sum() / ((reconstruction - middle_result) ** 2).sum()
-    return scale, rotation, middle_true - scale * rotation @ middle_result
 
 
 OPTIONS = ReconstructOptions(schedule=Schedule(num_steps=400, side_px=WIDTH, check_every=100))
@@ -59,11 +50,11 @@ def test_the_cameras_are_where_the_photos_were_taken(reconstruction, orbit):
     number = {path.name: row for row, path in enumerate(orbit.photos)}
     true = np.array([orbit.cameras[number[view.photo]].position_m for view in result.cameras])
     positions = np.array([view.camera.position_m for view in result.cameras])
-    scale, rotation, shift = aligned(positions, true)
-    assert np.linalg.norm(scale * positions @ rotation.T + shift - true, axis=1).max() < 0.03
-    assert rotation[2, 2] > np.cos(np.radians(2))  # +Z is up
+    moved = SimilarityTransform.from_estimate(positions, true)
+    assert np.linalg.norm(moved(positions) - true, axis=1).max() < 0.03
+    assert moved.params[2, 2] / moved.scale > np.cos(np.radians(2))  # +Z is up
     assert result.report["ground_found"]
-    assert scale == pytest.approx(1.2, rel=0.05)  # the mesh is 1 m high, the stump 1.2 m
+    assert moved.scale == pytest.approx(1.2, rel=0.05)  # the mesh is 1 m high, the stump 1.2 m
 
 
 @pytest.mark.slow
@@ -71,8 +62,10 @@ def test_the_mesh_is_the_thing_without_its_ground(reconstruction, orbit):
     _, result, _ = reconstruction
     number = {path.name: row for row, path in enumerate(orbit.photos)}
     true_positions = np.array([orbit.cameras[number[view.photo]].position_m for view in result.cameras])
-    scale, rotation, shift = aligned(np.array([view.camera.position_m for view in result.cameras]), true_positions)
-    vertices = scale * result.mesh.vertices @ rotation.T + shift
+    moved = SimilarityTransform.from_estimate(
+        np.array([view.camera.position_m for view in result.cameras]), true_positions
+    )
+    vertices = moved(result.mesh.vertices)
     surface = orbit.stump.vertices[orbit.stump.faces].mean(axis=1)
     seen = surface[surface[:, 2] > 0.06]
     near = 0.03 * 1.2
@@ -195,8 +188,7 @@ def test_cameras_that_are_given_are_taken(orbit, tmp_path):
     assert result.report["num_registered"] == len(orbit.photos)
     positions = np.array([view.camera.position_m for view in result.cameras])
     true = np.array([camera.position_m for camera in orbit.cameras])
-    scale, rotation, shift = aligned(positions, true)
-    assert np.linalg.norm(scale * positions @ rotation.T + shift - true, axis=1).max() < 1e-6
+    assert np.linalg.norm(SimilarityTransform.from_estimate(positions, true)(positions) - true, axis=1).max() < 1e-6
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
+from skimage.transform import SimilarityTransform
 
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.input_cameras import InputCamera
@@ -15,7 +16,6 @@ from dynamictree.reconstruct.refine_poses import ENOUGH_POINTS, ENOUGH_PX, refin
 from dynamictree.reconstruct.views import SparseModel
 from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
 from tests.reconstruct.test_input_cameras import FOCAL
-from tests.reconstruct.test_reconstruct import aligned
 
 NUM_PHOTOS = 8
 LENS = {"model": "SIMPLE_RADIAL", "params": (FOCAL, WIDTH / 2, HEIGHT / 2, 0.0), "width": WIDTH, "height": HEIGHT}
@@ -52,14 +52,12 @@ def test_wrong_poses_are_refined_and_exact_ones_stay(orbit, rng, tmp_path):
     places = np.array([-camera.world_to_camera[:, :3].T @ camera.world_to_camera[:, 3] for camera in wrong])
     refined = np.array([view.camera.position_m for view in model.views])
     assert off(refined, true) < 0.6 * off(places, true)
-    scale = aligned(refined, true)[0]
-    assert scale == pytest.approx(1, abs=0.02)  # the frame is still the given one
+    assert SimilarityTransform.from_estimate(refined, true).scale == pytest.approx(1, abs=0.02)  # still the given frame
     np.testing.assert_allclose(refined.mean(axis=0), true.mean(axis=0), atol=0.05)
 
 
 def off(places: np.ndarray, true: np.ndarray) -> float:
-    scale, rotation, shift = aligned(places, true)
-    return float(np.linalg.norm(scale * places @ rotation.T + shift - true, axis=1).mean())
+    return float(np.linalg.norm(SimilarityTransform.from_estimate(places, true)(places) - true, axis=1).mean())
 
 
 @pytest.mark.parametrize(("num_points", "moved"), [(ENOUGH_POINTS // 2, False), (4 * ENOUGH_POINTS, True)])

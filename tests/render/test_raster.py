@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks._scene import sheet
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 from tests.render.conftest import facing_card
@@ -69,12 +70,9 @@ def test_faces_that_share_an_edge_leave_no_gap(rng):
     inner[1:-1, 1:-1] = 1
     jitter = rng.uniform(-0.03, 0.03, (2, number, number)) * inner
     vertices = np.stack([x + jitter[0], rng.uniform(-0.2, 0.2, x.shape), z + jitter[1]], axis=2).reshape(-1, 3)
-    index = np.arange(number * number).reshape(number, number)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3)
-    sheet = TriangleMesh(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32))
+    mesh = TriangleMesh(vertices=vertices.astype(np.float32), faces=sheet(2 * (number - 1) ** 2).faces)
     camera = Camera.look_at(np.array([0.0, -6, 0]), np.zeros(3), vertical_fov_deg=35.0)
-    assert (Renderer(sheet, Look(width=400, height=400)).buffers(camera).face >= 0).all()
+    assert (Renderer(mesh, Look(width=400, height=400)).buffers(camera).face >= 0).all()
 
 
 def test_the_order_of_faces_does_not_matter(two_balls):
