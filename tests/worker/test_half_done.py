@@ -93,7 +93,7 @@ def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRec
     assert len(written) == FRAMES
     ended(runtime, second, 0.03)
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
-    ended(runtime, add_job(runtime, film, video_frames=9), 0.03)
+    ended(runtime, add_job(runtime, film, video_frames=9), 0.02)
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
 
 
