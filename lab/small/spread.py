@@ -10,7 +10,7 @@ from dynamictree.models.small.amplitude import floor_of
 from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import log_surplus, speed_terms
+from dynamictree.models.small.spread import at_speed, log_surplus, speed_terms
 from dynamictree.models.wind import wind_axes
 from lab.dataset.shards import StoredTree
 from lab.small.examples import Example, voxels_of
@@ -18,7 +18,7 @@ from lab.small.examples import Example, voxels_of
 
 @torch.no_grad()
 def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example]]) -> None:
-    """Set the network's spread, and the energy gain that gives the typical tree the energy it has.
+    """Set the network's spread, and the gain that gives the typical tree the energy it has, both by the speed.
 
     A pair is one tree in two gusts of one mean wind. How far its sizes differ where the motion is expected is the
     spread; by how much the crown as a whole differs is not, since a motion drawn has the size that the wind tells.
@@ -34,18 +34,16 @@ def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example
         ratios.append((power.sum(dim=1) / expected.sum(dim=0)).log().mean(dim=0))
         weight, apart = expected / expected.sum(dim=0), power[0].log() - power[1].log()
         scatters.append((weight * (apart - (weight * apart).sum(dim=0)).square()).sum(dim=0) / 2)
-    terms, scatter = speed_terms(torch.stack(log_speeds)), torch.stack(scatters).flatten(1)
-    grid = speed_terms(torch.linspace(0, float(max(log_speeds)), 100))
-    variance = (grid @ torch.linalg.pinv(terms) @ scatter).clamp_min(0)  # of ln p: π² / 6 of a complex normal number
-    spread = torch.linalg.pinv(grid) @ variance.mul(6).sqrt() / math.pi
-    network.spread.copy_(spread.view(network.spread.shape))
-    surplus = torch.stack([log_surplus(network.spread_at(one)) for one in log_speeds])
-    network.energy_gain.copy_(((torch.stack(ratios) - surplus).mean(dim=0) / 2).exp())
+    fit = torch.linalg.pinv(speed_terms(torch.stack(log_speeds)))
+    variance = torch.einsum("ut,tjx->ujx", fit, torch.stack(scatters)).clamp_min(0)
+    network.spread.copy_(variance.mul(6).sqrt() / math.pi)  # variance of ln p: π² / 6 of a complex normal number
+    surplus = torch.stack([log_surplus(at_speed(network.spread, one)) for one in log_speeds])
+    network.log_gain.copy_(torch.einsum("ut,tjx->ujx", fit, torch.stack(ratios) - surplus) / 2)
 
 
 @torch.no_grad()
 def measure_field(network: SmallNetwork, trees: Iterable[StoredTree], seed: int) -> None:
-    """Let the network's energy gain undo what drawing does to the energy."""
+    """Let the network's gain undo what drawing does to the energy."""
     model = SmallModel(network, name="small")
     changes = []
     for tree in trees:
@@ -54,4 +52,4 @@ def measure_field(network: SmallNetwork, trees: Iterable[StoredTree], seed: int)
         moving = torch.from_numpy(drawn / np.float32(voxels.grid.height_m))
         sizes = [torch.linalg.vector_norm(one, dim=0) for one in (moving, model.prepare(voxels, tree.wind).amplitude)]
         changes.append((sizes[0] / sizes[1]).log())
-    network.energy_gain.mul_((-torch.stack(changes).mean(dim=0)).exp())
+    network.log_gain.sub_(torch.stack(changes).mean(dim=0))

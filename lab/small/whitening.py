@@ -25,7 +25,7 @@ WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
 RESIDUAL_SHARE = 0.1
 """Of the variance below the nodes: all of it makes touching voxels differ 1.8 to 2.1 times as much as they do."""
-MEASURED = ("node_scale", "residual_share", "noise_shares", "energy_gain", "spread")
+MEASURED = ("node_scale", "residual_share", "noise_shares", "log_gain", "spread")
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
 

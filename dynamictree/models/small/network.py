@@ -9,7 +9,6 @@ are (`spread.sized`); the crown as a whole is as large as shape and wind tell, s
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float32
 from torch import Tensor
 
 from dynamictree.models.small.amplitude import AmplitudeNetwork
@@ -40,13 +39,13 @@ class SmallPreset:
 class SmallNetwork(StorableNetwork):
     """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "9", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "10", SmallPreset
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s
     residual_share: Tensor  # [J, 3], ρ²
-    spread: Tensor  # [3, J, 3], by terms of the speed
-    energy_gain: Tensor  # [J, 3], of what is drawn
+    spread: Tensor  # [U, J, 3], at the speeds of `speed_terms`
+    log_gain: Tensor  # [U, J, 3], which gives what is drawn the typical tree's energy
 
     def __init__(self, preset: SmallPreset) -> None:
         super().__init__(preset)
@@ -61,9 +60,5 @@ class SmallNetwork(StorableNetwork):
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
         self.register_buffer("node_scale", torch.ones(moving, AXES))
         self.register_buffer("residual_share", torch.zeros(moving, AXES))
-        self.register_buffer("spread", torch.zeros(3, moving, AXES))
-        self.register_buffer("energy_gain", torch.ones(moving, AXES))
-
-    def spread_at(self, log_speed: Float32[Tensor, ""]) -> Float32[Tensor, "J 3"]:
-        """Spread of sizes at a speed."""
-        return torch.einsum("t,tjx->jx", speed_terms(log_speed), self.spread).clamp_min(0)
+        self.register_buffer("spread", torch.zeros(*speed_terms(torch.zeros(())).shape, moving, AXES))
+        self.register_buffer("log_gain", torch.zeros_like(self.spread))

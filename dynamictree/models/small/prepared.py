@@ -22,7 +22,7 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import log_surplus, sized
+from dynamictree.models.small.spread import at_speed, log_surplus, sized
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching
@@ -98,7 +98,7 @@ def prepare_tree(
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
     foliage_values = network.foliage(tree)
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
-    spread = network.spread_at(air[0, 0])
+    spread = at_speed(network.spread, air[0, 0])
     rms = moving(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
     nodes = coarsen_features(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / fixed_share).square()).exp()  # [V]
@@ -112,7 +112,7 @@ def prepare_tree(
         neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
-        amplitude=rms * network.energy_gain * free[:, None, None],
+        amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
         spread=spread,
         leaves=leaves,
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),

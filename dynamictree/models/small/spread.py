@@ -13,10 +13,16 @@ from torch import Tensor
 from dynamictree.models.wind import REFERENCE_SPEED
 
 
-def speed_terms(log_speed: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S 3"]:
-    """Terms of a spread: 1, l and l², l = ln(U / REFERENCE_SPEED); U within 1 to 25 m/s, as trees were made at."""
-    most = math.log(REFERENCE_SPEED)
-    return (log_speed - most).clamp(-most, most)[..., None] ** torch.arange(3)
+def speed_terms(log_speed: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S U"]:
+    """Shares of the stored speeds, evenly spaced in ln from 1 to 25 m/s, as trees were made at, at a speed."""
+    count = 5  # held out, ln energy of k = 7 to 15 errs by 0.19, with one gain for all speeds by 0.28 (168 trees)
+    place = (log_speed / (2 * math.log(REFERENCE_SPEED))).clamp(0, 1) * (count - 1)
+    return (1 - (place[..., None] - torch.arange(count)).abs()).clamp_min(0)
+
+
+def at_speed(stored: Float32[Tensor, "U J 3"], log_speed: Float32[Tensor, ""]) -> Float32[Tensor, "J 3"]:
+    """Interpolate what is stored at the speeds of `speed_terms`."""
+    return torch.einsum("u,ujx->jx", speed_terms(log_speed), stored)
 
 
 def log_surplus(spread: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S"]:

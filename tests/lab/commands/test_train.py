@@ -13,7 +13,7 @@ from dynamictree.errors import InputError
 from dynamictree.models import load_model
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import SmallModel
-from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.network import SmallNetwork
 from dynamictree.weights import weights_path
 from lab.commands.train import train
 from lab.dataset.sample import is_training_seed, make_sample
@@ -48,14 +48,6 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with (folder / "4dtree-00000.safetensors").open("wb") as stream:
         write_shard(trees, stream)
     return folder
-
-
-@pytest.fixture(scope="module")
-def tiny() -> SmallNetwork:
-    torch.manual_seed(0)
-    return SmallNetwork(
-        SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=DenoiserShape(width=8, embedding=8, num_blocks=1))
-    )
 
 
 def test_a_dry_run_prints_the_resolved_run_and_does_nothing(commands: Typer, tmp_path: Path) -> None:
@@ -161,8 +153,8 @@ def changed(one: torch.nn.Module, other: torch.nn.Module) -> bool:
     return any(not torch.equal(a, b) for a, b in zip(one.parameters(), other.parameters(), strict=True))
 
 
-def test_rows_round_trip_to_half_precision(tiny: SmallNetwork, example: Example, tmp_path: Path) -> None:
-    rows = amplitude_rows(tiny.foliage, [example], np.random.default_rng(0))
+def test_rows_round_trip_to_half_precision(tiny_network: SmallNetwork, example: Example, tmp_path: Path) -> None:
+    rows = amplitude_rows(tiny_network.foliage, [example], np.random.default_rng(0))
     for number in (0, 1):
         write_rows(rows, tmp_path / f"{number}.safetensors")
     again = read_rows([tmp_path / "0.safetensors", tmp_path / "1.safetensors"])

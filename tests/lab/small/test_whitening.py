@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from dynamictree.models.small.correlated_noise import NUM_SCALES, noise_basis
-from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.features import coarsen_features
 from dynamictree.models.small.generate import SmallModel
-from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.network import SmallNetwork
+from dynamictree.models.small.spread import at_speed
 from lab.dataset.sample import make_sample
 from lab.dataset.shards import store
 from lab.small.examples import gust_pair, make_example, voxels_of
@@ -18,14 +18,8 @@ from lab.small.spread import measure_field, measure_spread
 from lab.small.whitening import fit_shares
 
 
-def tiny_network() -> SmallNetwork:
-    torch.manual_seed(0)
-    shape = DenoiserShape(width=8, embedding=8, num_blocks=1)
-    return SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)).eval()
-
-
-def test_what_is_drawn_has_the_energy_that_trees_have() -> None:
-    network, stored = tiny_network(), store(make_sample(1), resolutions=(128,))
+def test_what_is_drawn_has_the_energy_that_trees_have(tiny_network: SmallNetwork) -> None:
+    network, stored = tiny_network, store(make_sample(1), resolutions=(128,))
     measure_spread(network, [gust_pair(stored)] * 4)
     measure_field(network, [stored], seed=0)
     model, voxels = SmallModel(network, name="tiny"), voxels_of(stored)
@@ -35,14 +29,23 @@ def test_what_is_drawn_has_the_energy_that_trees_have() -> None:
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 1.6])
-def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(spread: float) -> None:
-    network, example = tiny_network(), make_example(1)
+def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(tiny_network: SmallNetwork, spread: float) -> None:
+    network, example = tiny_network, make_example(1)
     generator, pair = torch.Generator().manual_seed(0), []
     for lull in (1.0, 0.1):
         normal = torch.randn(*example.spectrum.shape, dtype=torch.complex64, generator=generator)
         pair.append(replace(example, spectrum=lull * normal * normal.abs() ** (spread - 1)))
     measure_spread(network, [(pair[0], pair[1])] * 4)
-    np.testing.assert_allclose(network.spread_at(torch.tensor(example.wind.speed_m_s).log()), spread, rtol=0.15)
+    np.testing.assert_allclose(at_speed(network.spread, torch.tensor(example.wind.speed_m_s).log()), spread, rtol=0.15)
+
+
+def test_each_speed_has_its_own_gain(tiny_network: SmallNetwork) -> None:
+    example, gains = make_example(1), []
+    calm, storm = (replace(example, wind=replace(example.wind, speed_m_s=speed)) for speed in (1.0, 25.0))
+    for fast in (storm, replace(storm, spectrum=3 * storm.spectrum)):
+        measure_spread(tiny_network, [(calm, calm), (fast, fast)])
+        gains.append(tiny_network.log_gain[[0, -1]].mean(dim=(1, 2)))
+    np.testing.assert_allclose(gains[1] - gains[0], [0, np.log(3)], atol=0.05)
 
 
 def test_fitted_shares_are_those_that_made_the_field() -> None:
