@@ -49,9 +49,9 @@ def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(com
     assert set(report["groups"]) == {"seen-species", "unseen-species"}
     for rows in report["groups"].values():
         assert rows["representation"]["log_amplitude_correlation"] > 0.99
-        assert rows["second wind"]["log_amplitude_rmse"] < 0.15
-        assert rows["second wind"]["roughness_ratio"] == pytest.approx(1, abs=0.1)
-        assert rows["second wind"]["smoothness_loss_ratio"] == pytest.approx(1, abs=0.1)
+        assert rows["second wind"]["log_amplitude_rmse"] < rows["by-height mean"]["log_amplitude_rmse"]
+        for figure in ("roughness_ratio", "smoothness_loss_ratio"):
+            assert abs(rows["second wind"][figure] - 1) < abs(rows["by-height mean"][figure] - 1)
         assert rows["representation"]["log_amplitude_rmse"] < rows["by-height mean"]["log_amplitude_rmse"]
     for energies in report["energy_by_frequency"].values():
         assert all(sum(shares) == pytest.approx(1, abs=1e-3) for shares in energies.values())
