@@ -8,7 +8,7 @@ BOUNDS = {
     "lines in dynamictree": 33_981,
     "lines in lab": 6_328,
     "lines in service, jobs and worker": 15_051,
-    "lines in tests": 40_137,
+    "lines in tests": 40_138,
     "names bound to numbers in dynamictree": 582,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
