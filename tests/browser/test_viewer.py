@@ -212,8 +212,9 @@ def two_faced(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 OF_ANOTHER = """async () => {
-    const { splat } = (await (await import("/web/page/early.js")).page).hand.tree;
-    return Object.create(splat, { renderer: { value: { activeSplats: 9, display: { mapping: [] } } } }).drawn;
+    const { hand } = await (await import("/web/page/early.js")).page;
+    while (!hand.tree?.splat) await new Promise(requestAnimationFrame);
+    return Object.create(hand.tree.splat, { renderer: { value: { activeSplats: 9, display: { mapping: [] } } } }).drawn;
 }"""
 
 
