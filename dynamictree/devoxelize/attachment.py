@@ -117,7 +117,7 @@ class _Surface:
             if len(above) and len(own):
                 share = TWIG_GAP_SHARE * 2.0 ** (one / _CLASSES_PER_DOUBLING)
                 reach_m = max(MAX_GAP_VOXELS, min(gap_voxels, share)) * self.voxel_size_m
-                gap, nearest = _near(self.places[above], self.places[own], reach_m=reach_m, count=1)
+                gap, nearest = _nearest(_tree(self.places[above]), self.places[own], reach_m=reach_m, count=1)
                 best = _first_of_each(self.owner[own], gap[:, 0])
                 pairs.append(np.stack([own[best], above[nearest[best, 0]]], axis=1))
         return np.concatenate(pairs)
@@ -147,10 +147,8 @@ class _Surface:
                 smallest[some], there[some] = (np.take_along_axis(of, column, axis=1)[:, 0] for of in (gap, other))
             best_m = np.full(len(self.extent), np.inf)
             np.minimum.at(best_m, self.owner[own], smallest)
-            more = (
-                (full >= 0) & np.isinf(smallest) & (full <= best_m[self.owner[own]])
-            )  # else its part has a nearer one
-            seeks = np.flatnonzero(more)
+            # others have no more near them, or their part has a nearer one
+            seeks = np.flatnonzero((full >= 0) & np.isinf(smallest) & (full <= best_m[self.owner[own]]))
         best = _first_of_each(self.owner[own], smallest)
         return np.stack([own[best], there[best]], axis=1)
 
@@ -165,13 +163,6 @@ class _Surface:
         return np.asarray(touches & (from_middle >= _AT_END * self.extent[part]))
 
 
-def _near(
-    places: Float32[np.ndarray, "P 3"], points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
-) -> tuple[Float64[np.ndarray, "M count"], Int64[np.ndarray, "M count"]]:
-    """Distance and row of the nearest places to each point, nearest first; infinite and P where there is none."""
-    return _nearest(_tree(places), points, reach_m=reach_m, count=count)
-
-
 def _tree(places: Float32[np.ndarray, "P 3"]) -> cKDTree:
     return cKDTree(places, balanced_tree=False, compact_nodes=False)  # few queries: quick to build
 
@@ -179,6 +170,7 @@ def _tree(places: Float32[np.ndarray, "P 3"]) -> cKDTree:
 def _nearest(
     tree: cKDTree, points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
 ) -> tuple[Float64[np.ndarray, "M count"], Int64[np.ndarray, "M count"]]:
+    """Distance and row of the nearest places to each point, nearest first; infinite and their number if none is."""
     matches = tree.query(points, k=np.arange(1, count + 1), distance_upper_bound=reach_m, workers=num_cores())
     return np.asarray(matches[0]), np.asarray(matches[1])
 

@@ -71,7 +71,7 @@ class Target:
 def fit_turns(skeleton: Skeleton, weights: Weights, target: Target) -> Complex64[np.ndarray, "B K 3"]:
     """Turn modes [rad], in the spectrum's convention, for the bones that carry the target's points."""
     placing = _placing(skeleton, weights, target.points)
-    voxels = _Voxels(weights, target, placing)
+    voxels = _Voxels(skeleton, weights, target, placing)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
     for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
         problem = _Problem(skeleton, weights, target, placing, voxels, about=turns[:, 0].real)
@@ -98,19 +98,26 @@ def _descended(problem: "_Problem", now: "_State", rounds: int) -> "_State":
 class _Voxels:
     """Means of the bones' surface in each of V voxels, and what they should do."""
 
-    def __init__(self, weights: Weights, target: Target, placing: scipy.sparse.csr_array) -> None:
+    def __init__(self, skeleton: Skeleton, weights: Weights, target: Target, placing: scipy.sparse.csr_array) -> None:
         self.coefficients, self.num_frames = target.coefficients, target.num_frames
         self.means = (target.mean.astype(np.float32) @ placing.astype(np.float32)).tocsr()
         num_bones = placing.shape[1] // 4
         alone = np.arange(num_bones)  # all that bends is fitted together
         alone[weights.rows[(weights.shares > 0) & (weights.shares < 1)]] = GROUND
+        # a voxel counts as 1 / energy, or a trunk moves with what its crown misses; all above the median count as one,
+        # and so does a crown that is one surface, which would tear where it hardly moves
+        power = (np.abs(self.coefficients) ** 2).sum(axis=2) @ bin_weights(self.coefficients.shape[1], self.num_frames)
+        dear = np.clip(np.median(power) / np.maximum(power, 1e-30), 1, 1000)
+        dear[target.mean @ skeleton.in_surface[weights.rows[:, 0]] > 0.5] = 1
+        self.weight = dear.astype(np.float32)
         self.moments = scipy.sparse.csr_array((4 * num_bones, 4 * num_bones))
         for start in range(0, len(self.coefficients), _VOXELS_AT_ONCE):
             means = self.means[start : start + _VOXELS_AT_ONCE].tocoo()
             column, bone = np.divmod(means.col, num_bones)
             keys, pair = np.unique(means.row * np.int64(num_bones) + alone[bone], return_inverse=True)
             share = np.bincount(pair, np.where(column == 0, means.data, 0), len(keys))
-            scaled = means.data / np.sqrt(np.maximum(share, 1e-12))[pair]
+            weight = self.weight[start + means.row]
+            scaled = means.data * np.sqrt(weight / np.maximum(share, 1e-12)[pair])
             parts = scipy.sparse.csr_array((scaled, (pair, means.col)), (len(keys), 4 * num_bones))
             self.moments = self.moments + parts.T @ parts
 
@@ -121,8 +128,9 @@ class _Voxels:
             some = slice(start, start + _VOXELS_AT_ONCE)
             means = scipy.sparse.csr_array(self.means[some])
             missing = self.coefficients[some, : stacked.shape[2]].transpose(0, 2, 1) - _times(means, stacked)
-            lost += _weighed(missing, missing, self.num_frames)
-            missed += _times(means.T, missing)
+            weighted = self.weight[some, None, None] * missing
+            lost += _weighed(missing, weighted, self.num_frames)
+            missed += _times(means.T, weighted)
         return missed, lost
 
 
@@ -380,12 +388,12 @@ def _linear(
     return moves, chain
 
 
-def _apart(skeleton: Skeleton, weights: Weights, target: Target, carried: np.ndarray) -> scipy.sparse.csr_array:
+def _apart(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarray) -> scipy.sparse.csr_array:
     """What neighbours turn apart times the length of the shorter bone, weighted [m]; 9B columns."""
-    stiff = 0.004  # price for each voxel beyond: without it, a trunk turns at its foot with what its crown misses
+    stiff = 0.004  # price for each voxel beyond: without it, edges of generated motions stretch by a sixth more
+    beyond, num_bones, parent, one_voxel = voxels.copy(), len(skeleton), skeleton.parent, target.voxel_m**2
     for level in reversed(skeleton.levels):
-        np.add.at(carried, skeleton.above[level], carried[level])
-    num_bones, parent = len(skeleton), skeleton.parent
+        np.add.at(beyond, skeleton.above[level], beyond[level])
     joined = np.unique(np.sort(weights.rows[target.edges, 0], axis=1), axis=0)
     first, second = joined[
         (joined[:, 0] != joined[:, 1]) & (parent[joined[:, 0]] != joined[:, 1]) & (parent[joined[:, 1]] != joined[:, 0])
@@ -393,11 +401,11 @@ def _apart(skeleton: Skeleton, weights: Weights, target: Target, carried: np.nda
     child = np.arange(1, num_bones)
     one, other = np.concatenate([child, first]), np.concatenate([parent[1:], second])
     price = np.repeat([APART, APART_BESIDE], [len(child), len(first)])
-    beyond, voxel = np.append(carried[child], np.zeros(len(first))), target.voxel_m**2
-    length = (skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1)
-    length = np.minimum(length[one], length[other])
-    lever_m = np.sqrt(price * (length + voxel) + stiff * beyond * (length + 10 * voxel))[:, None, None] * np.eye(3)
-    rows = np.arange(len(one))
+    carried = np.append(beyond[child], np.zeros(len(first)))
+    square = (skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1)
+    square = np.minimum(square[one], square[other])
+    lever_m = np.sqrt(price * (square + one_voxel) + stiff * carried * (square + 10 * one_voxel))
+    rows, lever_m = np.arange(len(one)), lever_m[:, None, None] * np.eye(3)
     return _blocks((len(one), num_bones), (rows, num_bones + one, lever_m), (rows, num_bones + other, -lever_m))
 
 

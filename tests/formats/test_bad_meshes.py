@@ -255,15 +255,10 @@ def test_other_kinds_of_file_are_refused_with_what_is_accepted(file_type: str) -
         read(b"", file_type)
 
 
-@pytest.mark.parametrize("unit_m", [0.0, -1.0, np.nan, np.inf])
-def test_a_unit_that_is_no_length_is_refused(rng: np.random.Generator, unit_m: float) -> None:
-    with pytest.raises(InputError, match="unit_m"):
-        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", reading=Reading(unit_m=unit_m))
-
-
-def test_an_axis_that_is_none_is_refused(rng: np.random.Generator) -> None:
-    with pytest.raises(InputError, match="up_axis is 'up'"):
-        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", reading=Reading(up_axis="up"))
+@pytest.mark.parametrize("reading", [{"unit_m": unit} for unit in (0.0, -1.0, np.nan, np.inf)] + [{"up_axis": "up"}])
+def test_a_unit_that_is_no_length_or_an_axis_that_is_none_is_refused(rng: np.random.Generator, reading: dict) -> None:
+    with pytest.raises(InputError, match=next(iter(reading))):
+        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", reading=Reading(**reading))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -254,6 +254,15 @@ def one(stated: Verdict) -> bool:
     return bool(stated["trees"] == 1 and not warned(stated, "several-trees"))
 
 
+def lying(mesh: Callable[[], trimesh.Trimesh], up: str, file_type: str) -> Kind:
+    """What looks as if it lay, where it stands along the file's `up`."""
+    return Kind(
+        file_type=file_type,
+        content=lambda: exported(mesh(), up=up, kind=file_type),
+        is_right=lambda stated: stated["up"] == up or warned(stated, "orientation-uncertain"),
+    )
+
+
 KINDS = {
     "willow": Kind(
         file_type="glb",
@@ -276,21 +285,9 @@ KINDS = {
         content=lambda: exported(*potted(), names=("Path.003", "Planter")),
         is_right=lambda stated: stated["still"] == faces_of(potted()[1]),
     ),
-    "log": Kind(
-        file_type="obj",
-        content=lambda: exported(log(), up="+Y", kind="obj"),
-        is_right=lambda stated: stated["up"] == "+Y" or warned(stated, "orientation-uncertain"),
-    ),
-    "bare log": Kind(
-        file_type="stl",
-        content=lambda: exported(log(branches=False), up="+Z", kind="stl"),
-        is_right=lambda stated: stated["up"] == "+Z" or warned(stated, "orientation-uncertain"),
-    ),
-    "stump": Kind(
-        file_type="obj",
-        content=lambda: exported(stump(), up="+Y", kind="obj"),
-        is_right=lambda stated: stated["up"] == "+Y" or warned(stated, "orientation-uncertain"),
-    ),
+    "log": lying(log, "+Y", "obj"),
+    "bare log": lying(partial(log, branches=False), "+Z", "stl"),
+    "stump": lying(stump, "+Y", "obj"),
     "tree along +Z in a GLB": Kind(
         file_type="glb",
         content=lambda: exported(grown("round-broadleaf"), up="+Z"),

@@ -124,8 +124,7 @@ def test_a_card_hangs_on_the_twig_near_it_and_not_on_the_next_card() -> None:
     """Cards of 0.8 m in a chain, 1.2 to 2 voxels from one another, 3 from the trunk: each is the trunk's."""
     across = 0.4 * np.eye(3)[1:]
     chain = [card(np.array([0.2 + 3 * 10 / 128, 0.0, 5 + 0.95 * i]), (1 + 0.01 * i) * across) for i in range(5)]
-    mesh, owner = merged(tube([0, 0, 0], [0, 0, 10], 0.2), *chain)
-    assert attached(mesh, owner) == dict.fromkeys(range(1, 6), 0)
+    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2), *chain)) == dict.fromkeys(range(1, 6), 0)
 
 
 def test_a_card_hangs_on_the_small_twig_that_it_touches_and_not_on_the_branch_beside_it() -> None:
@@ -149,8 +148,7 @@ def test_a_branch_hangs_where_its_foot_is_and_not_where_it_crosses() -> None:
     trunk = tube([0, 0, 0], [0, 0, 10], 0.2, rings=40, sides=12)
     foot = tube([0.15, 0, 6], [2.5, 0, 7], 0.08, rings=10, sides=8)
     crossing = tube([-1.2, 0.25, 3], [1.2, 0.25, 3], 0.08, rings=10, sides=8)
-    mesh, owner = merged(trunk, foot, crossing)
-    assert attached(mesh, owner) == {1: 0}
+    assert attached(*merged(trunk, foot, crossing)) == {1: 0}
 
 
 def test_a_trunk_does_not_hang_on_its_crown() -> None:

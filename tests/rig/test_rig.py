@@ -123,6 +123,16 @@ def test_no_motion_runs_away(tree: Tree, times: float) -> None:
     assert np.linalg.norm(moved, axis=2).max() < 2 * mesh.height_m
 
 
+def test_the_foot_of_a_trunk_moves_as_its_voxels_whatever_its_crown_misses() -> None:
+    """In a generated motion. It moved 6.7 times as far when each voxel counted alike."""
+    mesh = make_sample(4, "pine").mesh
+    spectrum = method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=8.0), seed=0)
+    rig, places = rig_of(mesh, spectrum), spectrum.grid.centres_m
+    foot = (places[:, 2] > 0.02 * mesh.height_m) & (places[:, 2] < 0.14 * mesh.height_m)
+    sizes = [np.abs(motion[foot, 1:]).sum() for motion in (rig.loop(places, rig.voxels), spectrum.coefficients)]
+    assert sizes[0] < 1.5 * sizes[1]
+
+
 def test_the_system_of_a_dense_bush_grows_with_its_cards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cards that share voxels: the factors had 2,600 numbers a bone when voxels coupled them, and now 37."""
     mesh, factors = bush(3000, card_m=0.15, radius_m=1.0), []
