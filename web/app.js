@@ -28,7 +28,7 @@ import { buildSettings } from "./page/settings.js";
 import { ShareDialog } from "./page/share.js";
 import { buildSound } from "./page/sound.js";
 import { length, number, percent, text } from "./page/texts.js";
-import { currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
+import { dress, onSystemTheme, switchTheme } from "./page/theme.js";
 import { TreeForm } from "./page/tree_form.js";
 import { ViewPanel } from "./page/views.js";
 import { buildWelcome, exampleFile, showFormats } from "./page/welcome.js";
@@ -197,7 +197,7 @@ export class App {
   }
 
   look() {
-    this.stage.look(currentTheme());
+    dress(this.stage);
     this.wind.show();
     if (this.scene.tree?.moves) this.showViews();
   }

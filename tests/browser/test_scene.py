@@ -59,12 +59,11 @@ def test_shadows_can_be_switched_off(paused: Viewer) -> None:
     assert viewer.complaints == []
 
 
-def test_the_samples_of_a_shadow_are_turned_together_and_software_takes_one(view: Open, url: str) -> None:
+def test_software_looks_up_a_shadow_once_and_takes_no_power(view: Open, url: str) -> None:
     (viewer := view(640, 480)).open(url)
-    of = "async () => ((await import('/web/draw/shadow.js')).sampleShadows({}), (await import('three')).ShaderChunk)"
-    card, software = (viewer.page.evaluate(of.format(kind))["shadowmap_pars_fragment"] for kind in ("false", "true"))
-    assert card.count("turned * vec2(") == 5
-    assert "shadow = texture(shadowMap, shadowCoord.xyz)" in software
+    chunks = viewer.page.evaluate("async () => (await import('three')).ShaderChunk")
+    assert "shadow = texture(shadowMap, shadowCoord.xyz)" in chunks["shadowmap_pars_fragment"]
+    assert "pow" not in chunks["colorspace_pars_fragment"].split("sRGBTransferOETF")[1].split("}")[0]
 
 
 # In each turn: the share of pixels that a shadow drawn in this moment would make lighter or darker than what is seen

@@ -18,7 +18,7 @@ vec3 fieldOfPoint() { vShare = share; vStill = still; return movedAt(gl_VertexID
 mat4 poseOfPoint() {
   mat4 pose = mat4(0.0);
   float carried = 0.0; // 0 for what is no plant
-  for (int i = 0; i < 4 * bent; i++) { // software skips a loop, not a branch
+  for (int i = 0; i < 4; i++) {
     pose += boneWeights[i] * poseOf(int(boneRows[i] + 0.5));
     carried += boneWeights[i];
   }
@@ -30,15 +30,20 @@ vec3 restPoint() { return position; }`,
   cubes: /* glsl */ `
 attribute vec3 centre; attribute vec2 carrier;
 vec3 fieldOfPoint() { return movedAt(int(carrier.x + 0.5)); }
-mat4 poseOfPoint() { return bent == 0 ? mat4(1.0) : poseOf(int(carrier.y + 0.5)); }
+mat4 poseOfPoint() { return poseOf(int(carrier.y + 0.5)); }
 vec3 restPoint() { return centre + position; }`,
 };
 
 const FOLLOW = /* glsl */ `
-mat4 pose;
-vec3 follow() {
-  pose = poseOfPoint();
-  return (pose * vec4(restPoint() + fieldOfPoint(), 1.0)).xyz;
+vec3 followed, turned; // where it is now, and its normal
+void follow(vec3 normal) {
+  followed = restPoint() + fieldOfPoint();
+  turned = normal;
+  for (int i = 0; i < bent; i++) { // software skips a loop, not a branch
+    mat4 pose = poseOfPoint();
+    followed = (pose * vec4(followed, 1.0)).xyz;
+    turned = mat3(pose) * normal;
+  }
 }`;
 
 // a colour map that reads in order: dark where nothing moves, through blue and green to a light yellow
@@ -56,11 +61,11 @@ float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNo
 /** What is added to the colour of a kind. */
 const COLOURS = {
   surface: `
-if (coloured > 0.5) diffuseColor.rgb = mix(ramp(vShare), vec3(0.5), vStill);`,
+for (int i = 0; i < coloured; i++) diffuseColor.rgb = mix(ramp(vShare), vec3(0.5), vStill);`,
   cubes: `
 diffuseColor.rgb = mix(vec3(0.22, 0.42, 0.30), vec3(0.62, 0.74, 0.55), 0.5 + 0.5 * normalize(vNormal).y);`,
 };
-const COLOURED = { surface: `uniform float coloured; varying float vShare, vStill;\n${RAMP}`, cubes: "" };
+const COLOURED = { surface: `uniform int coloured; varying float vShare, vStill;\n${RAMP}`, cubes: "" };
 
 /** Make a material's vertices follow; `uniforms` are the tree's. `kind` is a key of KINDS. */
 export function makeFollow(material, uniforms, kind) {
@@ -69,8 +74,8 @@ export function makeFollow(material, uniforms, kind) {
     Object.assign(shader.uniforms, uniforms);
     shader.vertexShader = replaced(shader.vertexShader, {
       common: `$&\n${DISPLACE}\n${KINDS[kind]}\n${FOLLOW}`,
-      ...(lit && { beginnormal_vertex: "vec3 followed = follow();\nvec3 objectNormal = mat3(pose) * normal;" }),
-      begin_vertex: `vec3 transformed = ${lit ? "followed" : "follow()"};`,
+      ...(lit && { beginnormal_vertex: "follow(normal);\nvec3 objectNormal = turned;" }),
+      begin_vertex: `${lit ? "" : "follow(vec3(0.0));\n"}vec3 transformed = followed;`,
     });
     if (!lit) return; // a shadow has no colour
     shader.fragmentShader = replaced(shader.fragmentShader, {

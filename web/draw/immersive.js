@@ -16,7 +16,7 @@ export async function immerse(stage, kind, { onSelect = () => {} } = {}) {
   const { renderer, camera, scene, box, surroundings } = stage;
   const session = await navigator.xr.requestSession(modeOf(kind), { optionalFeatures: ["local-floor"] });
   const seen = camera.clone();
-  const ground = surroundings.ground.visible;
+  const [ground, sky] = [surroundings.ground.visible, surroundings.backdrop.visible];
   const floor = new THREE.Group(); // a session's +Y is up, and its wearer looks along -Z
   const size = box.getSize(new THREE.Vector3());
   const middle = box.getCenter(new THREE.Vector3());
@@ -26,6 +26,7 @@ export async function immerse(stage, kind, { onSelect = () => {} } = {}) {
   floor.add(camera);
   scene.add(floor);
   surroundings.ground.visible = ground && kind === "vr"; // a room has its own
+  surroundings.backdrop.visible = false;
   renderer.xr.enabled = true;
   session.addEventListener("select", onSelect);
   session.addEventListener("end", () => {
@@ -34,6 +35,7 @@ export async function immerse(stage, kind, { onSelect = () => {} } = {}) {
     floor.remove(camera);
     camera.copy(seen);
     surroundings.ground.visible = ground;
+    surroundings.backdrop.visible = sky;
     stage.resize();
     stage.controls.update();
   });

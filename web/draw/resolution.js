@@ -4,17 +4,19 @@ const SLOW_MS = 40;
 const FAST_MS = 18;
 const STEP = 0.8;
 export const LEAST = 0.5;
-const LEAST_IN_SOFTWARE = 0.75; // of a mesh: fewer save a tenth of a frame's time there, and look like blocks
+const LEAST_IN_SOFTWARE = 0.6; // of a mesh: its edges look like blocks with fewer
+const FIRST_IN_SOFTWARE = 0.75;
 const SETTLE_MS = 250; // a picture that has not changed for so long is drawn in full
 const PATIENCE = 6; // frames between two changes
 const LONGEST_MS = 500; // a single frame counts as no more: the tab may have been in the background
 
 export class Resolution {
-  /** A still picture is drawn at `stillScale` of the pixel ratio; in `software` it begins with the fewest pixels. */
+  /** A still picture is drawn at `stillScale` of the pixel ratio; in `software` it begins with fewer pixels. */
   constructor(stillScale = 1, software = false) {
     this.stillScale = stillScale;
+    this.software = software;
     this.least = software ? LEAST_IN_SOFTWARE : LEAST;
-    this.scale = software ? this.least : 1; // of the pixel ratio
+    this.scale = software ? FIRST_IN_SOFTWARE : 1; // of the pixel ratio
     this.frame = 0;
     this.mean = 0;
     this.before = 0;
@@ -44,9 +46,9 @@ export class Resolution {
     return !this.sharp && now - this.before > SETTLE_MS;
   }
 
-  /** Frames between two updates of the shadow map. */
+  /** Frames between two updates of the shadow map of what does not leave its shadow. */
   get shadowEvery() {
-    return this.scale > 0.9 ? 1 : this.scale > 1.2 * this.least ? 2 : 4;
+    return this.scale > 0.9 ? 1 : this.software ? 8 : this.scale > 1.2 * this.least ? 2 : 4;
   }
 
   _adapt(elapsed) {

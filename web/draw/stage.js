@@ -3,8 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Resolution } from "./resolution.js";
-import { sampleShadows } from "./shadow.js";
-import { contextOf } from "./software.js";
+import { contextOf, lightenShaders } from "./software.js";
 import { Surroundings } from "./surroundings.js";
 
 const FIELD_OF_VIEW = 30;
@@ -17,6 +16,7 @@ export class Stage {
   constructor(first, { onContext = () => {} } = /** @type {any} */ ({})) {
     const { canvas, context, soft } = contextOf(first);
     this.canvas = canvas;
+    this.soft = soft;
     if (!context) throw new Error("this browser has no WebGL 2");
     this.renderer = new THREE.WebGLRenderer({ canvas, context, stencil: true });
     this.renderer.debug.checkShaderErrors = false; // each of its questions waits for the card; WebGL itself warns
@@ -29,7 +29,7 @@ export class Stage {
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
     this.camera.up.set(0, 0, 1);
-    sampleShadows(soft);
+    if (soft) lightenShaders();
     this.surroundings = new Surroundings(this.scene, soft);
     this.resolution = new Resolution(soft ? 2 : 1, soft);
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
@@ -56,8 +56,10 @@ export class Stage {
     });
   }
 
-  look(theme) {
+  /** Of a theme, and in software before a `sky` in two colours of CSS; null leaves that to the page. */
+  look(theme, sky = null) {
     this.surroundings.look(theme);
+    this.surroundings.backdrop.look(this.soft && sky);
     this.stale = true;
   }
 
@@ -205,12 +207,12 @@ export class Stage {
 
   /** Draw with all pixels, for a picture that is taken in the same turn. */
   drawNow() {
-    const { arrow } = this.surroundings;
-    const shown = arrow.visible;
-    arrow.visible = false; // a picture is of the tree
+    const { arrow, backdrop } = this.surroundings;
+    const shown = [arrow, backdrop].filter(({ visible }) => visible);
+    for (const each of shown) each.visible = false; // a picture is of the tree
     this._render(1, true);
-    Object.assign(arrow, { visible: shown });
-    this.resolution.sharp = !shown; // the screen's own picture has the arrow
+    for (const each of shown) each.visible = true;
+    this.resolution.sharp = !shown.length; // the screen's own picture has them
   }
 
   _render(scale, shadow) {

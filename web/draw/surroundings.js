@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { Ground } from "./ground.js";
 import { SLACK } from "./shadow.js";
+import { Sky } from "./sky.js";
 
 const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
 const LOOKS = {
@@ -10,6 +11,7 @@ const LOOKS = {
   dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
 };
 const AROUND = 0.3; // of the radius: so far motion may carry a shadow out of the box
+const WING = 0.045; // of the arrow, in its size
 const ARROW_SHARE = 0.85; // of what is seen beside the tree
 
 export class Surroundings {
@@ -24,8 +26,9 @@ export class Surroundings {
     this.sun.shadow.camera.up.set(0, 0, 1);
     this.ground = new Ground();
     this.arrow = windArrow();
+    this.backdrop = new Sky();
     this.sunPlace = SUN;
-    scene.add(this.sky, this.sun, this.sun.target, this.ground, this.arrow);
+    scene.add(this.sky, this.sun, this.sun.target, this.ground, this.arrow, this.backdrop);
   }
 
   /** Colours of the theme: "light" or "dark". */
@@ -93,20 +96,10 @@ const positive = ({ x, y, z }) => new THREE.Vector3(Math.abs(x), Math.abs(y), Ma
 
 /** Three chevrons on the ground before the tree, pointing along +X. */
 function windArrow() {
-  const places = [];
-  for (let i = 0; i < 3; i++) {
-    const x = 0.84 + 0.085 * i;
-    const [wing, thick] = [0.045, 0.03];
-    for (const side of [1, -1]) {
-      const tip = [x, 0];
-      const tipBack = [x - thick * 1.5, 0];
-      const end = [x - wing, side * wing];
-      const endBack = [x - wing - thick * 1.5, side * wing];
-      for (const corner of [tip, end, tipBack, tipBack, end, endBack]) places.push(...corner, 0);
-    }
-  }
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(places), 3));
+  const along = [0, -1, -2, -1, -2, -1]; // of each one's corners from its tip
+  const across = [0, 1, 1, 0, -1, -1];
+  const chevron = (tip) => new THREE.Shape(along.map((x, i) => new THREE.Vector2(tip + WING * x, WING * across[i])));
+  const geometry = new THREE.ShapeGeometry([0.84, 0.925, 1.01].map(chevron));
   const material = new THREE.MeshBasicMaterial({ transparent: true, side: THREE.DoubleSide, depthWrite: false });
   const arrow = new THREE.Mesh(geometry, material);
   arrow.visible = false;

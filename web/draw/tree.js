@@ -49,6 +49,8 @@ export class Tree {
   setSurface(surface, { hidden = false } = {}) {
     this._dropMesh();
     Object.assign(this, { surface, hidden });
+    const fast = { anisotropy: 1, minFilter: THREE.LinearMipmapNearestFilter }; // in software each lookup counts
+    if (this.stage.soft) for (const texture of surface.textures) Object.assign(texture ?? {}, fast);
     this.mesh = new THREE.Mesh(surface.geometry);
     this.mesh.castShadow = this.mesh.receiveShadow = true;
     this.mesh.frustumCulled = false;

@@ -12,7 +12,7 @@ import { Player } from "./player.js";
 import { showProblem } from "./problem.js";
 import { Scene } from "./scene.js";
 import { translate } from "./texts.js";
-import { applyTheme, currentTheme } from "./theme.js";
+import { applyTheme, dress } from "./theme.js";
 
 const LATEST_MS = 2000; // neither picture nor rest waits longer for the tree, without which the page works as well
 
@@ -37,7 +37,7 @@ export async function begin(files) {
     const { App } = await import("../app.js");
     new App(parts);
   };
-  stage.look(currentTheme());
+  dress(stage);
   layOut(stage, "welcome");
   setTimeout(() => parts.onDraw(), LATEST_MS);
   if (linkedJob()) parts.onDraw();

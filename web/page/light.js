@@ -2,6 +2,7 @@
 
 import { $, describe } from "./dom.js";
 import { bearing, degrees } from "./texts.js";
+import { dress } from "./theme.js";
 
 export class LightPanel {
   constructor(stage) {
@@ -14,6 +15,7 @@ export class LightPanel {
     };
     $("background").onchange = () => {
       document.body.dataset.background = $("background").value;
+      dress(stage);
     };
     const { from_deg, height_deg } = stage.surroundings.sunPlace;
     $("sun-from").value = from_deg;

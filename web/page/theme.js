@@ -1,5 +1,6 @@
 // Light or dark, by the system's wish or by the button. The choice is stored in this browser.
 
+import { $ } from "./dom.js";
 import { store, stored } from "./storage.js";
 
 const system = matchMedia("(prefers-color-scheme: dark)");
@@ -17,6 +18,14 @@ export function applyTheme() {
 }
 
 export const onSystemTheme = (listener) => system.addEventListener("change", listener);
+
+/** Show a stage in the theme's colours, before the sky where no other background is chosen. */
+export function dress(stage) {
+  const { color, backgroundColor } = getComputedStyle($("sky"));
+  const isSky = (document.body.dataset.background ?? "sky") === "sky";
+  stage.look(currentTheme(), isSky ? [color, backgroundColor] : null);
+  document.body.classList.toggle("bare", stage.surroundings.backdrop.visible);
+}
 
 /** The accent as the theme has it now: light-dark() is only resolved in a used colour. */
 export function accent() {
