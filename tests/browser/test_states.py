@@ -161,7 +161,7 @@ def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) 
     page.keyboard.press("Escape")
     expect(page.get_by_role("alert")).to_contain_text("You have deleted this tree")
     expect(page.locator("#problem-retry")).to_be_hidden()
-    assert [text for text in viewer.complaints if "410" not in text and "404" not in text] == []  # modes: asked ahead
+    assert [text for text in viewer.complaints if "410" not in text] == []
 
 
 def test_the_graphics_context_is_lost_and_comes_back(moving: Viewer) -> None:

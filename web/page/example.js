@@ -7,8 +7,11 @@ const EXAMPLE = { surface: example("surface"), modes: example("modes") };
 export const linkedJob = () => new URLSearchParams(location.hash.slice(1)).get("job");
 
 /** Surface and modes, as `standParts` takes them. */
-export async function fetchExample() {
-  const files = Object.entries(EXAMPLE).map(async ([name, path]) => [name, await bytesOf(path)]);
+export const fetchExample = () => contentsOf(EXAMPLE);
+
+/** The same names, each with what `read` gets at its path. */
+export async function contentsOf(paths, read = bytesOf) {
+  const files = Object.entries(paths).map(async ([name, path]) => [name, await read(path)]);
   return Object.fromEntries(await Promise.all(files));
 }
 
@@ -16,8 +19,8 @@ export async function fetchExample() {
 export async function fetchMotion(job) {
   const key = sessionStorage.getItem("key");
   const ask = (path) => fetch(path, { headers: key ? { Authorization: `Bearer ${key}` } : {} });
-  const { result } = await (await ask(`/v1/jobs/${job}`)).json();
-  const asked = ["modes?shapes=false", "surface"].map((part) => ask(`/v1/spectra/${result.spectrum_id}/${part}`));
+  const { spectrum_id: id } = (await (await ask(`/v1/jobs/${job}`)).json()).result;
+  const asked = (id ? ["modes?shapes=false", "surface"] : []).map((part) => ask(`/v1/spectra/${id}/${part}`));
   for (const response of asked) await (await response).arrayBuffer();
 }
 

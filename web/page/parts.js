@@ -3,7 +3,7 @@
 import { readSurface } from "../draw/surface.js";
 import { localSource } from "../motion/local.js";
 import { Modes } from "../motion/modes.js";
-import { bytesOf } from "./example.js";
+import { contentsOf } from "./example.js";
 
 const SMALL = "shapes=false"; // the bones of the surface say how voxels move
 const NAMES = ["surface", "modes", "splat"];
@@ -40,16 +40,11 @@ export function partsIn(fragment) {
 }
 
 /** The contents of parts. */
-export async function fetchParts(client, parts) {
-  const files = Object.entries(parts).map(async ([name, path]) => [name, await client.bytes(path)]);
-  return Object.fromEntries(await Promise.all(files));
-}
+export const fetchParts = (client, parts) => contentsOf(parts, (path) => client.bytes(path));
 
 /** The contents of a folder on any web server: see page/web_folder.js. */
-export async function fetchFolder(folder, names) {
-  const files = names.map(async (name) => [name, await bytesOf(`${folder}${name}.safetensors`)]);
-  return Object.fromEntries(await Promise.all(files));
-}
+export const fetchFolder = (folder, names) =>
+  contentsOf(Object.fromEntries(names.map((name) => [name, `${folder}${name}.safetensors`])));
 
 /** Stand a tree on the scene from its parts' contents: `{ tree, source, spectrum }`; null if it is not wanted any more. */
 export async function standParts(scene, { surface, modes, splat }, isWanted = () => true) {
