@@ -53,17 +53,11 @@ function leafTest({ min, max }) {
 /** The bounding box and the number of vertices of each part. */
 function boxesOf(part, vertices, N) {
   const boxes = new Map();
+  const at = new THREE.Vector3();
   for (let v = 0; v < N; v++) {
     let entry = boxes.get(part[v]);
     if (!entry) boxes.set(part[v], (entry = { box: new THREE.Box3(), count: 0 }));
-    const { min, max } = entry.box;
-    const [x, y, z] = [vertices[3 * v], vertices[3 * v + 1], vertices[3 * v + 2]];
-    if (x < min.x) min.x = x;
-    if (x > max.x) max.x = x;
-    if (y < min.y) min.y = y;
-    if (y > max.y) max.y = y;
-    if (z < min.z) min.z = z;
-    if (z > max.z) max.z = z;
+    entry.box.expandByPoint(at.fromArray(vertices, 3 * v));
     entry.count++;
   }
   return boxes;

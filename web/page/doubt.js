@@ -40,8 +40,7 @@ export class SizeDoubt {
     fill($("doubt-words"), text(files ? "doubt.words" : "doubt.reread", { height: length(high) }));
     const keep = button(text("doubt.keep", { height: length(high) }), () => {
       this.dismissed = asset.id;
-      $("doubt").hidden = true;
-      this.onChange();
+      this._close();
     });
     const chips = (files ? proposals(high, scale) : []).map(({ unit, height_m: other }) =>
       button(`${unit}: ${length(other)}`, () => this.onHeight(other)),
@@ -53,12 +52,19 @@ export class SizeDoubt {
   /** Sentences of the service on a tree from photos, until they are read. */
   say(sentences) {
     fill($("doubt-words"), sentences.join("\n"));
-    const read = button(text("doubt.read"), () => {
-      $("doubt").hidden = true;
-      this.onChange();
-    });
-    $("doubt-chips").replaceChildren(element("li", {}, read));
+    $("doubt-chips").replaceChildren(
+      element(
+        "li",
+        {},
+        button(text("doubt.read"), () => this._close()),
+      ),
+    );
     $("doubt").hidden = false;
+    this.onChange();
+  }
+
+  _close() {
+    $("doubt").hidden = true;
     this.onChange();
   }
 }

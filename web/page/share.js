@@ -12,12 +12,7 @@ export class ShareDialog {
   constructor(client, { tree, onProblem }) {
     Object.assign(this, { client, tree });
     $("share").onclick = () => this.show().catch(onProblem);
-    for (const [button, field] of [
-      ["copy-link", "share-link"],
-      ["copy-embed", "share-embed"],
-    ]) {
-      $(button).onclick = () => copy($(field));
-    }
+    for (const what of ["link", "embed"]) $(`copy-${what}`).onclick = () => copy($(`share-${what}`));
   }
 
   async show() {

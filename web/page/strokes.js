@@ -24,12 +24,8 @@ async function askStrokes(client, job) {
   const photos = await loadPhotos(client, job);
   const { scribbles, only_plant: alone } = job.params;
   const marking = new Marking(photos, new StrokeList(scribbles ?? []));
-  await marking.show(
-    Math.max(
-      photos.findIndex(({ name }) => marking.strokes.on(name).length),
-      0,
-    ),
-  );
+  const first = photos.findIndex(({ name }) => marking.strokes.on(name).length);
+  await marking.show(Math.max(first, 0));
   $("strokes-whole").hidden = !scribbles && !alone;
   $("strokes").showModal();
   return marking.answer();
@@ -147,39 +143,27 @@ class Marking {
   _line(context, points, plant) {
     const { width, height } = this.canvas;
     const thick = WIDTH * Math.max(width, height);
-    const at = points.map(([x, y]) => [x * width, y * height]);
+    const path = new Path2D();
+    for (const [x, y] of [points[0], ...points]) path.lineTo(x * width, y * height);
     context.lineCap = context.lineJoin = "round";
-    for (const [colour, size, dashes] of [
-      ["#fff", 1.7 * thick, []],
-      [COLOURS[plant], thick, plant ? [] : [1.2 * thick, 1.9 * thick]],
-    ]) {
-      context.strokeStyle = colour;
-      context.lineWidth = size;
-      context.setLineDash(dashes);
-      context.beginPath();
-      context.moveTo(...at[0]);
-      for (const point of at.length > 1 ? at.slice(1) : at) context.lineTo(...point);
-      context.stroke();
-    }
-    context.setLineDash([]);
+    drawTwice(context, path, ["#fff", 1.7 * thick], [COLOURS[plant], thick, plant ? [] : [1.2 * thick, 1.9 * thick]]);
   }
 
   _cross(context) {
     const { width, height } = this.canvas;
     const [x, y] = [this.cross[0] * width, this.cross[1] * height];
     const reach = 0.03 * Math.max(width, height);
-    for (const [colour, size] of [
-      ["#fff", 5],
-      ["#000", 2],
-    ]) {
-      context.strokeStyle = colour;
-      context.lineWidth = size;
-      context.beginPath();
-      context.moveTo(x - reach, y);
-      context.lineTo(x + reach, y);
-      context.moveTo(x, y - reach);
-      context.lineTo(x, y + reach);
-      context.stroke();
-    }
+    const path = new Path2D(`M${x - reach} ${y}h${2 * reach}M${x} ${y - reach}v${2 * reach}`);
+    drawTwice(context, path, ["#fff", 5], ["#000", 2]);
+  }
+}
+
+/** Draw a path below and above, each with its colour, width and dashes. */
+function drawTwice(context, path, ...lines) {
+  for (const [colour, width, dashes = []] of lines) {
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.setLineDash(dashes);
+    context.stroke(path);
   }
 }

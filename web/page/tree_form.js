@@ -67,7 +67,9 @@ export class TreeForm {
   clear() {
     this.asset = this.job = null;
     this.touched = false;
-    this._dropHelpers();
+    this.helper?.removeFromParent();
+    this.helper = null;
+    this.person?.show(false, 1);
   }
 
   // ---- what is asked for
@@ -197,12 +199,6 @@ export class TreeForm {
       for (const side of SIDES) describe($(`crop-${side}`), null, `${number(100 * Number($(`crop-${side}`).value))} %`);
     }
     this.stage.stale = true;
-  }
-
-  _dropHelpers() {
-    this.helper?.removeFromParent();
-    this.helper = null;
-    this.person?.show(false, 1);
   }
 }
 

@@ -45,15 +45,8 @@ function clusters(frames) {
 
 /** An element: id, size in eight bytes, content. */
 function node(id, ...contents) {
-  const size = contents.reduce((sum, { length }) => sum + length, 0);
-  const parts = [bigEndian(id), Uint8Array.of(1), bigEndian(size, 7), ...contents];
-  const whole = new Uint8Array(parts.reduce((sum, { length }) => sum + length, 0));
-  let at = 0;
-  for (const part of parts) {
-    whole.set(part, at);
-    at += part.length;
-  }
-  return whole;
+  const content = new Blob(contents);
+  return new Blob([bigEndian(id), Uint8Array.of(1), bigEndian(content.size, 7), content]);
 }
 
 const number = (id, value) => node(id, bigEndian(value));
