@@ -8,17 +8,28 @@ import os
 import resource
 import sys
 import tempfile
+import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
+from PIL import Image, UnidentifiedImageError
+
 from dynamictree.errors import DynamicTreeError
-from dynamictree.formats.suffixes import FILM_SUFFIXES
+from dynamictree.formats.companions import beside_model
+from dynamictree.formats.description import describe_capture, describe_mesh
+from dynamictree.formats.film import copy_picture, ffmpeg_program, film_facts
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
+from dynamictree.formats.source_file import read_capture, source_kind
+from dynamictree.formats.suffixes import FILM_SUFFIXES, MASK_NAME, MASKS
+from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.requests import Reading
 from jobs.storage.parser_process import ParseAnswer, ParseRequest
 from worker.confine import confine
 
 MAX_FILES = 512
+MAX_TRACEBACK = 4096
 MAX_PIXELS = 50_000_000
 MIN_PHOTO_PIXELS = 320 * 240
 CAMERA_SUFFIXES = (".json", ".npy", ".txt", ".bin")
@@ -32,16 +43,18 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints is no answer
     film = request.kind == "photos" and request.names[0].lower().endswith(FILM_SUFFIXES)
     try:
-        confine(request.prepared.parent, request.paths, program=_ffmpeg() if film else None)
+        confine(request.prepared.parent, request.paths, program=Path(ffmpeg_program()).resolve() if film else None)
         answer = _film(request) if film else _photos(request) if request.kind == "photos" else _model(request)
     except DynamicTreeError as error:
         answer = ParseAnswer(code=error.code, message=str(error))
-    except ModuleNotFoundError:
-        raise  # a fault of the installation
-    except (MemoryError, RecursionError, ImportError) as error:  # a library that has no room cannot be mapped
-        detail = f"reading the file failed with {type(error).__name__}"
-        allowed = f"{request.memory_bytes:,} bytes of memory are allowed"
-        answer = ParseAnswer(code="input-too-costly", message=f"{detail}; {allowed}; decimate it")
+    except Exception as error:  # noqa: BLE001 (a fault of ours is the answer too)
+        # a library that has no room cannot be mapped; one that is not there is a fault of the installation
+        if isinstance(error, MemoryError | RecursionError | ImportError) and not isinstance(error, ModuleNotFoundError):
+            detail = f"reading the file failed with {type(error).__name__}"
+            allowed = f"{request.memory_bytes:,} bytes of memory are allowed"
+            answer = ParseAnswer(code="input-too-costly", message=f"{detail}; {allowed}; decimate it")
+        else:
+            answer = ParseAnswer(code="internal-error", message=traceback.format_exc()[-MAX_TRACEBACK:])
     with os.fdopen(answer_to, "w") as stream:
         stream.write(answer.model_dump_json())
 
@@ -55,8 +68,6 @@ def _limit(request: ParseRequest) -> None:
 
 def _model(request: ParseRequest) -> ParseAnswer:
     """A mesh, a cloud, or both."""
-    from dynamictree.formats.source_file import source_kind
-
     files = dict(zip(request.names, request.paths, strict=True))
     models = {}
     for name in request.names[: request.num_models]:
@@ -78,12 +89,6 @@ def _model(request: ParseRequest) -> ParseAnswer:
 def _cloud(
     request: ParseRequest, name: str, file_type: str, mesh: str | None, beside: Mapping[str, Path]
 ) -> ParseAnswer:
-    from dynamictree.formats.companions import beside_model
-    from dynamictree.formats.description import describe_capture
-    from dynamictree.formats.source_file import read_capture
-    from dynamictree.formats.suffixes import MASK_NAME
-    from dynamictree.formats.tensors.bundle import write_bundle
-
     paths = dict(zip(request.names, request.paths, strict=True))
     masks = [path for other, path in beside.items() if PurePosixPath(other).name == MASK_NAME]
     with ExitStack() as opened:
@@ -101,11 +106,6 @@ def _cloud(
 
 
 def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str, Path]) -> ParseAnswer:
-    from dynamictree.formats.companions import beside_model
-    from dynamictree.formats.description import describe_mesh
-    from dynamictree.formats.mesh_file import read_mesh
-    from dynamictree.formats.tensors.bundle import write_bundle
-
     companions = beside_model(name, {other: path.read_bytes() for other, path in beside.items()})
     with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
         mesh = read_mesh(source, file_type=file_type, reading=Reading.part_of(request.reading), companions=companions)
@@ -115,11 +115,6 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
 
 
 def _photos(request: ParseRequest) -> ParseAnswer:
-    from PIL import Image, UnidentifiedImageError
-
-    from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
-    from dynamictree.formats.suffixes import MASKS
-
     Image.MAX_IMAGE_PIXELS = None  # counted here, from the header
     sizes, number = set(), 0
     for name, path in zip(request.names, request.paths, strict=True):
@@ -144,16 +139,8 @@ def _photos(request: ParseRequest) -> ParseAnswer:
     return ParseAnswer(summary={"num_photos": number, "largest_pixels": [float(n) for n in largest]})
 
 
-def _ffmpeg() -> Path:
-    from dynamictree.formats.film import ffmpeg_program
-
-    return Path(ffmpeg_program()).resolve()
-
-
 def _film(request: ParseRequest) -> ParseAnswer:
     """A walk around a tree: its picture alone is copied, and a job chooses sharp frames of it."""
-    from dynamictree.formats.film import copy_picture, film_facts
-
     tempfile.tempdir = str(request.prepared.parent)
     facts = film_facts(request.paths[0], request.names[0])
     facts.require_usable(request.names[0])

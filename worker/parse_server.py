@@ -2,7 +2,7 @@
 
 Python and the readers' libraries take ten times as long to load as a small tree takes to read. So they are loaded once,
 and each upload is read by a fork, which gives up what it does not need (`worker.parse`). The server itself sees no byte
-of an upload: it gets a connection and a file for errors, and tells by what exit code the fork ended.
+of an upload: it gets a connection, and tells by what exit code the fork ended.
 """
 
 import ctypes
@@ -13,25 +13,14 @@ import select
 import signal
 import socket
 import sys
-import traceback
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NoReturn
 
 from worker import parse
 
-LIBRARIES = (
-    "PIL.Image",
-    "scipy.ndimage",
-    "scipy.sparse.csgraph",
-    "scipy.spatial",
-    "dynamictree.formats.companions",
-    "dynamictree.formats.description",
-    "dynamictree.formats.mesh_file",
-    "dynamictree.formats.photo",
-    "dynamictree.formats.source_file",
-    "dynamictree.formats.tensors.bundle",
-)
+LIBRARIES = ("PIL.Image", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.spatial")
+"""Those that readers load when first needed."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -50,7 +39,7 @@ class _Server:
         while True:
             for descriptor, _ in poll.poll():
                 if descriptor == self.control.fileno():
-                    _, passed, _, _ = socket.recv_fds(self.control, 1, 2)
+                    _, passed, _, _ = socket.recv_fds(self.control, 1, 1)
                     if not passed:
                         return
                     poll.register(self._fork(*passed), 0)  # 0: only when nobody waits for the answer any more
@@ -71,13 +60,12 @@ class _Server:
                 with suppress(ProcessLookupError):
                     os.killpg(pid, signal.SIGKILL)
 
-    def _fork(self, connection: int, errors: int) -> socket.socket:
+    def _fork(self, connection: int) -> socket.socket:
         pid = os.fork()
         if not pid:
-            _read_upload(connection, errors)
+            _read_upload(connection)
         with suppress(PermissionError, ProcessLookupError):
             os.setpgid(pid, pid)  # before anyone may want it ended
-        os.close(errors)
         self.forks[pid] = socket.socket(fileno=connection)
         return self.forks[pid]
 
@@ -109,7 +97,7 @@ def main() -> None:
         server.end()
 
 
-def _read_upload(connection: int, errors: int) -> NoReturn:
+def _read_upload(connection: int) -> NoReturn:
     """In a fork: read the request of a connection, answer it, and end."""
     code = 1
     try:
@@ -118,16 +106,12 @@ def _read_upload(connection: int, errors: int) -> NoReturn:
         os.setpgid(0, 0)
         if sys.platform == "linux":
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        for source, target in ((connection, 0), (connection, 1), (errors, 2)):
+        for source, target in ((connection, 0), (connection, 1), (os.open(os.devnull, os.O_WRONLY), 2)):
             os.dup2(source, target)
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         parse.main()
         code = 0
-    except BaseException:
-        traceback.print_exc()
-        raise
     finally:  # whatever was raised, the server's loop is not run here
-        sys.stderr.flush()
         os._exit(code)
 
 

@@ -7,11 +7,9 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -30,7 +28,6 @@ END_S = 5.0
 """For the server to end what it reads."""
 
 MAX_ANSWER_BYTES = 64 * 1024
-MAX_ERROR_BYTES = 4096
 INHERITED = ("PATH", "LANG", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "TMPDIR")
 """Of the environment. The child gets no credentials, no home, and no PYTHONPATH (it may name a user folder)."""
 
@@ -51,7 +48,7 @@ class ParseRequest(BaseModel):
 
 
 class ParseAnswer(BaseModel):
-    """Answer of the child: a summary, or why the files cannot be used."""
+    """Answer of the child: a summary, or why the files cannot be used; a fault of ours with its traceback."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -79,14 +76,13 @@ class _Server:
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
 
-    def read(self, connection: socket.socket, errors: IO[bytes]) -> None:
-        """Have an upload read: its request and answer go over the connection, tracebacks to `errors`."""
-        passed = (connection.fileno(), errors.fileno())
+    def read(self, connection: socket.socket) -> None:
+        """Have an upload read: its request and answer go over the connection."""
         with self._lock:
             try:
-                socket.send_fds(self._running(), [b"u"], passed)
-            except OSError:  # it has just ended
-                socket.send_fds(self._started(), [b"u"], passed)
+                socket.send_fds(self._control or self._started(), [b"u"], [connection.fileno()])
+            except OSError:  # it has ended
+                socket.send_fds(self._started(), [b"u"], [connection.fileno()])
 
     def end(self) -> None:
         """End it, and with it all that it has read."""
@@ -98,13 +94,8 @@ class _Server:
                 self._process.kill()
                 self._process.wait()
 
-    def _running(self) -> socket.socket:
-        """Its control socket."""
-        if self._process is None or self._control is None or self._process.poll() is not None:
-            return self._started()
-        return self._control
-
     def _started(self) -> socket.socket:
+        """Its control socket, once it runs anew."""
         self.end()
         self._control, theirs = socket.socketpair()
         with theirs:
@@ -125,24 +116,26 @@ atexit.register(_server.end)
 
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
     """Have the files read. Whatever happens to the process that does it, there is an answer, and it ends."""
-    with tempfile.TemporaryFile() as errors:
-        # a process that sleeps uses no CPU time, so the wall clock is bounded too
-        try:
-            content = await _content(request, errors, settings.parser_cpu_s * 2)
-            if content == b"":  # not even an exit code: the server has ended
-                request.prepared.unlink(missing_ok=True)
-                content = await _content(request, errors, settings.parser_cpu_s * 2)
-        except NoServerError as error:
-            logger.error("no process can be started that reads uploads: %s", error.__cause__)
-            return ParseAnswer(code="overloaded", message="no process can be started that reads the file")
-        answered, _, status = (content or b"").rpartition(b"\n")
-        try:
-            return ParseAnswer.model_validate_json(answered)
-        except ValidationError:
-            return _no_answer(int(status) if status.removeprefix(b"-").isdigit() else None, errors, settings)
+    try:
+        content = await _content(request)
+        if content == b"":  # not even an exit code: the server has ended
+            request.prepared.unlink(missing_ok=True)
+            content = await _content(request)
+    except NoServerError as error:
+        logger.error("no process can be started that reads uploads: %s", error.__cause__)
+        return ParseAnswer(code="overloaded", message="no process can be started that reads the file")
+    answered, _, status = (content or b"").rpartition(b"\n")
+    try:
+        answer = ParseAnswer.model_validate_json(answered)
+    except ValidationError:
+        return _no_answer(int(status) if status.removeprefix(b"-").isdigit() else None, settings)
+    if answer.code == "internal-error":
+        logger.error("the parser failed:\n%s", answer.message)
+        return ParseAnswer(code=answer.code, message="The cause was logged.")
+    return answer
 
 
-async def _content(request: ParseRequest, errors: IO[bytes], wait_s: float) -> bytes | None:
+async def _content(request: ParseRequest) -> bytes | None:
     """What was written for a request: the answer, and in a line of its own the exit code; None where time was up.
 
     Raises:
@@ -151,7 +144,7 @@ async def _content(request: ParseRequest, errors: IO[bytes], wait_s: float) -> b
     ours, theirs = socket.socketpair()
     with theirs:
         try:
-            await asyncio.to_thread(_server.read, theirs, errors)
+            await asyncio.to_thread(_server.read, theirs)
         except OSError as error:
             ours.close()
             raise NoServerError from error
@@ -159,7 +152,8 @@ async def _content(request: ParseRequest, errors: IO[bytes], wait_s: float) -> b
     try:
         writer.write(request.model_dump_json().encode())
         writer.write_eof()
-        return await asyncio.wait_for(_all_of(reader), wait_s)
+        # a process that sleeps uses no CPU time, so the wall clock is bounded too
+        return await asyncio.wait_for(_all_of(reader), 2 * request.cpu_s)
     except TimeoutError:
         return None
     except ConnectionError:
@@ -175,12 +169,7 @@ async def _all_of(reader: asyncio.StreamReader) -> bytes:
     return content
 
 
-def _no_answer(returncode: int | None, errors: IO[bytes], settings: Settings) -> ParseAnswer:
-    errors.seek(max(errors.seek(0, os.SEEK_END) - MAX_ERROR_BYTES, 0))
-    stderr_text = errors.read().decode(errors="replace")
-    if returncode == 1 and '  File "' in stderr_text:  # a traceback; a library without memory ends with 1 too
-        logger.error("the parser failed:\n%s", stderr_text)
-        return ParseAnswer(code="internal-error", message="The cause was logged.")
+def _no_answer(returncode: int | None, settings: Settings) -> ParseAnswer:
     ended = f"signal {-returncode}" if returncode is not None and returncode < 0 else f"exit code {returncode}"
     allowed = f"{settings.parser_cpu_s} s of one core and {settings.parser_memory_bytes:,} bytes of memory"
     return ParseAnswer(

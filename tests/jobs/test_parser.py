@@ -43,7 +43,7 @@ def test_a_reader_that_waits_for_ever_is_ended(tmp_path: Path) -> None:
     settings = Settings(state_dir=tmp_path, parser_cpu_s=1)
     answer = asyncio.run(parse(_request(settings, _pipe(tmp_path / "a")), settings))
     assert answer.code == "input-too-costly"
-    _wait_until_no_upload_is_read()
+    wait_for(lambda: not _readers())
 
 
 def test_an_upload_is_answered_while_another_is_read(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_an_upload_is_answered_while_another_is_read(tmp_path: Path) -> None:
         slow.cancel()
 
     asyncio.run(both())
-    _wait_until_no_upload_is_read()
+    wait_for(lambda: not _readers())
 
 
 def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:
         reading.cancel()
 
     asyncio.run(cut_off())
-    _wait_until_no_upload_is_read()
+    wait_for(lambda: not _readers())
 
 
 def _request(settings: Settings, tree: Path) -> ParseRequest:
@@ -134,7 +134,3 @@ def _servers() -> list[psutil.Process]:
 
 def _readers() -> list[psutil.Process]:
     return [fork for server in _servers() for fork in server.children()]
-
-
-def _wait_until_no_upload_is_read() -> None:
-    wait_for(lambda: not _readers())
