@@ -12,8 +12,10 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -73,9 +75,7 @@ class Heartbeat:
     def _start(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "worker.heartbeat"]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        assert process.stdin is not None
-        process.stdin.write(json.dumps(self._first).encode() + b"\n")
-        process.stdin.flush()
+        _write(process, self._first)
         return process
 
     def leave(self) -> None:
@@ -85,50 +85,17 @@ class Heartbeat:
         except BrokenPipeError:
             self._process.wait()
 
-    def _tell(self, message: dict[str, str | int]) -> None:
-        assert self._process.stdin is not None
+    def _tell(self, message: dict[str, str | int | float]) -> None:
         try:
-            self._process.stdin.write(json.dumps(message).encode() + b"\n")
-            self._process.stdin.flush()
+            _write(self._process, message)
         except BrokenPipeError:
             logger.error("the heartbeat's process has died; the lease runs out")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Beat:
-    """The heartbeat process's side."""
-
-    store: Store
-    owner: str
-    queue: str
-    lease_s: float
-
-    @property
-    def presence(self) -> str:
-        """Name of the worker's own lease."""
-        return worker_lease(self.queue, self.owner)
-
-    def renew(self, job_id: str, attempt: int) -> bool:
-        """Renew an attempt's lease, unless the worker is stopped; return whether to continue."""
-        if is_stopped(os.getppid()):
-            return True
-        try:
-            renew(self.store, job_id, attempt, owner=self.owner, lease_s=self.lease_s)
-        except FencedError:
-            return False
-        except sa.exc.SQLAlchemyError:
-            # the lease runs on for a while; if the database stays away, the reaper decides
-            logger.warning("the lease could not be renewed", exc_info=True)
-        return True
-
-    def say_present(self) -> None:
-        """Renew the worker's own lease, unless the worker is stopped and does nothing."""
-        if is_stopped(os.getppid()):
-            return
-        try:
-            hold_lease(self.store, self.presence, owner=self.owner, lease_s=3 * PRESENCE_S)
-        except sa.exc.SQLAlchemyError:
-            logger.warning("the database is away; this worker cannot say that it is there", exc_info=True)
+def _write(process: subprocess.Popen[bytes], message: dict[str, str | int | float]) -> None:
+    assert process.stdin is not None
+    process.stdin.write(json.dumps(message).encode() + b"\n")
+    process.stdin.flush()
 
 
 def is_stopped(pid: int) -> bool:
@@ -140,22 +107,39 @@ def is_stopped(pid: int) -> bool:
     return stat.rpartition(")")[2].split()[0] in {"T", "t"}
 
 
+def _said(say: Callable[[], object]) -> bool:
+    """Write to the store, unless the worker is stopped; return whether the lease is still its own.
+
+    Where the database is away the lease runs on for a while; if it stays away, the reaper decides.
+    """
+    try:
+        if not is_stopped(os.getppid()):
+            say()
+    except FencedError:
+        return False
+    except sa.exc.SQLAlchemyError:
+        logger.warning("the database is away; the worker's leases could not be renewed", exc_info=True)
+    return True
+
+
 def main() -> None:
     """Renew leases until stdin ends."""
     set_up_logging(read_settings())
     first = json.loads(sys.stdin.buffer.readline())
-    store = Store.open(first["database_url"])
-    beat = Beat(store=store, owner=first["owner"], queue=first["queue"], lease_s=first["lease_s"])
-    claimed: dict[str, str | int] = {}
+    store, owner = Store.open(first["database_url"]), first["owner"]
+    presence = worker_lease(first["queue"], owner)
+    say_present = partial(hold_lease, store, presence, owner=owner, lease_s=3 * PRESENCE_S)
+    claimed: dict[str, Any] = {}
     present_at = renewed_at = -1e9
     pending = b""
     while True:
         now = time.monotonic()
         if claimed and now - renewed_at >= first["heartbeat_s"]:
-            claimed = claimed if beat.renew(str(claimed["job_id"]), int(claimed["attempt"])) else {}
+            ours = _said(partial(renew, store, **claimed, owner=owner, lease_s=first["lease_s"]))
+            claimed = claimed if ours else {}
             renewed_at = now
         if now - present_at >= PRESENCE_S:
-            beat.say_present()
+            _said(say_present)
             if present_at < 0:
                 sys.stdout.buffer.write(READY)
                 sys.stdout.buffer.flush()
@@ -168,7 +152,7 @@ def main() -> None:
         *lines, pending = pending.split(b"\n")
         if lines:
             claimed = json.loads(lines[-1])
-    release_lease(store, beat.presence, owner=first["owner"])
+    release_lease(store, presence, owner=owner)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ Between jobs, freed memory is returned to the system.
 import ctypes
 import os
 import resource
+from contextlib import suppress
 from pathlib import Path
 
 from jobs.settings import Settings
@@ -42,9 +43,8 @@ def share_one_arena() -> None:
     Else glibc gives threads up to eight arenas a core, and each retains up to 64 MiB. To be called before the first
     thread starts; does nothing where the C library has no `mallopt`.
     """
-    option = getattr(ctypes.CDLL(None), "mallopt", None)
-    if option is not None:
-        option(-8, 1)  # M_ARENA_MAX of glibc's malloc.h
+    with suppress(AttributeError):
+        ctypes.CDLL(None).mallopt(-8, 1)  # M_ARENA_MAX of glibc's malloc.h
 
 
 def return_freed_memory() -> None:
@@ -52,9 +52,8 @@ def return_freed_memory() -> None:
 
     Does nothing where the C library has no `malloc_trim`.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+    with suppress(AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def is_out_of_memory(error: BaseException) -> bool:
