@@ -1,6 +1,6 @@
 """Exceptions of the job store.
 
-Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type.
+Each class that the API answers with has a stable `code`, by which the service chooses status and problem type.
 """
 
 from typing import ClassVar
@@ -63,19 +63,13 @@ class StorageFullError(JobsError):
 class BackupError(JobsError):
     """A backup is damaged, or of a newer version."""
 
-    code = "backup-error"
-
 
 class SecretKeyError(JobsError):
     """A stored secret cannot be decrypted: the setting `secret_key` is missing or another one."""
 
-    code = "secret-key-error"
-
 
 class SchemaError(JobsError):
     """The database has tables of an earlier revision."""
-
-    code = "schema-error"
 
 
 class FencedError(JobsError):
@@ -92,5 +86,3 @@ class OutboundError(JobsError):
 
 class SettingsError(JobsError):
     """The settings cannot be used."""
-
-    code = "invalid-settings"

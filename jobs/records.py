@@ -1,7 +1,11 @@
-"""Rows of the store as dataclasses. Times are seconds since 1970."""
+"""Rows of the store as dataclasses; their tables are made of them (`jobs/database/tables.py`).
+
+Times are seconds since 1970. An `owner` is empty where no key was asked for.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from jobs.states import TERMINAL, AssetKind, JobState, JobType, Priority, StageState
 
@@ -24,7 +28,7 @@ class AssetRecord:
     """A checked upload."""
 
     id: str
-    owner: str = ""  # empty where no key was asked for
+    owner: str = ""
     kind: AssetKind
     fingerprint: str  # sha256 over everything that decides what the asset means
     parts: tuple[AssetPart, ...]  # the mesh first; photos in the order sent
@@ -140,3 +144,108 @@ class Claim:
     def attempt(self) -> int:
         """Number of the attempt, which fences off writes of older attempts."""
         return self.job.attempt
+
+
+UploadState = Literal["receiving", "fetching", "received", "ready", "failed"]
+"""Bytes come from a client, or from an address; all are there; an asset was made; it could not be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UploadRecord:
+    """One file that someone sends in pieces, or that is fetched from an address."""
+
+    id: str
+    owner: str = ""
+    state: UploadState
+    filename: str
+    options: Mapping[str, Json]  # how to read it: kind, up_axis, unit_m
+    length: int | None  # unset while an address does not tell
+    received: int = 0
+    sha256: str | None = None  # as promised; as found once it is whole
+    source_url: str | None = None
+    make_asset: bool = False  # without being asked for it
+    writer: str | None = None  # the request that may write
+    lease_until: float | None = None  # of the process that fetches, or makes the asset
+    asset_id: str | None = None
+    error_code: str | None = None
+    error_message: str | None = None
+    created_at: float
+    expires_at: float
+
+
+Scope = Literal["read", "write", "interact", "high-priority"]
+SCOPES: tuple[Scope, ...] = get_args(Scope)
+Limit = Literal[
+    "active_jobs", "bytes", "creates_per_min", "reads_per_min", "chunks_per_min", "interact_per_s", "streams"
+]
+LIMITS: tuple[Limit, ...] = get_args(Limit)
+"""Each is a setting `limit_…`; a key may have its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyRecord:
+    """Record of a key, without the key itself."""
+
+    id: str
+    owner: str
+    name: str
+    digest: str  # sha256 of the key, which is nowhere
+    scopes: tuple[Scope, ...]
+    limits: Mapping[Limit, int]  # what differs from the settings
+    created_at: float
+    expires_at: float | None = None
+    revoked_at: float | None = None
+    last_used_at: float | None = None  # written once an hour at most
+
+    def valid(self, now: float) -> bool:
+        """Whether the key is valid at a time."""
+        return self.revoked_at is None and (self.expires_at is None or now < self.expires_at)
+
+
+Event = Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
+EVENTS: tuple[Event, ...] = get_args(Event)
+FIRST_ARTIFACT: Event = "job.first-artifact"
+ENDS: tuple[Event, ...] = EVENTS[1:]
+DeliveryState = Literal["pending", "delivered", "failed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Endpoint:
+    """A receiver of events."""
+
+    id: str
+    owner: str
+    url: str
+    events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
+    secret: str = field(repr=False)  # as stored: encrypted where there is a key for it
+    old_secret: str | None = field(default=None, repr=False)
+    old_secret_until: float | None = None  # until when the old one signs too
+    disabled_reason: str | None = None
+    created_at: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Try:
+    """One delivery attempt."""
+
+    at: float
+    status: int | None  # none where no answer came
+    detail: str
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delivery:
+    """One message for one endpoint."""
+
+    id: str
+    endpoint_id: str
+    job_id: str
+    event: Event
+    message_id: str  # the same for a replay, so that the receiver may know it
+    payload: str
+    state: DeliveryState
+    log: tuple[Try, ...]
+    next_at: float | None  # null once it is over
+    traceparent: str | None
+    created_at: float

@@ -7,7 +7,7 @@ running job is in `attempts.py`, what the housekeeper does in `maintenance.py`.
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import sqlalchemy as sa
 from ulid import ULID
@@ -18,7 +18,7 @@ from jobs.database.retry import patient
 from jobs.database.tables import make_tables
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
 from jobs.lifecycle import rows
-from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
+from jobs.records import ArtifactRecord, ClientKey, JobRecord
 from jobs.states import ACTIVE, JobState, JobType
 
 
@@ -28,7 +28,10 @@ def new_id() -> str:
 
 
 class Store:
-    """Access of one process to the job store; with an owner, restricted to the owner's rows."""
+    """Access of one process to the job store; with an owner, restricted to the owner's rows.
+
+    Whoever reads a row by its id gets NotFoundError where there is none, and GoneError where there was one.
+    """
 
     def __init__(self, engine: sa.Engine, *, clock: Callable[[], float] = time.time, owner: str | None = None) -> None:
         self.engine = engine
@@ -95,8 +98,7 @@ class Store:
             QuotaError: the owner has `max_active` jobs that have not ended.
         """
         job = replace(job, owner=self.owner or "")
-        row: dict[str, object] = {c.name: getattr(job, c.name) for c in t.jobs.columns if c.name not in rows.HIDDEN}
-        row |= {"lost_stages": []}
+        row = {k: v for k, v in asdict(job).items() if k != "stages"} | {"lost_stages": []}
         with self.writing() as connection:
             alive = (t.assets.c.id == job.asset_id) & t.assets.c.deleted_at.is_(None)
             if connection.execute(sa.select(t.assets.c.id).where(alive)).one_or_none() is None:
@@ -151,11 +153,7 @@ class Store:
 
     @patient
     def job(self, job_id: str) -> JobRecord:
-        """One job with its stages.
-
-        Raises:
-            NotFoundError, GoneError: there is none, or its record has expired.
-        """
+        """One job with its stages."""
         with self.reading() as connection:
             return self._read_job(connection, job_id)
 
@@ -197,15 +195,32 @@ class Store:
         with self.reading() as connection:
             matches = connection.execute(query).all()
             wanted = t.stages.c.job_id.in_([row.id for row in matches])
-            stages: dict[str, list[StageRecord]] = {}
-            for row in connection.execute(sa.select(t.stages).where(wanted).order_by(t.stages.c.position)):
-                stages.setdefault(row.job_id, []).append(rows.stage_of(row))
-        return [rows.job_of(row, tuple(stages.get(row.id, ()))) for row in matches]
+            stages = connection.execute(sa.select(t.stages).where(wanted).order_by(t.stages.c.position)).all()
+        return [rows.job_of(row, [stage for stage in stages if stage.job_id == row.id]) for row in matches]
 
     def standing_of(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
-        """Place in the queue and products of jobs by id, in two queries."""
+        """How many jobs of its queue are there before each job, None once it has begun; and what it offers so far.
+
+        Owners take turns, as in `maintenance.unsent`.
+        """
+        positions: dict[str, int] = {}
+        offered: dict[str, list[ArtifactRecord]] = {}
         with self.reading() as connection:
-            return rows.standing_of(connection, page)
+            waiting = {job.id: job.queue for job in page if job.state == JobState.QUEUED}
+            if waiting:
+                queued = t.jobs.c.queue.in_(set(waiting.values())) & (t.jobs.c.state == JobState.QUEUED)
+                place = sa.func.row_number().over(partition_by=(t.jobs.c.queue, t.jobs.c.owner), order_by=t.jobs.c.id)
+                placed = sa.select(t.jobs.c.id, t.jobs.c.queue, place.label("place")).where(queued).subquery()
+                turn = sa.func.row_number().over(partition_by=placed.c.queue, order_by=(placed.c.place, placed.c.id))
+                turns = sa.select(placed.c.id, turn.label("turn")).subquery()
+                wanted = sa.select(turns).where(turns.c.id.in_(waiting))
+                positions = {row.id: row.turn - 1 for row in connection.execute(wanted)}
+            begun = [job.id for job in page if any(stage.state != "queued" for stage in job.stages)]
+            if begun:
+                artifacts = sa.select(t.artifacts).where(t.artifacts.c.job_id.in_(begun)).order_by(t.artifacts.c.id)
+                for row in connection.execute(artifacts):
+                    offered.setdefault(row.job_id, []).append(t.record_of(ArtifactRecord, row))
+        return {job.id: (positions.get(job.id), offered.get(job.id, [])) for job in page}
 
     def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job, at once if no worker runs it; repeating it changes nothing.
@@ -229,7 +244,6 @@ class Store:
 
         Raises:
             ConflictError: it has not ended.
-            NotFoundError, GoneError: there is none, or it was deleted or has expired.
         """
         with self.writing() as connection:
             job = self._read_job(connection, job_id)
@@ -241,14 +255,10 @@ class Store:
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
         """Artifacts of a job so far, in order of creation."""
         with self.reading() as connection:
-            return [ArtifactRecord(**row._mapping) for row in connection.execute(rows.ARTIFACTS, {"id": job_id})]
+            return [t.record_of(ArtifactRecord, row) for row in connection.execute(rows.ARTIFACTS, {"id": job_id})]
 
     def artifact(self, artifact_id: str) -> ArtifactRecord:
-        """One artefact.
-
-        Raises:
-            NotFoundError, GoneError: there is none, or it has expired.
-        """
+        """One artefact."""
         with self.reading() as connection:
             query = sa.select(t.artifacts).where(t.artifacts.c.id == artifact_id)
             if self.owner is not None:
@@ -256,7 +266,7 @@ class Store:
             row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFoundError(f"there is no artefact {artifact_id}")
-        artifact = ArtifactRecord(**row._mapping)
+        artifact = t.record_of(ArtifactRecord, row)
         if artifact.expires_at <= self.clock():
             raise GoneError(f"artefact {artifact_id} has expired; run the job again")
         return artifact

@@ -1,13 +1,11 @@
 """Run one attempt of a job: stage after stage, each from the cache where its inputs are the same."""
 
-import json
 import logging
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 
 import obstore
@@ -22,9 +20,9 @@ from jobs.records import AssetRecord, Facts, JobRecord, OutputFile
 from jobs.states import JobType
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
-from jobs.storage.intermediates import RESULT_SOURCES, find_stored, intermediate_key, remember_intermediate
+from jobs.storage.intermediates import RESULT_SOURCES, find_stored, remember_intermediate, result_key
 from jobs.storage.object_storage import open_objects, reporting_refusals
-from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
+from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS
 from worker.cancellation import Watch
 from worker.half_done import alone_in, half_done_folder
 from worker.runtime import Runtime
@@ -69,14 +67,9 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
 
 def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
     """sha256 of all inputs of a stage: files, parameters, seed, model and code."""
-    inputs = {name: hashes[name] for name in INPUTS[stage]}
     params = [model.part_of(job.params).model_dump(mode="json") for model in PARAMS[stage]]
-    meaning: list[object] = [stage, STAGE_VERSION, version("dynamictree"), inputs, params]
-    if job.owner:  # a hit would tell one owner what another has sent
-        meaning.append(job.owner)
-    if stage == "diffuse":
-        meaning += [job.seed, job.preset, model_sha256(job.preset)]
-    return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()
+    model = [job.seed, job.preset, model_sha256(job.preset)] if stage == "diffuse" else []
+    return result_key(stage, job, [hashes[name] for name in INPUTS[stage]], *params, *model)
 
 
 @cache
@@ -216,7 +209,7 @@ class Attempt:
         else:
             used = [self.sources[source] for source in RESULT_SOURCES[name]]
         choice = (LearningParams if learned else CloudParams).part_of(self.job.params).model_dump(mode="json")
-        key = intermediate_key(name, self.job, [file.sha256 for file in used], choice)
+        key = result_key(name, self.job, [file.sha256 for file in used], choice)
         file = self._remembered(key, path)
         if file is None and learned:  # one job at a time learns a scene; those that waited find what the first one did
             working_on = half_done_folder(self.runtime.settings, self.job)

@@ -11,9 +11,10 @@ import sqlalchemy as sa
 from standardwebhooks import Webhook
 
 from jobs.clients.outbound import Outbound
-from jobs.clients.webhooks import Delivery, Endpoint, Try, claim_due, record_try
+from jobs.clients.webhooks import claim_due, record_try, signing_secrets
 from jobs.database.secret_box import SecretBox
 from jobs.errors import OutboundError, SecretKeyError
+from jobs.records import Delivery, Endpoint, Try
 from jobs.settings import Settings
 from jobs.store import Store
 
@@ -94,7 +95,7 @@ class Courier:
             "webhook-timestamp": str(round(signed_at.timestamp())),
             "webhook-signature": " ".join(
                 Webhook(secret).sign(delivery.message_id, signed_at, delivery.payload)
-                for secret in endpoint.signing_secrets(self.store.clock(), self.box)
+                for secret in signing_secrets(endpoint, self.store.clock(), self.box)
             ),
         }
         if delivery.traceparent:

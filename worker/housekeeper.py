@@ -29,7 +29,6 @@ from jobs.lifecycle.maintenance import (
     RUN_JOB,
     WORKER_LEASES,
     RunJob,
-    forget_deliveries,
     forget_expired,
     hold_lease,
     living,
@@ -51,7 +50,7 @@ from jobs.storage.disk import free_bytes
 from jobs.storage.references import forget_blob, unreferenced_blobs
 from jobs.storage.stage_files import HALF_DONE
 from jobs.storage.upload_parts import PartStore, open_parts
-from jobs.storage.uploads import bury, expired_uploads
+from jobs.storage.uploads import delete_upload, expired_uploads
 from jobs.store import Store
 from worker.courier import Courier
 from worker.half_done import discard
@@ -124,10 +123,7 @@ class Housekeeper:
     def forget(self) -> float | None:
         """Delete expired records, and bytes without references; return 0 where the time did not suffice."""
         settings, until = self.settings, time.monotonic() + FORGET_S
-        forget_expired(
-            self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
-        )
-        forget_deliveries(self.store, retention_s=settings.webhook_retention_s)
+        forget_expired(self.store, settings)
         finished = _each(expired_uploads(self.store, limit=FORGET_AT_ONCE), self._forget_upload, until)
         if finished and not living(self.store, BACKUP_LEASE):  # it copies bytes of rows that may have gone meanwhile
             finished = self._forget_blobs(until)
@@ -147,7 +143,7 @@ class Housekeeper:
 
     def _forget_upload(self, upload_id: str) -> None:
         self.parts.delete(upload_id)
-        bury(self.store, upload_id)
+        delete_upload(self.store, upload_id)
 
     def _forget_scratch(self, left: Path) -> None:
         """Delete what was left a day ago; half-done work also where its asset is gone or the disk is full."""

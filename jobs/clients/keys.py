@@ -2,44 +2,17 @@
 
 import secrets
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from hashlib import sha256
-from typing import Literal, get_args
 
 import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.errors import NotFoundError
+from jobs.records import SCOPES, KeyRecord, Limit, Scope
 from jobs.store import Store, new_id
 
 PREFIX = "dt_"
-Scope = Literal["read", "write", "interact", "high-priority"]
-SCOPES: tuple[Scope, ...] = get_args(Scope)
-Limit = Literal[
-    "active_jobs", "bytes", "creates_per_min", "reads_per_min", "chunks_per_min", "interact_per_s", "streams"
-]
-LIMITS: tuple[Limit, ...] = get_args(Limit)
-"""Each is a setting `limit_…`; a key may have its own."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class KeyRecord:
-    """Record of a key, without the key itself."""
-
-    id: str
-    owner: str
-    name: str
-    digest: str
-    scopes: tuple[Scope, ...]
-    limits: Mapping[Limit, int]
-    created_at: float
-    expires_at: float | None = None
-    revoked_at: float | None = None
-    last_used_at: float | None = None  # within `USE_WRITTEN_S`
-
-    def valid(self, now: float) -> bool:
-        """Whether the key is valid at a time."""
-        return self.revoked_at is None and (self.expires_at is None or now < self.expires_at)
 
 
 def create_key(
@@ -74,20 +47,11 @@ def digest_of(key: str) -> str:
     return sha256(key.encode()).hexdigest()
 
 
-def find_key(store: Store, digest: str) -> KeyRecord | None:
-    """Find the key with a hash, valid or not."""
-    return _key_where(store, t.api_keys.c.digest == digest)
-
-
-def key_of_id(store: Store, key_id: str) -> KeyRecord | None:
-    """Find the key with an id, valid or not."""
-    return _key_where(store, t.api_keys.c.id == key_id)
-
-
-def _key_where(store: Store, this: sa.ColumnElement[bool]) -> KeyRecord | None:
+def find_key(store: Store, **column: str) -> KeyRecord | None:
+    """Find the key with this `id` or `digest`, valid or not."""
     with store.reading() as connection:
-        row = connection.execute(sa.select(t.api_keys).where(this)).one_or_none()
-    return None if row is None else _key(row)
+        row = connection.execute(sa.select(t.api_keys).filter_by(**column)).one_or_none()
+    return None if row is None else t.record_of(KeyRecord, row)
 
 
 USE_WRITTEN_S = 3600.0
@@ -106,7 +70,9 @@ def note_use(store: Store, key: KeyRecord) -> None:
 def keys(store: Store) -> list[KeyRecord]:
     """Every key, oldest first."""
     with store.reading() as connection:
-        return [_key(row) for row in connection.execute(sa.select(t.api_keys).order_by(t.api_keys.c.id))]
+        return [
+            t.record_of(KeyRecord, row) for row in connection.execute(sa.select(t.api_keys).order_by(t.api_keys.c.id))
+        ]
 
 
 def revoke_key(store: Store, key_id: str) -> None:
@@ -119,7 +85,3 @@ def revoke_key(store: Store, key_id: str) -> None:
     with store.writing() as connection:
         if connection.execute(t.api_keys.update().where(living).values(revoked_at=store.clock())).rowcount == 0:
             raise NotFoundError(f"there is no living key {key_id}; `dynamictree keys list` shows the ids")
-
-
-def _key(row: sa.Row[tuple[object, ...]]) -> KeyRecord:
-    return KeyRecord(**dict(row._mapping) | {"scopes": tuple(row._mapping["scopes"])})

@@ -3,15 +3,15 @@
 import base64
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 
 import sqlalchemy as sa
 from ulid import ULID
 
-from jobs.clients.webhook_events import FIRST_ARTIFACT, DeliveryState, Event
 from jobs.database import tables as t
 from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError
+from jobs.records import FIRST_ARTIFACT, Delivery, DeliveryState, Endpoint, Event, Try
 from jobs.store import Store
 
 MAX_ENDPOINTS = 20
@@ -19,57 +19,16 @@ ROTATION_OVERLAP_S = 86400.0
 """So long an old secret signs beside the new one."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Endpoint:
-    """A receiver of events."""
+def signing_secrets(endpoint: Endpoint, now: float, box: SecretBox) -> tuple[str, ...]:
+    """The secrets that sign at a time, the newest first.
 
-    id: str
-    owner: str
-    url: str
-    events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
-    secret: str = field(repr=False)  # as stored: encrypted where there is a key for it
-    old_secret: str | None = field(default=None, repr=False)
-    old_secret_until: float | None = None
-    disabled_reason: str | None = None
-    created_at: float
-
-    def signing_secrets(self, now: float, box: SecretBox) -> tuple[str, ...]:
-        """The secrets that sign at a time, the newest first.
-
-        Raises:
-            SecretKeyError: the box has not the key that they were encrypted with.
-        """
-        stored = [self.secret]
-        if self.old_secret is not None and self.old_secret_until is not None and self.old_secret_until > now:
-            stored.append(self.old_secret)
-        return tuple(box.decrypt(secret, self.id) for secret in stored)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Try:
-    """One delivery attempt."""
-
-    at: float
-    status: int | None  # none where no answer came
-    detail: str
-    seconds: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Delivery:
-    """One message for one endpoint."""
-
-    id: str
-    endpoint_id: str
-    job_id: str
-    event: Event
-    message_id: str
-    payload: str
-    state: DeliveryState
-    log: tuple[Try, ...]
-    next_at: float | None
-    traceparent: str | None
-    created_at: float
+    Raises:
+        SecretKeyError: the box has not the key that they were encrypted with.
+    """
+    stored = [endpoint.secret]
+    if endpoint.old_secret is not None and endpoint.old_secret_until is not None and endpoint.old_secret_until > now:
+        stored.append(endpoint.old_secret)
+    return tuple(box.decrypt(secret, endpoint.id) for secret in stored)
 
 
 def new_secret() -> str:
@@ -107,41 +66,29 @@ def endpoints(store: Store) -> list[Endpoint]:
     """The endpoints, oldest first."""
     with store.reading() as connection:
         query = sa.select(t.webhook_endpoints).where(store.mine(t.webhook_endpoints)).order_by(t.webhook_endpoints.c.id)
-        return [_endpoint(row) for row in connection.execute(query)]
+        return [t.record_of(Endpoint, row) for row in connection.execute(query)]
 
 
 def endpoint(store: Store, endpoint_id: str) -> Endpoint:
-    """One endpoint.
-
-    Raises:
-        NotFoundError: there is none.
-    """
+    """One endpoint."""
     with store.reading() as connection:
         return _read_endpoint(connection, store, endpoint_id)
 
 
 def rotate_secret(store: Store, endpoint_id: str, box: SecretBox) -> tuple[Endpoint, str]:
-    """Give an endpoint a new secret, and return both; the old one signs too for `ROTATION_OVERLAP_S`.
-
-    Raises:
-        NotFoundError: there is none.
-    """
+    """Give an endpoint a new secret, and return both; the old one signs too for `ROTATION_OVERLAP_S`."""
     secret = new_secret()
     with store.writing() as connection:
         old = _read_endpoint(connection, store, endpoint_id)
         values = {"secret": box.encrypt(secret, endpoint_id), "old_secret": old.secret}
         until = store.clock() + ROTATION_OVERLAP_S
-        this = t.webhook_endpoints.c.id == endpoint_id
-        connection.execute(t.webhook_endpoints.update().where(this).values(**values, old_secret_until=until))
-        return _read_endpoint(connection, store, endpoint_id), secret
+        change = t.webhook_endpoints.update().where(t.webhook_endpoints.c.id == endpoint_id)
+        change = change.values(**values, old_secret_until=until).returning(*t.webhook_endpoints.c)
+        return t.record_of(Endpoint, connection.execute(change).one()), secret
 
 
 def delete_endpoint(store: Store, endpoint_id: str) -> None:
-    """Delete an endpoint and its deliveries.
-
-    Raises:
-        NotFoundError: there is none.
-    """
+    """Delete an endpoint and its deliveries."""
     with store.writing() as connection:
         _read_endpoint(connection, store, endpoint_id)
         connection.execute(t.webhook_endpoints.delete().where(t.webhook_endpoints.c.id == endpoint_id))
@@ -152,37 +99,27 @@ def _read_endpoint(connection: sa.Connection, store: Store, endpoint_id: str) ->
     row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
     if row is None:
         raise NotFoundError(f"there is no webhook endpoint {endpoint_id}")
-    return _endpoint(row)
-
-
-def _endpoint(row: sa.Row[tuple[object, ...]]) -> Endpoint:
-    values: dict[str, object] = dict(row._mapping)
-    return Endpoint(**values | {"events": tuple(values["events"])})  # type: ignore[arg-type]
+    return t.record_of(Endpoint, row)
 
 
 # -- deliveries
 
 
 def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int) -> list[Delivery]:
-    """Deliveries to an endpoint, newest first.
-
-    Raises:
-        NotFoundError: there is no such endpoint.
-    """
+    """Deliveries to an endpoint, newest first."""
     endpoint(store, endpoint_id)
     query = sa.select(t.deliveries).where(t.deliveries.c.endpoint_id == endpoint_id)
     if before is not None:
         query = query.where(t.deliveries.c.id < before)
     with store.reading() as connection:
-        return [_delivery(row) for row in connection.execute(query.order_by(t.deliveries.c.id.desc()).limit(limit))]
+        return [
+            t.record_of(Delivery, row)
+            for row in connection.execute(query.order_by(t.deliveries.c.id.desc()).limit(limit))
+        ]
 
 
 def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
-    """Queue a new delivery of the same message.
-
-    Raises:
-        NotFoundError: there is no such endpoint or delivery.
-    """
+    """Queue a new delivery of the same message."""
     now = store.clock()
     with store.writing() as connection:
         _read_endpoint(connection, store, endpoint_id)
@@ -191,8 +128,8 @@ def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
         if row is None:
             raise NotFoundError(f"there is no delivery {delivery_id} to endpoint {endpoint_id}")
         anew = {"id": str(ULID()), "state": "pending", "log": [], "next_at": now, "created_at": now}
-        connection.execute(t.deliveries.insert().values(**dict(row._mapping) | anew))
-        return _delivery(connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == anew["id"])).one())
+        added = t.deliveries.insert().values(**dict(row._mapping) | anew).returning(*t.deliveries.c)
+        return t.record_of(Delivery, connection.execute(added).one())
 
 
 def claim_due(
@@ -226,11 +163,11 @@ def claim_due(
     with store.writing() as connection:
         for row in eligible:
             this = (t.deliveries.c.id == row.id) & (t.deliveries.c.next_at == row.next_at)
-            if connection.execute(t.deliveries.update().where(this).values(next_at=now + lease_s)).rowcount:
-                delivery_row = connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == row.id)).one()
-                whom = t.webhook_endpoints.c.id == delivery_row.endpoint_id
-                to = connection.execute(sa.select(t.webhook_endpoints).where(whom)).one()
-                claimed.append((_delivery(delivery_row), _endpoint(to)))
+            change = t.deliveries.update().where(this).values(next_at=now + lease_s).returning(*t.deliveries.c)
+            delivery = connection.execute(change).one_or_none()
+            if delivery is not None:
+                to = connection.execute(sa.select(t.webhook_endpoints).filter_by(id=delivery.endpoint_id)).one()
+                claimed.append((t.record_of(Delivery, delivery), t.record_of(Endpoint, to)))
     return claimed
 
 
@@ -249,8 +186,3 @@ def record_try(store: Store, delivery: Delivery, new: Try, *, retry_s: Sequence[
             reason = {"disabled_reason": "the address answered 410 Gone"}
             connection.execute(t.webhook_endpoints.update().where(whom).values(**reason))
     return state
-
-
-def _delivery(row: sa.Row[tuple[object, ...]]) -> Delivery:
-    log = tuple(Try(**new) for new in row._mapping["log"])
-    return Delivery(**dict(row._mapping) | {"log": log})

@@ -1,8 +1,15 @@
-"""Tables of the job store, and how they are made. Times are seconds since 1970."""
+"""Tables of the job store, made of the records of their rows. Times are seconds since 1970."""
+
+from collections.abc import Callable
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import sqlalchemy as sa
+from pydantic import TypeAdapter
 
+from jobs import records
 from jobs.errors import SchemaError
+from jobs.states import JobState
 
 REVISION = 2
 """Of these tables. A release that changes them raises it and adds only what old code can ignore."""
@@ -10,79 +17,56 @@ REVISION = 2
 metadata = sa.MetaData()
 _id = sa.String(64)
 _hash = sa.String(64)
+_SCALARS = {str: sa.String, int: sa.BigInteger, float: sa.Double, bool: sa.Boolean, JobState: sa.String}
+_READERS: dict[type, dict[str, Callable[[Any], object]]] = {}
+Record = TypeVar("Record")
+
+
+def _columns_of(record: type, *, index: tuple[str, ...] = ()) -> list[sa.Column[Any]]:
+    """A column for each field of a record, null where that may be None; `id` is the primary key."""
+    columns: list[sa.Column[Any]] = []
+    readers = _READERS[record] = {}
+    for name, hint in get_type_hints(record).items():
+        kind, *others = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        column_type = sa.String if get_origin(kind) is Literal else _SCALARS.get(kind, sa.JSON)
+        has_null = NoneType in others
+        columns.append(sa.Column(name, column_type, primary_key=name == "id", nullable=has_null, index=name in index))
+        is_other = get_origin(kind) is tuple or kind in (JobState, records.AssetPart)  # than what the column gives
+        readers[name] = TypeAdapter(hint).validate_python if is_other else lambda value: value
+    return [column for column in columns if column.name != "stages"]  # a job's, in a table of their own
+
+
+def record_of(record: type[Record], row: sa.Row[Any], **more: object) -> Record:
+    """The record of a row, with `more` that is in other tables; columns that no field has are left out."""
+    readers = _READERS[record]
+    return record(**{name: readers[name](value) for name, value in row._mapping.items() if name in readers} | more)
+
 
 schema_revision = sa.Table("schema_revision", sa.MetaData(), sa.Column("number", sa.Integer, primary_key=True))
 """Of the database; not among the tables that are saved and restored."""
 
 api_keys = sa.Table(
-    "api_keys",
-    metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, index=True),
-    sa.Column("name", sa.String(128), nullable=False),
-    sa.Column("digest", _hash, nullable=False, unique=True),  # sha256 of the key, which is nowhere
-    sa.Column("scopes", sa.JSON, nullable=False),
-    sa.Column("limits", sa.JSON, nullable=False),  # what differs from the settings
-    sa.Column("created_at", sa.Double, nullable=False),
-    sa.Column("expires_at", sa.Double),
-    sa.Column("revoked_at", sa.Double),
-    sa.Column("last_used_at", sa.Double),  # written once an hour at most
+    "api_keys", metadata, *_columns_of(records.KeyRecord, index=("owner",)), sa.UniqueConstraint("digest")
 )
 
 assets = sa.Table(
     "assets",
     metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, index=True),  # empty where no key was asked for
+    *_columns_of(records.AssetRecord, index=("owner", "expires_at")),
     sa.Column("bytes", sa.BigInteger, nullable=False),
-    sa.Column("kind", sa.String(16), nullable=False),
-    sa.Column("fingerprint", _hash, nullable=False),
     sa.Column("live_fingerprint", _hash, unique=True),  # null once deleted, so that the same bytes may come again
-    sa.Column("parts", sa.JSON, nullable=False),
-    sa.Column("prepared", sa.JSON),
-    sa.Column("summary", sa.JSON, nullable=False),
-    sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
-    sa.Column("created_at", sa.Double, nullable=False),
-    sa.Column("expires_at", sa.Double, nullable=False, index=True),
-    sa.Column("deleted_at", sa.Double),
 )
 
 jobs = sa.Table(
     "jobs",
     metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False),
-    sa.Column("type", sa.String(16), nullable=False),
-    sa.Column("state", sa.String(16), nullable=False),
-    sa.Column("asset_id", _id, sa.ForeignKey("assets.id"), nullable=False, index=True),
-    sa.Column("preset", sa.String(64), nullable=False),
-    sa.Column("seed", sa.BigInteger, nullable=False),
-    sa.Column("params", sa.JSON, nullable=False),
-    sa.Column("queue", sa.String(32), nullable=False),
-    sa.Column("priority", sa.String(16), nullable=False),
-    sa.Column("webhook_id", _id),
-    sa.Column("webhook_events", sa.JSON),  # of this job, for that endpoint; null: those of its end
-    sa.Column("request_id", sa.String(128)),  # of the request that made it
-    sa.Column("traceparent", sa.String(64)),
-    sa.Column("attempt", sa.Integer, nullable=False),
-    sa.Column("version", sa.Integer, nullable=False),
+    *_columns_of(records.JobRecord, index=("asset_id", "created_at", "finished_at")),
     sa.Column("lease_owner", sa.String(128)),
     sa.Column("lease_until", sa.Double),
     sa.Column("lost_stages", sa.JSON, nullable=False),  # the stage that each lost attempt died in
-    sa.Column("error_code", sa.String(64)),
-    sa.Column("error_message", sa.Text),
     sa.Column("client_key", sa.String(160), unique=True),  # what the client named this request
     sa.Column("body_sha256", _hash),
-    sa.Column("retry_of", _id),
-    sa.Column("external_id", sa.String(128)),  # the client's own name for it
-    sa.Column("metadata", sa.JSON, nullable=False),  # the client's, returned as they are
-    sa.Column("cancel_at", sa.Double),
-    sa.Column("destination", sa.Text),  # where its products are copied to
-    sa.Column("processor_s", sa.Double, nullable=False),  # of all attempts
-    sa.Column("gpu_s", sa.Double, nullable=False),
-    sa.Column("created_at", sa.Double, nullable=False, index=True),
-    sa.Column("started_at", sa.Double),
-    sa.Column("finished_at", sa.Double, index=True),
+    sa.ForeignKeyConstraint(["asset_id"], ["assets.id"]),
     sa.Index("ix_jobs_state_lease", "state", "lease_until"),
     sa.Index("ix_jobs_owner_id", "owner", "id"),
     sa.Index("ix_jobs_owner_external_id", "owner", "external_id"),
@@ -91,30 +75,30 @@ jobs = sa.Table(
 stages = sa.Table(
     "stages",
     metadata,
-    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
-    sa.Column("name", sa.String(16), primary_key=True),
+    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE")),
+    *_columns_of(records.StageRecord),
     sa.Column("position", sa.Integer, nullable=False),
-    sa.Column("state", sa.String(16), nullable=False),
-    sa.Column("progress", sa.Double, nullable=False),
-    sa.Column("cached", sa.Boolean, nullable=False),
-    sa.Column("started_at", sa.Double),
-    sa.Column("finished_at", sa.Double),
+    sa.PrimaryKeyConstraint("job_id", "name"),
 )
 
 artifacts = sa.Table(
     "artifacts",
     metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
-    sa.Column("stage", sa.String(16), nullable=False),
-    sa.Column("name", sa.String(255), nullable=False),
-    sa.Column("media_type", sa.String(128), nullable=False),
-    sa.Column("sha256", _hash, nullable=False, index=True),
-    sa.Column("bytes", sa.BigInteger, nullable=False),
-    sa.Column("created_at", sa.Double, nullable=False),
-    sa.Column("expires_at", sa.Double, nullable=False, index=True),
-    sa.Column("facts", sa.JSON, nullable=False, server_default="{}"),  # how far it is from the motion, by name
+    *_columns_of(records.ArtifactRecord, index=("sha256", "expires_at")),
+    sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], ondelete="CASCADE"),
     sa.UniqueConstraint("job_id", "name"),
+)
+
+uploads = sa.Table("uploads", metadata, *_columns_of(records.UploadRecord, index=("owner", "state", "expires_at")))
+
+webhook_endpoints = sa.Table("webhook_endpoints", metadata, *_columns_of(records.Endpoint, index=("owner",)))
+
+deliveries = sa.Table(
+    "deliveries",
+    metadata,
+    *_columns_of(records.Delivery, index=("next_at", "created_at")),
+    sa.ForeignKeyConstraint(["endpoint_id"], ["webhook_endpoints.id"], ondelete="CASCADE"),
+    sa.Index("ix_deliveries_endpoint_id_id", "endpoint_id", "id"),
 )
 
 stage_cache = sa.Table(
@@ -151,59 +135,6 @@ leases = sa.Table(
     sa.Column("name", sa.String(128), primary_key=True),
     sa.Column("owner", sa.String(128), nullable=False),
     sa.Column("until", sa.Double, nullable=False),
-)
-
-uploads = sa.Table(
-    "uploads",
-    metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, index=True),
-    sa.Column("state", sa.String(16), nullable=False, index=True),
-    sa.Column("filename", sa.String(255), nullable=False),
-    sa.Column("options", sa.JSON, nullable=False),  # how to read it: kind, up_axis, unit_m
-    sa.Column("length", sa.BigInteger),  # null while an address does not tell
-    sa.Column("received", sa.BigInteger, nullable=False),
-    sa.Column("sha256", _hash),  # as promised; as found once it is whole
-    sa.Column("source_url", sa.Text),
-    sa.Column("make_asset", sa.Boolean, nullable=False),  # without being asked for it
-    sa.Column("writer", sa.String(64)),  # the request that may write
-    sa.Column("lease_until", sa.Double),
-    sa.Column("asset_id", _id),
-    sa.Column("error_code", sa.String(64)),
-    sa.Column("error_message", sa.Text),
-    sa.Column("created_at", sa.Double, nullable=False),
-    sa.Column("expires_at", sa.Double, nullable=False, index=True),
-)
-
-webhook_endpoints = sa.Table(
-    "webhook_endpoints",
-    metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("owner", _id, nullable=False, index=True),
-    sa.Column("url", sa.Text, nullable=False),
-    sa.Column("events", sa.JSON, nullable=False),
-    sa.Column("secret", sa.String(128), nullable=False),
-    sa.Column("old_secret", sa.String(128)),  # signs too, until its time is over
-    sa.Column("old_secret_until", sa.Double),
-    sa.Column("disabled_reason", sa.String(255)),
-    sa.Column("created_at", sa.Double, nullable=False),
-)
-
-deliveries = sa.Table(
-    "deliveries",
-    metadata,
-    sa.Column("id", _id, primary_key=True),
-    sa.Column("endpoint_id", _id, sa.ForeignKey("webhook_endpoints.id", ondelete="CASCADE"), nullable=False),
-    sa.Column("job_id", _id, nullable=False),
-    sa.Column("event", sa.String(32), nullable=False),
-    sa.Column("message_id", _id, nullable=False),  # the same for a replay, so that the receiver may know it
-    sa.Column("payload", sa.Text, nullable=False),
-    sa.Column("state", sa.String(16), nullable=False),
-    sa.Column("log", sa.JSON, nullable=False),
-    sa.Column("next_at", sa.Double, index=True),  # null once it is over
-    sa.Column("traceparent", sa.String(64)),
-    sa.Column("created_at", sa.Double, nullable=False, index=True),
-    sa.Index("ix_deliveries_endpoint_id_id", "endpoint_id", "id"),
 )
 
 tombstones = sa.Table(

@@ -1,4 +1,7 @@
-"""A worker's changes to the job that it runs. Every write names the attempt, which fences off older ones."""
+"""A worker's changes to the job that it runs.
+
+Every write names the attempt: where another one began, or the job ended, FencedError is raised and nothing is written.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -6,14 +9,13 @@ from datetime import UTC, datetime
 
 import sqlalchemy as sa
 
-from jobs.clients.webhook_events import FIRST_ARTIFACT, announce
 from jobs.database import tables as t
 from jobs.database.counters import count, count_seconds
 from jobs.database.engine import add_up, upsert
 from jobs.database.retry import patient
 from jobs.errors import FencedError
-from jobs.lifecycle.rows import end, read_job
-from jobs.records import Claim, OutputFile
+from jobs.lifecycle.rows import announce, end, read_job
+from jobs.records import FIRST_ARTIFACT, Claim, OutputFile
 from jobs.states import JobState, JobType, queues_of
 from jobs.store import Store, new_id
 
@@ -45,11 +47,7 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
 
 
 def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> None:
-    """Renew the lease.
-
-    Raises:
-        FencedError: it is no longer ours.
-    """
+    """Renew the lease."""
     with store.writing() as connection:
         mine = _running_attempt(job_id, attempt, owner)
         change = t.jobs.update().where(mine).values(lease_until=store.clock() + lease_s)
@@ -59,11 +57,7 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
 
 @patient
 def canceling(store: Store, claimed: Claim) -> bool:
-    """Whether cancellation of this job was requested.
-
-    Raises:
-        FencedError: the attempt is no longer ours.
-    """
+    """Whether cancellation of this job was requested."""
     with store.reading() as connection:
         state = connection.execute(sa.select(t.jobs.c.state).where(_ours(claimed))).scalar_one_or_none()
     if state is None:
@@ -124,11 +118,7 @@ def publish_stage(
     cached: bool,
     retention_s: float,
 ) -> None:
-    """Publish a stage's files and cache them for other jobs, if the attempt is still ours.
-
-    Raises:
-        FencedError: it is not; nothing is published.
-    """
+    """Publish a stage's files and cache them for other jobs."""
     now = store.clock()
     with store.writing() as connection:
         _touch(connection, claimed)
@@ -152,9 +142,6 @@ def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile,
     """Publish files of a stage that goes on or has failed; later ones of the same name take their place.
 
     The stage is not finished by it, and the files are not cached.
-
-    Raises:
-        FencedError: the attempt is no longer ours; nothing is offered.
     """
     with store.writing() as connection:
         _touch(connection, claimed)
@@ -201,7 +188,7 @@ def finish_cancel(store: Store, claimed: Claim) -> None:
 def hand_back(store: Store, claimed: Claim) -> None:
     """Release the attempt for another worker, without counting a lost one."""
     with store.writing() as connection:
-        if _state(connection, claimed) == JobState.CANCELING:
+        if _touch(connection, claimed) == JobState.CANCELING:
             end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
             return
         begin_next_attempt(connection, claimed.job.id, claimed.attempt, now=store.clock())
@@ -285,7 +272,7 @@ def _replace_artifacts(
 
 def _end(store: Store, claimed: Claim, target: JobState, **error: str) -> JobState:
     with store.writing() as connection:
-        if _state(connection, claimed) == JobState.CANCELING:
+        if _touch(connection, claimed) == JobState.CANCELING:
             target, error = JobState.CANCELED, {}
         end(connection, claimed.job.id, target, now=store.clock(), **error)
         return target
@@ -300,15 +287,13 @@ def _running_attempt(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[
     return mine & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
 
 
-def _touch(connection: sa.Connection, claimed: Claim) -> None:
+def _touch(connection: sa.Connection, claimed: Claim) -> JobState:
+    """Raise the job's version, and return its state."""
     change = t.jobs.update().where(_ours(claimed)).values(version=t.jobs.c.version + 1)
-    if connection.execute(change).rowcount == 0:
+    state = connection.execute(change.returning(t.jobs.c.state)).scalar_one_or_none()
+    if state is None:
         raise _fenced(claimed.job.id, claimed.attempt)
-
-
-def _state(connection: sa.Connection, claimed: Claim) -> JobState:
-    _touch(connection, claimed)
-    return JobState(connection.execute(sa.select(t.jobs.c.state).where(t.jobs.c.id == claimed.job.id)).scalar_one())
+    return JobState(state)
 
 
 def _fenced(job_id: str, attempt: int) -> FencedError:

@@ -1,7 +1,7 @@
 """The housekeeper's changes to the store: messages to send, expired leases, deadlines, retention."""
 
 from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import sqlalchemy as sa
 
@@ -10,6 +10,7 @@ from jobs.database.counters import count
 from jobs.database.engine import upsert
 from jobs.lifecycle.attempts import begin_next_attempt
 from jobs.lifecycle.rows import bury, end
+from jobs.settings import Settings
 from jobs.states import CPU, GPU, JobState, queues_of
 from jobs.store import Store
 
@@ -27,8 +28,7 @@ HOUSEKEEPER_LEASE = "housekeeper"
 RUN_JOB = "dynamictree.run_job"
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunJob:
+class RunJob(NamedTuple):
     """The message that crosses the queue: one attempt of a job. Everything else is read from the store."""
 
     job_id: str
@@ -38,7 +38,7 @@ class RunJob:
     @property
     def args(self) -> tuple[str, int]:
         """The task's arguments."""
-        return (self.job_id, self.attempt)
+        return self[:2]
 
 
 def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:
@@ -119,7 +119,7 @@ def unsent(store: Store, *, window: int) -> list[RunJob]:
     for row in sorted(rows, key=lambda row: (row.place + busy[row.owner], row.created_at, row.job_id)):
         if room[row.queue] > 0:
             room[row.queue] -= 1
-            chosen.append(RunJob(job_id=row.job_id, attempt=row.attempt, queue=row.queue))
+            chosen.append(RunJob(row.job_id, row.attempt, row.queue))
     return chosen
 
 
@@ -133,7 +133,7 @@ def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[Run
         .limit(limit)
     )
     with store.reading() as connection:
-        return [RunJob(job_id=row.job_id, attempt=row.attempt, queue=row.queue) for row in connection.execute(query)]
+        return [RunJob(row.job_id, row.attempt, row.queue) for row in connection.execute(query)]
 
 
 def mark_sent(store: Store, message: RunJob) -> None:
@@ -194,20 +194,15 @@ def overdue(store: Store) -> list[str]:
         return list(connection.execute(sa.select(t.jobs.c.id).where(late)).scalars())
 
 
-def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: float) -> None:
-    """Delete expired assets, jobs and cached stages. Artifact records stay with their job, for status 410."""
+def forget_expired(store: Store, settings: Settings) -> None:
+    """Delete expired assets, jobs, cached stages and deliveries; artifacts stay with their job, for status 410."""
     now = store.clock()
     with store.writing() as connection:
         in_use = sa.select(t.jobs.c.asset_id).where(t.jobs.c.finished_at.is_(None))
         old = (t.assets.c.expires_at < now) & t.assets.c.deleted_at.is_(None) & t.assets.c.id.not_in(in_use)
         connection.execute(t.assets.update().where(old).values(deleted_at=now, live_fingerprint=None))
-        bury(connection, t.jobs.c.finished_at < now - job_retention_s, now=now)
+        bury(connection, t.jobs.c.finished_at < now - settings.job_retention_s, now=now)
         connection.execute(t.tombstones.delete().where(t.tombstones.c.gone_at < now - TOMBSTONE_S))
-        connection.execute(t.stage_cache.delete().where(t.stage_cache.c.used_at < now - cache_retention_s))
-
-
-def forget_deliveries(store: Store, *, retention_s: float) -> None:
-    """Delete old webhook deliveries."""
-    old = (t.deliveries.c.created_at < store.clock() - retention_s) & t.deliveries.c.next_at.is_(None)
-    with store.writing() as connection:
-        connection.execute(t.deliveries.delete().where(old))
+        connection.execute(t.stage_cache.delete().where(t.stage_cache.c.used_at < now - settings.artifact_retention_s))
+        over = (t.deliveries.c.created_at < now - settings.webhook_retention_s) & t.deliveries.c.next_at.is_(None)
+        connection.execute(t.deliveries.delete().where(over))

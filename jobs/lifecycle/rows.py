@@ -1,18 +1,18 @@
-"""Jobs, stages and artifacts within a transaction: rows to records, and state transitions."""
+"""Jobs within a transaction: rows to records, state transitions, and the events that these are."""
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
 
 import sqlalchemy as sa
+from ulid import ULID
 
-from jobs.clients.webhook_events import announce
 from jobs.database import tables as t
 from jobs.database.counters import count
 from jobs.errors import NotFoundError, ReusedKeyError
-from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
+from jobs.records import ENDS, ClientKey, JobRecord, StageRecord
 from jobs.states import JobState, states_before
-
-HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
-"""Columns of a job that its record does not show."""
 
 _ID: sa.BindParameter[str] = sa.bindparam("id")
 _JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
@@ -58,30 +58,42 @@ def end(
     return True
 
 
-def standing_of(
-    connection: sa.Connection, page: Sequence[JobRecord]
-) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
-    """How many jobs of its queue are there before each job, None once it has begun; and what it offers so far.
-
-    Owners take turns, as in `maintenance.unsent`.
-    """
-    waiting = {job.id: job.queue for job in page if job.state == JobState.QUEUED}
-    positions: dict[str, int] = {}
-    if waiting:
-        queued = t.jobs.c.queue.in_(set(waiting.values())) & (t.jobs.c.state == JobState.QUEUED)
-        place = sa.func.row_number().over(partition_by=(t.jobs.c.queue, t.jobs.c.owner), order_by=t.jobs.c.id)
-        placed = sa.select(t.jobs.c.id, t.jobs.c.queue, place.label("place")).where(queued).subquery()
-        turn = sa.func.row_number().over(partition_by=placed.c.queue, order_by=(placed.c.place, placed.c.id))
-        turns = sa.select(placed.c.id, turn.label("turn")).subquery()
-        wanted = sa.select(turns).where(turns.c.id.in_(waiting))
-        positions = {row.id: row.turn - 1 for row in connection.execute(wanted)}
-    begun = [job.id for job in page if any(stage.state != "queued" for stage in job.stages)]
-    offered: dict[str, list[ArtifactRecord]] = {}
-    if begun:
-        artifacts = sa.select(t.artifacts).where(t.artifacts.c.job_id.in_(begun)).order_by(t.artifacts.c.id)
-        for row in connection.execute(artifacts):
-            offered.setdefault(row.job_id, []).append(ArtifactRecord(**row._mapping))
-    return {job.id: (positions.get(job.id), offered.get(job.id, [])) for job in page}
+def announce(connection: sa.Connection, job_id: str, event: str, *, now: float) -> None:
+    """Queue a delivery of an event of a job to every endpoint of its owner that subscribed to it."""
+    job = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one()
+    wanted = (t.webhook_endpoints.c.owner == job.owner) & t.webhook_endpoints.c.disabled_reason.is_(None)
+    of_job = ENDS if job.webhook_events is None else job.webhook_events
+    payload = {
+        "type": event,
+        "timestamp": datetime.fromtimestamp(now, UTC).isoformat(),
+        "data": {
+            "id": job_id,
+            "type": job.type,
+            "state": job.state,
+            "asset_id": job.asset_id,
+            "retry_of": job.retry_of,
+            "external_id": job.external_id,
+            "metadata": job.metadata,
+            "error_code": job.error_code,
+            "url": f"/v1/jobs/{job_id}",
+        },
+    }
+    for row in connection.execute(sa.select(t.webhook_endpoints).where(wanted)).all():
+        if event in row.events or (row.id == job.webhook_id and event in of_job):
+            row_values = {
+                "id": str(ULID()),
+                "endpoint_id": row.id,
+                "job_id": job_id,
+                "event": event,
+                "message_id": f"msg_{ULID()}",
+                "payload": json.dumps(payload, separators=(",", ":")),
+                "state": "pending",
+                "log": [],
+                "next_at": now,
+                "traceparent": job.traceparent,
+                "created_at": now,
+            }
+            connection.execute(t.deliveries.insert().values(**row_values))
 
 
 def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
@@ -89,7 +101,7 @@ def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
     row = connection.execute(_JOB, {"id": job_id}).one_or_none()
     if row is None:
         raise NotFoundError(f"there is no job {job_id}")
-    return job_of(row, tuple(stage_of(stage) for stage in connection.execute(_STAGES, {"id": job_id})))
+    return job_of(row, connection.execute(_STAGES, {"id": job_id}).all())
 
 
 def same_job(connection: sa.Connection, client_key: ClientKey) -> str:
@@ -105,13 +117,6 @@ def same_job(connection: sa.Connection, client_key: ClientKey) -> str:
     return str(row.id)
 
 
-def stage_of(row: sa.Row[tuple[object, ...]]) -> StageRecord:
-    """A row of the table of stages."""
-    values: Mapping[str, object] = {k: v for k, v in row._mapping.items() if k not in {"job_id", "position"}}
-    return StageRecord(**values)  # type: ignore[arg-type]
-
-
-def job_of(row: sa.Row[tuple[object, ...]], stages: tuple[StageRecord, ...]) -> JobRecord:
-    """A row of the table of jobs, with the job's stages."""
-    values = {k: v for k, v in row._mapping.items() if k not in HIDDEN}
-    return JobRecord(**values | {"stages": stages, "state": JobState(values["state"])})
+def job_of(row: sa.Row[Any], stages: Sequence[sa.Row[Any]]) -> JobRecord:
+    """A row of the table of jobs, with those of its stages."""
+    return t.record_of(JobRecord, row, stages=tuple(t.record_of(StageRecord, stage) for stage in stages))

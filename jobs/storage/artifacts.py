@@ -6,7 +6,7 @@ import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -21,6 +21,23 @@ FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What the system says where a file may not grow."""
 
 
+def is_full(error: OSError) -> bool:
+    """Whether the system refused to let a file grow."""
+    return error.errno in FULL
+
+
+@contextmanager
+def _reporting_full_disk() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise StorageFullError(
+            f"there is no room in the storage: {error.strerror}; free some, then try again"
+        ) from error
+
+
 class FolderArtifacts:
     """Storage of files by their sha256 in a folder: they are written beside, synced and renamed.
 
@@ -33,12 +50,9 @@ class FolderArtifacts:
         self.root = root
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
 
+    @_reporting_full_disk()
     def put(self, path: Path, digest: str) -> None:
         """Store a file's bytes; does nothing if they are stored already."""
-        with _reporting_full_disk():
-            self._put(path, digest)
-
-    def _put(self, path: Path, digest: str) -> None:
         target = self._path(digest)
         if target.exists():
             return
@@ -50,11 +64,7 @@ class FolderArtifacts:
             beside.replace(target)
         finally:
             beside.unlink(missing_ok=True)
-        folder = os.open(target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        _sync(target.parent)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Bytes from `start` up to `stop`, in chunks."""
@@ -100,7 +110,11 @@ def _link_or_copy(path: Path, beside: Path) -> None:
         if error.errno not in {errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP}:
             raise
         shutil.copyfile(path, beside)
-    descriptor = os.open(beside, os.O_RDONLY)
+    _sync(beside)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -117,10 +131,10 @@ class ObjectArtifacts:
     def __init__(self, objects: ObjectStore) -> None:
         self.objects = objects
 
+    @reporting_refusals()
     def put(self, path: Path, digest: str) -> None:
         """Store a file's bytes."""
-        with reporting_refusals():
-            obstore.put(self.objects, _key(digest), path)
+        obstore.put(self.objects, _key(digest), path)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Bytes from `start` up to `stop`, in chunks."""
@@ -135,22 +149,21 @@ class ObjectArtifacts:
     def fetch(self, digest: str, path: Path) -> None:
         """Make the bytes readable at a path: a download."""
         with _reporting_full_disk(), path.open("wb") as target:
-            for chunk in self.read(digest):
-                target.write(chunk)
+            target.writelines(self.read(digest))
 
+    @reporting_refusals()
     def exists(self, digest: str) -> bool:
         """Whether the bytes are stored."""
-        with reporting_refusals():
-            try:
-                obstore.head(self.objects, _key(digest))
-            except FileNotFoundError:
-                return False
+        try:
+            obstore.head(self.objects, _key(digest))
+        except FileNotFoundError:
+            return False
         return True
 
+    @reporting_refusals()
     def delete(self, digest: str) -> None:
         """Delete the bytes."""
-        with reporting_refusals():
-            obstore.delete(self.objects, _key(digest))
+        obstore.delete(self.objects, _key(digest))
 
     def link(self, digest: str) -> str | None:
         """Address of the bytes in the storage."""
@@ -177,13 +190,8 @@ def open_artifacts(
 
 def hash_file(path: Path) -> tuple[str, int]:
     """A file's sha256 and size [bytes]."""
-    digest = sha256()
-    size = 0
     with path.open("rb") as stream:
-        while chunk := stream.read(CHUNK_BYTES):
-            digest.update(chunk)
-            size += len(chunk)
-    return digest.hexdigest(), size
+        return file_digest(stream, "sha256").hexdigest(), stream.tell()
 
 
 def hash_stored(
@@ -198,23 +206,6 @@ def hash_stored(
     except FileNotFoundError:
         return None
     return checksum.hexdigest()
-
-
-def is_full(error: OSError) -> bool:
-    """Whether the system refused to let a file grow."""
-    return error.errno in FULL
-
-
-@contextmanager
-def _reporting_full_disk() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if not is_full(error):
-            raise
-        raise StorageFullError(
-            f"there is no room in the storage: {error.strerror}; free some, then try again"
-        ) from error
 
 
 def _key(digest: str) -> str:

@@ -11,7 +11,7 @@ from jobs.database import tables as t
 from jobs.database.engine import insert_new
 from jobs.database.retry import patient
 from jobs.errors import ConflictError, GoneError, NotFoundError
-from jobs.records import AssetPart, AssetRecord
+from jobs.records import AssetRecord
 from jobs.states import ACTIVE
 from jobs.store import Store
 
@@ -27,7 +27,7 @@ def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
         same = t.assets.c.live_fingerprint == live
         changes = {"expires_at": asset.expires_at} | ({"metadata": asset.metadata} if asset.metadata else {})
         connection.execute(t.assets.update().where(same).values(**changes))
-        return _asset(connection.execute(sa.select(t.assets).where(same)).one()), False
+        return t.record_of(AssetRecord, connection.execute(sa.select(t.assets).where(same)).one()), False
 
 
 def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
@@ -35,7 +35,7 @@ def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
     this = t.assets.c.live_fingerprint == _live(store, fingerprint)
     with store.reading() as connection:
         row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
-    return None if row is None else _asset(row)
+    return None if row is None else t.record_of(AssetRecord, row)
 
 
 def _live(store: Store, fingerprint: str) -> str:
@@ -45,17 +45,13 @@ def _live(store: Store, fingerprint: str) -> str:
 
 @patient
 def read_asset(store: Store, asset_id: str) -> AssetRecord:
-    """Read one asset.
-
-    Raises:
-        NotFoundError, GoneError: there is none, or it was deleted or has expired.
-    """
+    """Read one asset."""
     with store.reading() as connection:
         this = (t.assets.c.id == asset_id) & store.mine(t.assets)
         row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
     if row is None:
         raise NotFoundError(f"there is no asset {asset_id}")
-    asset = _asset(row)
+    asset = t.record_of(AssetRecord, row)
     if asset.deleted_at is not None:
         raise GoneError(f"asset {asset_id} was deleted or has expired; upload it again")
     return asset
@@ -83,11 +79,3 @@ def delete_asset(store: Store, asset_id: str) -> None:
             raise ConflictError(f"asset {asset_id} is in use by job {job_id}; cancel it or wait for its end")
         gone = {"live_fingerprint": None, "deleted_at": store.clock()}
         connection.execute(t.assets.update().where(t.assets.c.id == asset_id).values(**gone))
-
-
-def _asset(row: sa.Row[tuple[object, ...]]) -> AssetRecord:
-    values = dict(row._mapping)
-    del values["live_fingerprint"], values["bytes"]
-    values["parts"] = tuple(AssetPart(**part) for part in values["parts"])
-    values["prepared"] = values["prepared"] and AssetPart(**values["prepared"])
-    return AssetRecord(**values)

@@ -19,7 +19,7 @@ from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError
 from jobs.lifecycle.maintenance import hold_lease, release_lease
 from jobs.storage.artifacts import ArtifactStore, hash_file, hash_stored
-from jobs.storage.references import is_referenced, referenced
+from jobs.storage.references import referenced
 from jobs.store import Store, new_id
 
 BACKUP_LEASE = "backup"
@@ -169,17 +169,13 @@ def scrub(store: Store, artifacts: ArtifactStore) -> ScrubReport:
     with store.reading() as connection:
         digests = referenced(connection, store.clock())
     sizes: list[int] = []
-    missing, different = [], []
+    absent, different = set[str](), []
     for digest in digests:
         stored = hash_stored(artifacts, digest, lambda chunk: sizes.append(len(chunk)))
-        if stored is None and _is_referenced(store, digest):  # else retention has deleted it meanwhile
-            missing.append(digest)
-        elif stored not in (None, digest):
+        if stored is None:
+            absent.add(digest)
+        elif stored != digest:
             different.append(digest)
-    return ScrubReport(blobs=len(digests), bytes=sum(sizes), missing=tuple(missing), different=tuple(different))
-
-
-def _is_referenced(store: Store, digest: str) -> bool:
-    with store.reading() as connection:
-        there = connection.execute(sa.select(t.blobs.c.sha256).where(t.blobs.c.sha256 == digest)).one_or_none()
-        return there is not None and is_referenced(connection, digest, store.clock())
+    with store.reading() as connection:  # what it does not name any more, retention has deleted meanwhile
+        missing = tuple(digest for digest in referenced(connection, store.clock()) if digest in absent)
+    return ScrubReport(blobs=len(digests), bytes=sum(sizes), missing=missing, different=tuple(different))

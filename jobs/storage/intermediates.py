@@ -4,7 +4,7 @@ An entry names the files that it was computed from as `source`: it is forgotten 
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict
 from hashlib import sha256
 from importlib.metadata import version
@@ -22,9 +22,12 @@ RESULT_SOURCES = {"rig": (SPECTRUM, MESH_BUNDLE)}
 """The files that each result is computed from."""
 
 
-def intermediate_key(name: str, job: JobRecord, sources: Iterable[str], choice: Mapping[str, object]) -> str:
-    """sha256 over all that decides a result: the hashes of its sources, what of them moves (`choice`), owner, code."""
-    meaning = [name, STAGE_VERSION, version("dynamictree"), list(sources), dict(choice), job.owner or ""]
+def result_key(name: str, job: JobRecord, sources: Iterable[str], *params: object) -> str:
+    """sha256 over all that decides a result or a stage: the hashes of its sources, parameters, owner and code.
+
+    The owner, since a hit would tell one owner what another has sent.
+    """
+    meaning = [name, STAGE_VERSION, version("dynamictree"), list(sources), *params, job.owner]
     return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()
 
 

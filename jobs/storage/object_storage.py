@@ -38,16 +38,6 @@ def open_objects(
     )
 
 
-def presigned(objects: ObjectStore, method: Literal["GET", "PUT"], key: str) -> str:
-    """Address by which whoever has it may get or put one object, for `LINK_S`.
-
-    Raises:
-        StorageAwayError: the storage has no such addresses.
-    """
-    with reporting_refusals():
-        return obstore.sign(objects, method, key, timedelta(seconds=LINK_S))  # type: ignore[arg-type]
-
-
 @contextmanager
 def reporting_refusals() -> Iterator[None]:
     """Report what a storage refuses as StorageAwayError.
@@ -60,3 +50,9 @@ def reporting_refusals() -> Iterator[None]:
     except BaseError as error:
         reason = str(error).partition("\n")[0][:300]
         raise StorageAwayError(f"the object storage does not do as it is asked: {reason}") from error
+
+
+@reporting_refusals()
+def presigned(objects: ObjectStore, method: Literal["GET", "PUT"], key: str) -> str:
+    """Address by which whoever has it may get or put one object, for `LINK_S`; not every storage has such."""
+    return obstore.sign(objects, method, key, timedelta(seconds=LINK_S))  # type: ignore[arg-type]

@@ -38,12 +38,6 @@ def referenced(connection: sa.Connection, now: float) -> list[str]:
     return list(connection.execute(sa.text(query), {"now": now}).scalars())
 
 
-def is_referenced(connection: sa.Connection, sha256: str, now: float) -> bool:
-    """Whether a row refers to bytes."""
-    query = f"SELECT 1 FROM ({_all_of(connection)}) AS used WHERE sha256 = :wanted LIMIT 1"
-    return connection.execute(sa.text(query), {"now": now, "wanted": sha256}).scalar() is not None
-
-
 def unreferenced_blobs(store: Store, *, limit: int) -> list[str]:
     """Hashes of bytes that nothing refers to any more."""
     now = store.clock()

@@ -116,12 +116,12 @@ class ObjectParts:
                 for chunk in obstore.get(self.objects, key).stream(min_chunk_size=CHUNK_BYTES):
                     target.write(bytes(chunk))
 
+    @reporting_refusals()
     def delete(self, upload_id: str) -> None:
         """Delete the upload."""
         keys = [key for key, _ in self._listed(upload_id)]
         if keys:
-            with reporting_refusals():
-                obstore.delete(self.objects, keys)
+            obstore.delete(self.objects, keys)
 
     def _parts(self, upload_id: str) -> list[tuple[str, int]]:
         entries = []
@@ -133,10 +133,10 @@ class ObjectParts:
             end += size
         return entries
 
+    @reporting_refusals()
     def _listed(self, upload_id: str) -> list[tuple[str, int]]:
-        with reporting_refusals():
-            pages = obstore.list(self.objects, prefix=f"{PREFIX}/{upload_id}")
-            return sorted((str(meta["path"]), int(meta["size"])) for page in pages for meta in page)
+        pages = obstore.list(self.objects, prefix=f"{PREFIX}/{upload_id}")
+        return sorted((str(meta["path"]), int(meta["size"])) for page in pages for meta in page)
 
 
 class ObjectWriter:

@@ -1,44 +1,16 @@
 """Rows of uploads: length, bytes received, and the resulting asset or error."""
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from dataclasses import asdict, replace
+from typing import Any
 
 import sqlalchemy as sa
 
 from jobs.clients.usage import stored_bytes_in
 from jobs.database import tables as t
 from jobs.errors import BytesQuotaError, ConflictError, GoneError, NotFoundError
-from jobs.records import Json
+from jobs.records import UploadRecord, UploadState
 from jobs.store import Store
-
-UploadState = Literal["receiving", "fetching", "received", "ready", "failed"]
-"""Bytes come from a client, or from an address; all are there; an asset was made; it could not be."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class UploadRecord:
-    """One file that someone sends in pieces, or that is fetched from an address."""
-
-    id: str
-    owner: str = ""
-    state: UploadState
-    filename: str
-    options: Mapping[str, Json]
-    length: int | None
-    received: int = 0
-    sha256: str | None = None  # as promised; as found once it is whole
-    source_url: str | None = None
-    make_asset: bool = False  # without being asked for it
-    writer: str | None = None  # the request that may write
-    lease_until: float | None = None  # of the process that fetches, or makes the asset
-    asset_id: str | None = None
-    error_code: str | None = None
-    error_message: str | None = None
-    created_at: float
-    expires_at: float
-
 
 MAX_OPEN = 1000
 """Uploads of one owner that may have begun at once: one set of photos with masks and cameras has 640 files."""
@@ -64,7 +36,7 @@ def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = No
             row = connection.execute(oldest).one_or_none()
             if row is None:
                 raise BytesQuotaError(f"{MAX_OPEN} of your uploads have begun, which is the limit; end some")
-            _bury(connection, UploadRecord(**row._mapping), now=store.clock())
+            _bury(connection, row, now=store.clock())
         connection.execute(t.uploads.insert().values(**asdict(upload)))
     return upload
 
@@ -87,11 +59,7 @@ def drop_upload(store: Store, upload_id: str) -> None:
 
 
 def upload(store: Store, upload_id: str) -> UploadRecord:
-    """Read one upload.
-
-    Raises:
-        NotFoundError, GoneError: there is none, or it has expired.
-    """
+    """Read one upload."""
     with store.reading() as connection:
         return _read(connection, store, upload_id)
 
@@ -100,7 +68,6 @@ def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] 
     """Change an upload, if it is still in one of the states `was`.
 
     Raises:
-        NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: it has gone on.
     """
     with store.writing() as connection:
@@ -110,16 +77,6 @@ def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] 
         if values:
             connection.execute(t.uploads.update().where(t.uploads.c.id == upload_id).values(**values))
         return _read(connection, store, upload_id)
-
-
-def delete_upload(store: Store, upload_id: str) -> None:
-    """Delete an upload's record; the caller deletes its bytes first.
-
-    Raises:
-        NotFoundError, GoneError: there is none, or it has expired.
-    """
-    with store.writing() as connection:
-        _bury(connection, _read(connection, store, upload_id), now=store.clock())
 
 
 def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -> list[UploadRecord]:
@@ -139,9 +96,8 @@ def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -
     for upload_id in ids:
         with store.writing() as connection:
             this = (t.uploads.c.id == upload_id) & waiting & free
-            if connection.execute(t.uploads.update().where(this).values(lease_until=now + lease_s)).rowcount:
-                row = connection.execute(sa.select(t.uploads).where(t.uploads.c.id == upload_id)).one()
-                claimed.append(UploadRecord(**row._mapping))
+            change = t.uploads.update().where(this).values(lease_until=now + lease_s).returning(*t.uploads.c)
+            claimed += [t.record_of(UploadRecord, row) for row in connection.execute(change)]
     return claimed
 
 
@@ -160,17 +116,17 @@ def expired_uploads(store: Store, *, limit: int) -> list[str]:
         return list(connection.execute(old).scalars())
 
 
-def bury(store: Store, upload_id: str) -> None:
-    """Forget an upload whose bytes were deleted because its time has passed."""
+def delete_upload(store: Store, upload_id: str) -> None:
+    """Delete an upload's record, if it is still there; the caller deletes its bytes first."""
     with store.writing() as connection:
         row = connection.execute(sa.select(t.uploads).where(t.uploads.c.id == upload_id)).one_or_none()
         if row is not None:
-            _bury(connection, UploadRecord(**row._mapping), now=store.clock())
+            _bury(connection, row, now=store.clock())
 
 
-def _bury(connection: sa.Connection, record: UploadRecord, *, now: float) -> None:
-    connection.execute(t.uploads.delete().where(t.uploads.c.id == record.id))
-    tomb = {"id": record.id, "owner": record.owner, "kind": "upload", "gone_at": now}
+def _bury(connection: sa.Connection, row: sa.Row[Any], *, now: float) -> None:
+    connection.execute(t.uploads.delete().where(t.uploads.c.id == row.id))
+    tomb = {"id": row.id, "owner": row.owner, "kind": "upload", "gone_at": now}
     connection.execute(t.tombstones.insert().values(**tomb))
 
 
@@ -178,7 +134,7 @@ def _read(connection: sa.Connection, store: Store, upload_id: str) -> UploadReco
     this = (t.uploads.c.id == upload_id) & store.mine(t.uploads)
     row = connection.execute(sa.select(t.uploads).where(this)).one_or_none()
     if row is not None and row.expires_at > store.clock():
-        return UploadRecord(**row._mapping)
+        return t.record_of(UploadRecord, row)
     tomb = sa.select(t.tombstones.c.id).where((t.tombstones.c.id == upload_id) & store.mine(t.tombstones))
     if row is not None or connection.execute(tomb).one_or_none() is not None:
         raise GoneError(f"upload {upload_id} was removed or has expired; begin it anew")

@@ -11,8 +11,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jobs.clients.keys import KeyRecord, digest_of, find_key, key_of_id, note_use
-from jobs.clients.keys import Scope as KeyScope
+from jobs.clients.keys import digest_of, find_key, note_use
+from jobs.records import KeyRecord
+from jobs.records import Scope as KeyScope
 from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
@@ -102,7 +103,7 @@ class Authentication:
         try:
             key = self._keys[cached]
         except KeyError:
-            key = self._keys[cached] = await run_in_threadpool(key_of_id, store, link.key_id)
+            key = self._keys[cached] = await run_in_threadpool(find_key, store, id=link.key_id)
         right = key is not None and key.valid(store.clock()) and "read" in key.scopes
         reads = scope["type"] == "http" and scope["method"] in {"GET", "HEAD"}
         path = scope["path"]
@@ -115,7 +116,7 @@ class Authentication:
         try:
             record = self._keys[digest]
         except KeyError:
-            record = self._keys[digest] = await run_in_threadpool(find_key, store, digest)
+            record = self._keys[digest] = await run_in_threadpool(find_key, store, digest=digest)
             fresh = True
         if record is None or not record.valid(store.clock()):
             raise _unauthorized("the key is unknown, revoked or has expired")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from jobs.clients.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope
+from jobs.records import LIMITS, SCOPES, KeyRecord, Limit, Scope
 from jobs.settings import Settings
 
 CALLER = "dynamictree.caller"

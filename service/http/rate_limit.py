@@ -10,7 +10,7 @@ from limits.storage import MemoryStorage, storage_from_string
 from limits.strategies import FixedWindowRateLimiter
 from starlette.concurrency import run_in_threadpool
 
-from jobs.clients.keys import Limit
+from jobs.records import Limit
 from service.http.caller import Caller
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from urllib.parse import parse_qs, urlencode
 
-from jobs.clients.keys import KeyRecord
+from jobs.records import KeyRecord
 from service.schemas.base import ULID_PATTERN
 
 _ID = ULID_PATTERN.strip("^$")

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, contextmanager
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.clients.keys import key_of_id
+from jobs.clients.keys import find_key
 from jobs.store import Store
 from service.http.caller import Caller
 from service.http.problems import ProblemError
@@ -99,7 +99,7 @@ async def until_revoked(store: Store, caller: Caller) -> None:
         if not caller.key_id:
             continue
         try:
-            key = await run_in_threadpool(key_of_id, store, caller.key_id)
+            key = await run_in_threadpool(find_key, store, id=caller.key_id)
             if key is None or not key.valid(store.clock()):
                 return
         except sa.exc.SQLAlchemyError:

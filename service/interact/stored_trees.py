@@ -16,7 +16,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.records import ArtifactRecord
 from jobs.storage.assets import read_asset
-from jobs.storage.intermediates import RESULT_SOURCES, find_stored, intermediate_key
+from jobs.storage.intermediates import RESULT_SOURCES, find_stored, result_key
 from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM
 from service.http.problems import ProblemError
 from service.http.routing import is_id
@@ -88,7 +88,7 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
     if not digests.keys() >= set(RESULT_SOURCES[name]):
         return None
     choice = CloudParams.part_of(job.params).model_dump(mode="json")
-    key = intermediate_key(name, job, [digests[source] for source in RESULT_SOURCES[name]], choice)
+    key = result_key(name, job, [digests[source] for source in RESULT_SOURCES[name]], choice)
     wanted = (owned.store, owned.services.artifacts, key)
     waits = _AWAITING.acquire(blocking=False)
     try:

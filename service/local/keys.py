@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from jobs.clients.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
+from jobs.clients.keys import create_key, revoke_key
 from jobs.clients.keys import keys as all_keys
+from jobs.records import LIMITS, SCOPES, KeyRecord, Limit, Scope
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
 

@@ -12,10 +12,10 @@ from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.suffixes import CLOUD_SUFFIXES, FILM_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.requests import Reading
-from jobs.records import AssetRecord
+from jobs.records import AssetRecord, UploadRecord
 from jobs.states import ASSET_KINDS
 from jobs.storage import assets as asset_rows
-from jobs.storage.uploads import UploadRecord, add_upload, upload
+from jobs.storage.uploads import add_upload, upload
 from jobs.store import new_id
 from service.http.multipart import MAX_FILES, receive_form
 from service.http.problems import ProblemError

@@ -9,8 +9,8 @@ from dynamictree.formats import film, suffixes
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES, Quality
 from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
-from jobs.clients.keys import Limit
 from jobs.clients.usage import count_jobs, months, stored_bytes
+from jobs.records import Limit
 from jobs.states import ACTIVE
 from service.http import multipart
 from service.http.problems import wrong_field

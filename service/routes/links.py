@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Response, status
 from pydantic import Field
 
-from jobs.clients.keys import key_of_id
+from jobs.clients.keys import find_key
 from jobs.storage.assets import read_asset
 from service.http.problems import ProblemError
 from service.http.routing import refusals
@@ -49,7 +49,7 @@ def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkP
     """
     _require_there(owned, body.path)
     response.headers["Cache-Control"] = "no-store"
-    key = key_of_id(owned.services.store, owned.caller.key_id)
+    key = find_key(owned.services.store, id=owned.caller.key_id)
     if key is None:
         return LinkPayload(url=body.path, expires_at=None)
     expires = int(owned.services.store.clock()) + body.expires_s

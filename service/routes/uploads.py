@@ -11,9 +11,10 @@ from fastapi import APIRouter, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import ConflictError
+from jobs.records import UploadRecord
 from jobs.storage.artifacts import hash_file
 from jobs.storage.object_storage import LINK_S
-from jobs.storage.uploads import UploadRecord, change_upload, delete_upload, upload
+from jobs.storage.uploads import change_upload, delete_upload, upload
 from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
 from service.http.multipart import MAX_NAME_CHARS, is_name

@@ -7,7 +7,7 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from jobs.clients import webhooks
-from jobs.clients.webhook_events import ENDS, EVENTS, DeliveryState, Event
+from jobs.records import ENDS, EVENTS, DeliveryState, Event
 from jobs.states import JobState, JobType
 from service.http.routing import Cursor, Id, headers, refusals
 from service.schemas.base import Payload, Time

@@ -5,8 +5,8 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from dynamictree.requests import Reading
+from jobs.records import UploadRecord, UploadState
 from jobs.states import AssetKind
-from jobs.storage.uploads import UploadRecord, UploadState
 from service.http.multipart import MAX_FILES
 from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time, problem_of
 

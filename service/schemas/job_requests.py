@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from dynamictree.requests import AnimateParams, DiffuseParams, ModelParams, ReconstructParams, VoxelizeParams
-from jobs.clients.webhook_events import EVENTS, Event
+from jobs.records import EVENTS, Event
 from jobs.states import Priority
 from service.schemas.base import ULID_PATTERN, Metadata
 

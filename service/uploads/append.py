@@ -10,9 +10,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from jobs.errors import GoneError, NotFoundError
+from jobs.records import UploadRecord
 from jobs.storage.artifacts import is_full
 from jobs.storage.upload_parts import PartStore, PartWriter
-from jobs.storage.uploads import UploadRecord, change_upload, upload
+from jobs.storage.uploads import change_upload, upload
 from jobs.store import Store, new_id
 from service.http.problems import ProblemError
 from service.services import Owned

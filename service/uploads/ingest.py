@@ -10,12 +10,11 @@ from urllib.parse import unquote, urlsplit
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.clients.keys import Limit
 from jobs.errors import ConflictError, GoneError, OutboundError
-from jobs.records import AssetRecord
+from jobs.records import AssetRecord, Limit, UploadRecord
 from jobs.storage.artifacts import hash_file, is_full
 from jobs.storage.assets import read_asset
-from jobs.storage.uploads import UploadRecord, change_upload, claim_uploads
+from jobs.storage.uploads import change_upload, claim_uploads
 from jobs.store import new_id
 from service.http.caller import Caller
 from service.http.multipart import Form, ReceivedFile

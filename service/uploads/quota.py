@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from jobs.records import UploadRecord
 from jobs.storage.disk import free_bytes
-from jobs.storage.uploads import UploadRecord, add_upload, announced_bytes, drop_upload, require_bytes_in
+from jobs.storage.uploads import add_upload, announced_bytes, drop_upload, require_bytes_in
 from jobs.store import new_id
 from service.http.connections import REQUEST_TIMEOUT_S
 from service.http.problems import ProblemError

@@ -8,7 +8,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from jobs.clients.webhook_events import EVENTS
+from jobs.records import EVENTS
 from service.http.problems import KINDS
 
 PAGE = json.loads((Path(__file__).parents[2] / "openapi" / "openapi.json").read_text())

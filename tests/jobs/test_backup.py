@@ -15,14 +15,14 @@ from jobs.database.secret_box import SecretBox
 from jobs.errors import BackupError, ConflictError, NotFoundError
 from jobs.lifecycle.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
 from jobs.lifecycle.maintenance import hold_lease, living
-from jobs.records import AssetPart, Claim, JobRecord, OutputFile
+from jobs.records import AssetPart, Claim, JobRecord, OutputFile, UploadRecord
 from jobs.storage.artifacts import FolderArtifacts
 from jobs.storage.assets import add_asset, read_asset
 from jobs.storage.backup import BACKUP_LEASE, BLOBS, back_up, restore, scrub
 from jobs.storage.erasure import erase_owner
 from jobs.storage.references import unreferenced_blobs
 from jobs.storage.upload_parts import FolderParts
-from jobs.storage.uploads import UploadRecord, add_upload
+from jobs.storage.uploads import add_upload
 from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
 from tests.rows import asset_row

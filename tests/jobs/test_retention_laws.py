@@ -7,6 +7,7 @@ import pytest
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
 from jobs.lifecycle import attempts, maintenance
 from jobs.records import AssetPart, AssetRecord, OutputFile
+from jobs.settings import Settings
 from jobs.storage import references
 from jobs.storage.assets import add_asset, delete_asset, read_asset
 from jobs.storage.intermediates import remember_intermediate
@@ -79,7 +80,7 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     deleted: list[str] = []
     references.forget_blob(store, "d" * 64, deleted.append)
     assert deleted == ["d" * 64]
-    maintenance.forget_expired(store, job_retention_s=10, cache_retention_s=10)
+    maintenance.forget_expired(store, Settings(job_retention_s=10, artifact_retention_s=10))
     with pytest.raises(GoneError):
         read_asset(store, asset.id)
     with pytest.raises(GoneError):

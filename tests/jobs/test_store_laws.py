@@ -9,10 +9,10 @@ from jobs.clients.usage import count_jobs
 from jobs.errors import ConflictError, FencedError
 from jobs.lifecycle import attempts, maintenance
 from jobs.lifecycle.rows import end, move
-from jobs.records import AssetRecord, Claim, ClientKey
+from jobs.records import AssetRecord, Claim, ClientKey, UploadRecord
 from jobs.states import TRANSITIONS, JobState, stages_of
 from jobs.storage.assets import delete_asset
-from jobs.storage.uploads import UploadRecord, add_upload, claim_uploads
+from jobs.storage.uploads import add_upload, claim_uploads
 from jobs.store import Store
 from tests.jobs.conftest import FILE, Clock, add_job, claim, publish
 from tests.rows import job_row

@@ -9,7 +9,8 @@ import sqlalchemy as sa
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from jobs.clients.keys import Limit, Scope, create_key, revoke_key
+from jobs.clients.keys import create_key, revoke_key
+from jobs.records import Limit, Scope
 from jobs.settings import Settings
 from jobs.storage.assets import read_asset
 from service.app import create_app

@@ -8,9 +8,9 @@ from urllib.parse import urlsplit
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.clients.keys import KeyRecord, create_key, revoke_key
+from jobs.clients.keys import create_key, revoke_key
 from jobs.lifecycle.attempts import succeed
-from jobs.records import AssetPart
+from jobs.records import AssetPart, KeyRecord
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
 from service.app import create_app

@@ -16,11 +16,11 @@ from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from jobs.clients import webhooks
-from jobs.clients.webhook_events import EVENTS
 from jobs.database import tables as t
 from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError, SecretKeyError, SettingsError
 from jobs.lifecycle.attempts import claim, fail, offer, succeed
+from jobs.records import EVENTS
 from jobs.settings import Settings, read_settings
 from jobs.storage.assets import add_asset
 from jobs.store import Store
@@ -201,7 +201,7 @@ def test_a_secret_is_encrypted_in_the_database_and_signs(scene: Scene, receiver:
     assert (wrong.state, wrong.log[0].status) == ("pending", None)
     assert "another secret_key" in wrong.log[0].detail
     with pytest.raises(SecretKeyError, match="missing"):
-        endpoint.signing_secrets(scene.now[0], PLAIN)
+        webhooks.signing_secrets(endpoint, scene.now[0], PLAIN)
     with pytest.raises(SecretKeyError, match="another"):
         box.decrypt(endpoint.secret, "of-another-row")
 
@@ -221,7 +221,7 @@ def test_for_a_day_the_old_secret_signs_too(scene: Scene, receiver: Receiver) ->
     headers, body = receiver.came[0]
     for secret in (old.secret, new.secret):
         assert json.loads(body) == Webhook(secret).verify(body, headers)
-    assert new.signing_secrets(scene.now[0] + webhooks.ROTATION_OVERLAP_S + 1, PLAIN) == (new.secret,)
+    assert webhooks.signing_secrets(new, scene.now[0] + webhooks.ROTATION_OVERLAP_S + 1, PLAIN) == (new.secret,)
 
 
 def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> None:

