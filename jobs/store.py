@@ -59,15 +59,10 @@ class Store:
         self.engine.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[sa.Connection]:
-        """A transaction that only reads; on SQLite it blocks no writer."""
-        with self.engine.connect().execution_options(reading=True) as connection, connection.begin():
-            yield connection
-
-    @contextmanager
-    def snapshot(self) -> Iterator[sa.Connection]:
-        """Transaction with a consistent snapshot, as SQLite's always have."""
-        options = {} if self.engine.dialect.name == "sqlite" else {"isolation_level": "REPEATABLE READ"}
+    def reading(self, *, of_one_moment: bool = False) -> Iterator[sa.Connection]:
+        """A transaction that only reads; on SQLite it blocks no writer, and always sees one moment."""
+        needs_level = of_one_moment and self.engine.dialect.name != "sqlite"
+        options = {"isolation_level": "REPEATABLE READ"} if needs_level else {}
         with self.engine.connect().execution_options(reading=True, **options) as connection, connection.begin():
             yield connection
 

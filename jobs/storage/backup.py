@@ -52,7 +52,7 @@ def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
     if not hold_lease(store, BACKUP_LEASE, owner=owner, lease_s=LEASE_S):
         raise ConflictError("another backup runs, or ended less than ten minutes ago without saying so; wait for it")
     try:
-        with store.snapshot() as connection:
+        with store.reading(of_one_moment=True) as connection:
             rows = _write_rows(connection, folder / f"{DATABASE}.part")
             digests = referenced(connection, store.clock())
         copied, total, damaged = 0, 0, []

@@ -1,7 +1,5 @@
 """Erase all data of one owner: keys, files, jobs, products, webhooks and tombstones."""
 
-from dataclasses import dataclass
-
 import sqlalchemy as sa
 
 from jobs.database import tables as t
@@ -13,20 +11,8 @@ from jobs.storage.upload_parts import PartStore
 from jobs.store import Store
 
 
-@dataclass(frozen=True, kw_only=True)
-class ErasureReport:
-    """What was deleted."""
-
-    keys: int
-    assets: int
-    jobs: int
-    uploads: int
-    webhooks: int
-    blobs: int
-
-
-def erase_owner(store: Store, artifacts: ArtifactStore, parts: PartStore, owner: str) -> ErasureReport:
-    """Delete all rows of an owner, then the bytes that no other owner's rows refer to.
+def erase_owner(store: Store, artifacts: ArtifactStore, parts: PartStore, owner: str) -> dict[str, int]:
+    """Delete all rows of an owner, then the bytes that no other owner's rows refer to; return how many of each kind.
 
     Keys are revoked first. Queued jobs are canceled; ones that run must end before.
 
@@ -51,7 +37,7 @@ def erase_owner(store: Store, artifacts: ArtifactStore, parts: PartStore, owner:
         connection.execute(t.blobs.delete().where(t.blobs.c.sha256.in_(left)))
     for digest in left:
         artifacts.delete(digest)
-    return ErasureReport(**counted, blobs=len(left))
+    return counted | {"blobs": len(left)}
 
 
 def _stop_jobs(theirs: Store, owner: str) -> None:

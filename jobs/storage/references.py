@@ -1,6 +1,7 @@
 """Which stored bytes a row refers to, and deletion of those that none does. Computed by the database."""
 
 from collections.abc import Callable
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -10,42 +11,39 @@ from jobs.store import Store
 BLOB_GRACE_S = 3600.0
 """Bytes are put before the row that refers to them; nothing takes an hour between the two."""
 
-_REFERENCED = """
-SELECT sha256 FROM artifacts WHERE expires_at > :now
-UNION ALL SELECT {sha256} FROM stage_cache, {each}(stage_cache.files) AS part WHERE {source} IS NULL
-UNION ALL SELECT {sha256} FROM assets, {each}(assets.parts) AS part WHERE deleted_at IS NULL
-UNION ALL SELECT {prepared} FROM assets WHERE deleted_at IS NULL
-"""
-_DIALECTS = {
-    "sqlite": {
-        "each": "json_each",
-        "sha256": "json_extract(part.value, '$.sha256')",
-        "source": "json_extract(part.value, '$.source')",
-        "prepared": "json_extract(prepared, '$.sha256')",
-    },
-    "postgresql": {
-        "each": "json_array_elements",
-        "sha256": "part.value ->> 'sha256'",
-        "source": "part.value ->> 'source'",
-        "prepared": "prepared ->> 'sha256'",
-    },
-}
-
 
 def referenced(connection: sa.Connection, now: float) -> list[str]:
     """Hashes of all bytes that a row refers to, in order."""
-    query = f"SELECT DISTINCT sha256 FROM ({_all_of(connection)}) AS used WHERE sha256 IS NOT NULL ORDER BY sha256"
-    return list(connection.execute(sa.text(query), {"now": now}).scalars())
+    used = _references(connection, now).subquery()
+    query = sa.select(used.c.sha256).distinct().where(used.c.sha256.is_not(None)).order_by(used.c.sha256)
+    return list(connection.execute(query).scalars())
 
 
 def unreferenced_blobs(store: Store, *, limit: int) -> list[str]:
     """Hashes of bytes that nothing refers to any more."""
     now = store.clock()
+    aged = sa.select(t.blobs.c.sha256).where(t.blobs.c.touched_at < now - BLOB_GRACE_S)
     with store.reading() as connection:
-        aged = "SELECT sha256 FROM blobs WHERE touched_at < :aged"
-        query = f"{aged} EXCEPT SELECT * FROM ({_all_of(connection)}) AS used LIMIT :most"
-        values = {"now": now, "aged": now - BLOB_GRACE_S, "most": limit}
-        return list(connection.execute(sa.text(query), values).scalars())
+        used = sa.select(_references(connection, now).subquery())
+        return list(connection.execute(aged.except_(used).limit(limit)).scalars())
+
+
+def _references(connection: sa.Connection, now: float) -> sa.CompoundSelect[Any]:
+    """The hash of each reference to bytes; null where an asset has no prepared file."""
+    each = sa.func.json_each if connection.dialect.name == "sqlite" else sa.func.json_array_elements
+
+    def listed(column: sa.Column[Any]) -> sa.Select[Any]:
+        file = each(column).table_valued(sa.column("value", sa.JSON))
+        query = sa.select(file.c.value["sha256"].as_string()).select_from(column.table.join(file, sa.true()))
+        return query.where(file.c.value["source"].as_string().is_(None))
+
+    is_there = t.assets.c.deleted_at.is_(None)
+    return sa.union_all(
+        sa.select(t.artifacts.c.sha256).where(t.artifacts.c.expires_at > now),
+        listed(t.stage_cache.c.files),
+        listed(t.assets.c.parts).where(is_there),
+        sa.select(t.assets.c.prepared["sha256"].as_string()).where(is_there),
+    )
 
 
 def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> None:
@@ -54,7 +52,3 @@ def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> Non
         aged = (t.blobs.c.sha256 == sha256) & (t.blobs.c.touched_at < store.clock() - BLOB_GRACE_S)
         if connection.execute(t.blobs.delete().where(aged)).rowcount:
             delete(sha256)  # before the commit: who touches them now waits for it, and then puts them anew
-
-
-def _all_of(connection: sa.Connection) -> str:
-    return _REFERENCED.format(**_DIALECTS[connection.dialect.name])

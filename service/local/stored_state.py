@@ -60,8 +60,8 @@ def erase(
     with _opened("erase", state_dir) as (store, artifacts):
         settings = settings_of(state_dir=state_dir)
         parts = open_parts(settings.resolved_artifacts_url, credentials=settings.s3_credentials)
-        report = erase_owner(store, artifacts, parts, owner)
-    typer.echo(json.dumps(asdict(report)))
+        deleted = erase_owner(store, artifacts, parts, owner)
+    typer.echo(json.dumps(deleted))
 
 
 @contextmanager

@@ -188,7 +188,7 @@ def test_a_secret_is_encrypted_in_the_database_and_signs(scene: Scene, receiver:
     with scene.store.reading() as connection:
         [row] = connection.execute(sa.select(t.webhook_endpoints)).all()
     assert secret.removeprefix("whsec_") not in str(row)
-    assert len(row.secret) <= t.webhook_endpoints.c.secret.type.length
+    assert len(row.secret) <= 128  # which databases of earlier releases have room for
     scene.courier.box = box
     scene.end_a_job()
     scene.round()
