@@ -8,14 +8,11 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
+from jobs.records import Claim
+
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
-    from opentelemetry.trace import Span, SpanKind, Tracer
-
-
-def tracer(endpoint: str, process: str) -> "Tracer":
-    """Spans of this process, sent to a collector in batches."""
-    return tracer_provider(endpoint, process).get_tracer("dynamictree")
+    from opentelemetry.trace import Span
 
 
 @cache
@@ -33,16 +30,23 @@ def tracer_provider(endpoint: str, process: str) -> "TracerProvider":
 
 
 @contextmanager
-def span(
-    spans: "Tracer", name: str, *, parent: str | None, kind: "SpanKind", **attributes: str | int
-) -> Iterator["Span"]:
-    """One span, under the one that a traceparent names."""
+def traced(claimed: Claim, endpoint: str | None) -> Iterator[None]:
+    """Span of an attempt, under that of the request that created its job; none where there is no endpoint."""
+    if endpoint is None:
+        yield
+        return
+    from opentelemetry.trace import SpanKind
     from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
-    context = TraceContextTextMapPropagator().extract({"traceparent": parent} if parent else {})
-    span_attributes = {f"dynamictree.{key}": value for key, value in attributes.items()}
-    with spans.start_as_current_span(name, context=context, kind=kind, attributes=span_attributes) as begun:
-        yield begun
+    job = claimed.job
+    context = TraceContextTextMapPropagator().extract({"traceparent": job.traceparent} if job.traceparent else {})
+    ids: dict[str, str | int] = {"job_id": job.id, "attempt": claimed.attempt, "queue": job.queue}
+    attributes = {f"dynamictree.{name}": value for name, value in ids.items()}
+    tracer = tracer_provider(endpoint, "worker").get_tracer("dynamictree")
+    with tracer.start_as_current_span(
+        f"run {job.type}", context=context, kind=SpanKind.CONSUMER, attributes=attributes
+    ):
+        yield
 
 
 def traceparent(begun: "Span") -> str:

@@ -5,7 +5,7 @@ import resource
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 
 from celery import Task, signals
@@ -21,7 +21,7 @@ from jobs.records import Claim
 from jobs.settings import read_settings
 from jobs.states import GPU
 from jobs.storage.artifacts import is_full
-from jobs.tracing import span, tracer
+from jobs.tracing import traced
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
@@ -101,7 +101,8 @@ def run_job(job_id: str, attempt: int) -> None:
     if claimed is None:
         logger.info("attempt %s of job %s is not to be run", attempt, job_id)
         return
-    with log_ids(job_id=job_id, attempt=attempt, request_id=claimed.job.request_id), _traced(resources, claimed):
+    endpoint = resources.settings.otlp_endpoint
+    with log_ids(job_id=job_id, attempt=attempt, request_id=claimed.job.request_id), traced(claimed, endpoint):
         with metered(resources, claimed), Watch(resources, claimed, stopping=stopping.is_set) as watch:
             run_stages(resources, watch)
         state = succeed(resources.store, claimed)
@@ -123,19 +124,6 @@ def metered(resources: Runtime, claimed: Claim) -> Iterator[None]:
 def _processor_s() -> float:
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(one.ru_utime + one.ru_stime for one in used)
-
-
-def _traced(resources: Runtime, claimed: Claim) -> AbstractContextManager[object]:
-    endpoint = resources.settings.otlp_endpoint
-    if endpoint is None:
-        return nullcontext()
-    from opentelemetry.trace import SpanKind
-
-    job = claimed.job
-    span_attributes: dict[str, str | int] = {"job_id": job.id, "attempt": claimed.attempt, "queue": job.queue}
-    return span(
-        tracer(endpoint, "worker"), f"run {job.type}", parent=job.traceparent, kind=SpanKind.CONSUMER, **span_attributes
-    )
 
 
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]

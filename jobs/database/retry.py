@@ -4,38 +4,30 @@ import logging
 import time
 from collections.abc import Callable
 from functools import wraps
-from typing import Concatenate, ParamSpec, Protocol, TypeVar
+from typing import ParamSpec, TypeVar
 
 import sqlalchemy as sa
 
-
-class HasPatience(Protocol):
-    """Object whose `patience_s` limits how long its methods wait for the database."""
-
-    patience_s: float
-
-
 P = ParamSpec("P")
 T = TypeVar("T")
-S = TypeVar("S", bound=HasPatience)
 
 logger = logging.getLogger(__name__)
 
 PAUSE_S = 0.5
 
 
-def patient(ask: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
-    """Retry while the database restarts or its disk is full, for at most `patience_s`.
+def patient(ask: Callable[P, T]) -> Callable[P, T]:
+    """Retry while the database restarts or its disk is full, for at most `patience_s` of the store, the first argument.
 
     Only for what may be done twice: an answer that was lost on the way back may have been a commit.
     """
 
     @wraps(ask)
-    def waiting(store: S, /, *args: P.args, **options: P.kwargs) -> T:
-        deadline = time.monotonic() + store.patience_s
+    def waiting(*args: P.args, **options: P.kwargs) -> T:
+        deadline = time.monotonic() + args[0].patience_s  # type: ignore[attr-defined]
         while True:
             try:
-                return ask(store, *args, **options)
+                return ask(*args, **options)
             except sa.exc.OperationalError as error:
                 if time.monotonic() >= deadline:
                     raise

@@ -12,7 +12,7 @@ from opentelemetry.proto.trace.v1.trace_pb2 import Span
 from jobs.logging_setup import JsonLines, log_ids, set_up_logging
 from jobs.records import AssetRecord
 from jobs.settings import Settings
-from jobs.tracing import span, tracer
+from jobs.tracing import tracer_provider
 from service.app import create_app
 from tests.line import Handler, answering
 from tests.service.conftest import hold
@@ -37,8 +37,6 @@ def collector() -> Iterator[tuple[str, list[Span]]]:
 def test_one_trace_from_the_client_over_the_request_to_the_worker(
     settings: Settings, collector: tuple[str, list[Span]], asset: AssetRecord
 ) -> None:
-    from opentelemetry.trace import SpanKind
-
     endpoint, spans = collector
     traced = settings.model_copy(update={"otlp_endpoint": endpoint})
     with TestClient(create_app(traced), "http://localhost") as client:
@@ -46,11 +44,10 @@ def test_one_trace_from_the_client_over_the_request_to_the_worker(
         payload = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
         lease = hold(client.app.state.services, payload["id"])  # type: ignore[attr-defined]
         client.get(f"/v1/artifacts/{lease.job.id}?key_id=1&expires=1&signature=secret")
-    parent = lease.job.traceparent
-    with span(tracer(endpoint, "worker"), "run voxelize", parent=parent, kind=SpanKind.CONSUMER, job_id=lease.job.id):
+    with traced(lease, endpoint):
         pass
     for process in ("api", "worker"):
-        tracer(endpoint, process).span_processor.force_flush()  # type: ignore[attr-defined]
+        tracer_provider(endpoint, process).force_flush()
     assert all(b"secret" not in one.SerializeToString() for one in spans)
     by_name = {one.name: one for one in spans}
     assert "GET /v1/artifacts/{id}" in by_name
