@@ -222,7 +222,7 @@ def test_a_database_that_is_away_is_reported_as_such(
 ) -> None:
     client = keyed(app_services, "ann")
 
-    def away(*_: object) -> None:
+    def away(*_: object, **__: object) -> None:
         raise sa.exc.OperationalError("SELECT secret", {}, Exception("away"))
 
     monkeypatch.setattr(authentication, "find_key", away)
