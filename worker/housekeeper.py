@@ -24,22 +24,8 @@ from celery import Celery
 from kombu.exceptions import OperationalError
 
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
-from jobs.lifecycle.maintenance import (
-    HOUSEKEEPER_LEASE,
-    RUN_JOB,
-    WORKER_LEASES,
-    RunJob,
-    forget_expired,
-    hold_lease,
-    living,
-    mark_sent,
-    overdue,
-    reap,
-    release_lease,
-    reroute,
-    unclaimed,
-    unsent,
-)
+from jobs.lifecycle import maintenance
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, RUN_JOB, WORKER_LEASES, RunJob, hold_lease, living
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 from jobs.states import AUTO
@@ -98,12 +84,12 @@ class Housekeeper:
     def send(self) -> None:
         """Send messages of waiting jobs, up to the window that workers will soon take."""
         window = len(living(self.store, WORKER_LEASES)) + SENT_AHEAD
-        for message in unsent(self.store, window=window):
+        for message in maintenance.unsent(self.store, window=window):
             self._send(message)
 
     def send_again(self) -> None:
         """Send lost messages again: sent long ago, not started, and no longer in the queue."""
-        messages = unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s)
+        messages = maintenance.unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s)
         empty = {queue for queue in {message.queue for message in messages} if self.redis.llen(queue) == 0}
         for message in messages:
             if message.queue in empty:
@@ -112,18 +98,18 @@ class Housekeeper:
 
     def reap(self) -> None:
         """Take jobs from dead workers, and cancel jobs past their time."""
-        for job_id, state in reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
+        for job_id, state in maintenance.reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
-        for job_id in overdue(self.store):
+        for job_id in maintenance.overdue(self.store):
             with suppress(ConflictError):  # it has ended meanwhile
                 self.store.cancel(job_id)
         if self.settings.queue == AUTO:
-            reroute(self.store)
+            maintenance.reroute(self.store)
 
     def forget(self) -> float | None:
         """Delete expired records, and bytes without references; return 0 where the time did not suffice."""
         settings, until = self.settings, time.monotonic() + FORGET_S
-        forget_expired(self.store, settings)
+        maintenance.forget_expired(self.store, settings)
         finished = _each(expired_uploads(self.store, limit=FORGET_AT_ONCE), self._forget_upload, until)
         if finished and not living(self.store, BACKUP_LEASE):  # it copies bytes of rows that may have gone meanwhile
             finished = self._forget_blobs(until)
@@ -165,7 +151,7 @@ class Housekeeper:
 
     def _send(self, message: RunJob) -> None:
         self.queue.send_task(RUN_JOB, args=message.args, queue=message.queue, retry=False)
-        mark_sent(self.store, message)
+        maintenance.mark_sent(self.store, message)
 
 
 def _each(things: Iterable[Thing], remove: Callable[[Thing], None], until: float) -> bool:
@@ -294,7 +280,7 @@ def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bo
                 if pauses.noticed():  # workers slept as well; they renew with their next heartbeat
                     reaping.due = time.monotonic() + 2 * settings.heartbeat_s
                 turn.take(time.monotonic())
-    _done(lambda: release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
+    _done(lambda: maintenance.release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
 
 
 def _done(duty: Callable[[], bool | None]) -> bool:

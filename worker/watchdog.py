@@ -9,7 +9,6 @@ import os
 import signal
 import threading
 import time
-from dataclasses import dataclass
 
 import redis
 from celery import signals
@@ -24,26 +23,17 @@ LOOK_S = 5.0
 REDIS_TIMEOUT_S = 5.0
 
 
-@dataclass(kw_only=True)
-class Idleness:
-    """Time that a queue has waited for an idle worker."""
-
-    limit_s: float
-    since: float | None = None
-
-    def too_long(self, *, waiting: int, busy: bool, now: float) -> bool:
-        """Check once; return whether the worker should end."""
-        if busy or waiting == 0:
-            self.since = None
-            return False
-        self.since = now if self.since is None else self.since
-        return now - self.since >= self.limit_s
+def idle_since(since: float | None, *, waiting: int, busy: bool, now: float) -> float | None:
+    """Since when messages wait for an idle worker; None while it works or none waits."""
+    if busy or waiting == 0:
+        return None
+    return now if since is None else since
 
 
 def watch(settings: Settings, stopped: threading.Event) -> None:
     """Check every few seconds until stopped; end this process and its forks if it is idle for too long."""
     queues = queues_of(settings.worker_queue)
-    idle = Idleness(limit_s=settings.idle_limit_s)
+    since: float | None = None
     client = redis.Redis.from_url(
         settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S
     )
@@ -52,7 +42,9 @@ def watch(settings: Settings, stopped: threading.Event) -> None:
             waiting = sum(int(client.llen(queue)) for queue in queues)
         except redis.RedisError:
             waiting = 0  # a queue that is away is not our fault
-        if idle.too_long(waiting=waiting, busy=bool(state.reserved_requests), now=time.monotonic()):
+        now = time.monotonic()
+        since = idle_since(since, waiting=waiting, busy=bool(state.reserved_requests), now=now)
+        if since is not None and now - since >= settings.idle_limit_s:
             detail = f"{waiting} messages wait in {settings.worker_queue!r}, none taken for {settings.idle_limit_s:g} s"
             logger.critical("%s; this worker ends, to be started again", detail)
             os.kill(os.getpid(), signal.SIGQUIT)  # Celery's cold shutdown

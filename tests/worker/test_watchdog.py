@@ -7,15 +7,14 @@ from celery import Celery
 
 from jobs.lifecycle.maintenance import RUN_JOB
 from tests.servers import valkey, wait_for, worker
-from worker.watchdog import Idleness
+from worker.watchdog import idle_since
 
 
 @pytest.mark.parametrize(("waiting", "busy"), [(0, False), (3, True)])
 def test_idle_is_who_takes_nothing_until_it_works_or_its_queue_is_empty(waiting: int, busy: bool) -> None:
-    idle = Idleness(limit_s=120)
-    assert [idle.too_long(waiting=3, busy=False, now=now) for now in (0, 119, 120)] == [False, False, True]
-    assert not idle.too_long(waiting=waiting, busy=busy, now=121)
-    assert [idle.too_long(waiting=3, busy=False, now=now) for now in (200, 319, 320)] == [False, False, True]
+    assert idle_since(None, waiting=3, busy=False, now=0) == 0
+    assert idle_since(0, waiting=3, busy=False, now=120) == 0
+    assert idle_since(0, waiting=waiting, busy=busy, now=121) is None
 
 
 @pytest.mark.slow
