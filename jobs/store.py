@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from typing import Any
 
 import sqlalchemy as sa
 from ulid import ULID
@@ -190,8 +191,10 @@ class Store:
         with self.reading() as connection:
             matches = connection.execute(query).all()
             wanted = t.stages.c.job_id.in_([row.id for row in matches])
-            stages = connection.execute(sa.select(t.stages).where(wanted).order_by(t.stages.c.position)).all()
-        return [rows.job_of(row, [stage for stage in stages if stage.job_id == row.id]) for row in matches]
+            stages: dict[str, list[sa.Row[Any]]] = {}
+            for stage in connection.execute(sa.select(t.stages).where(wanted).order_by(t.stages.c.position)):
+                stages.setdefault(stage.job_id, []).append(stage)
+        return [rows.job_of(row, stages.get(row.id, [])) for row in matches]
 
     def standing_of(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
         """How many jobs of its queue are there before each job, None once it has begun; and what it offers so far.

@@ -18,7 +18,7 @@ metadata = sa.MetaData()
 _id = sa.String(64)
 _hash = sa.String(64)
 _SCALARS = {str: sa.String, int: sa.BigInteger, float: sa.Double, bool: sa.Boolean, JobState: sa.String}
-_READERS: dict[type, dict[str, Callable[[Any], object]]] = {}
+_READERS: dict[type, dict[str, Callable[[Any], object] | None]] = {}
 Record = TypeVar("Record")
 
 
@@ -32,14 +32,15 @@ def _columns_of(record: type, *, index: tuple[str, ...] = ()) -> list[sa.Column[
         has_null = NoneType in others
         columns.append(sa.Column(name, column_type, primary_key=name == "id", nullable=has_null, index=name in index))
         is_other = get_origin(kind) is tuple or kind in (JobState, records.AssetPart)  # than what the column gives
-        readers[name] = TypeAdapter(hint).validate_python if is_other else lambda value: value
+        readers[name] = TypeAdapter(hint).validate_python if is_other else None
     return [column for column in columns if column.name != "stages"]  # a job's, in a table of their own
 
 
 def record_of(record: type[Record], row: sa.Row[Any], **more: object) -> Record:
     """The record of a row, with `more` that is in other tables; columns that no field has are left out."""
     readers = _READERS[record]
-    return record(**{name: readers[name](value) for name, value in row._mapping.items() if name in readers} | more)
+    columns = [(name, readers[name], value) for name, value in row._asdict().items() if name in readers]
+    return record(**{name: value if read is None else read(value) for name, read, value in columns}, **more)
 
 
 schema_revision = sa.Table("schema_revision", sa.MetaData(), sa.Column("number", sa.Integer, primary_key=True))

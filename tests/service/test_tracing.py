@@ -38,8 +38,8 @@ def test_one_trace_from_the_client_over_the_request_to_the_worker(
     settings: Settings, collector: tuple[str, list[Span]], asset: AssetRecord
 ) -> None:
     endpoint, spans = collector
-    traced = settings.model_copy(update={"otlp_endpoint": endpoint})
-    with TestClient(create_app(traced), "http://localhost") as client:
+    settings = settings.model_copy(update={"otlp_endpoint": endpoint})
+    with TestClient(create_app(settings), "http://localhost") as client:
         body = {"type": "voxelize", "asset_id": asset.id}
         payload = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
         lease = hold(client.app.state.services, payload["id"])  # type: ignore[attr-defined]

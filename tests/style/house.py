@@ -7,7 +7,7 @@ from pathlib import Path
 BOUNDS = {
     "lines in dynamictree": 33_981,
     "lines in lab": 6_328,
-    "lines in service, jobs and worker": 14_716,
+    "lines in service, jobs and worker": 14_720,
     "lines in tests": 40_131,
     "names bound to numbers in dynamictree": 582,
     "functions of dynamictree with more than 6 arguments": 4,
