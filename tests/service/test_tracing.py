@@ -12,7 +12,7 @@ from opentelemetry.proto.trace.v1.trace_pb2 import Span
 from jobs.logging_setup import JsonLines, log_ids, set_up_logging
 from jobs.records import AssetRecord
 from jobs.settings import Settings
-from jobs.tracing import tracer_provider
+from jobs.tracing import traced, tracer_provider
 from service.app import create_app
 from tests.line import Handler, answering
 from tests.service.conftest import hold
