@@ -1,4 +1,4 @@
-"""Estimate durations from medians of this service's own recent jobs, cached for seconds."""
+"""Estimate durations from this service's own recent jobs, remembered for seconds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,20 +29,20 @@ class Forecast:
 
 @dataclass
 class JobDurations:
-    """Medians, remembered for `REMEMBERED_S`, so that a poll costs no query for them."""
+    """Durations, remembered for `REMEMBERED_S`, so that a poll costs no query for them."""
 
     store: Store
-    _medians: TTLCache[tuple[str, str], float] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
+    _recent: TTLCache[tuple[str, str], Sequence[float]] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
     _unknown: set[tuple[str, str]] | None = None
 
     def for_one_answer(self) -> "JobDurations":
-        """These medians, which look no second time for what has no history."""
-        return JobDurations(self.store, self._medians, set())
+        """These durations, which look no second time for what has no history."""
+        return JobDurations(self.store, self._recent, set())
 
     def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
         """What stages take together [s]; None where one never ran here."""
-        medians = [self._median("seconds", stage, partial(stage_seconds, self.store, stage)) for stage in stages]
-        return None if None in medians else sum(value for value in medians if value is not None)
+        recent = [self._remembered("seconds", stage, partial(stage_seconds, self.store, stage)) for stage in stages]
+        return sum(median(values) for values in recent) if all(recent) else None
 
     def forecast(self, job: JobRecord, position: int | None) -> Forecast:
         """Where a job stands; its end by the pace of the stage that runs and by this service's history.
@@ -60,11 +60,11 @@ class JobDurations:
                 return unknown
             left += of_stage
         if position:
-            each = self._median("seconds", "any job", partial(run_seconds, self.store))
-            if each is None:
+            each = self._remembered("seconds", "any job", partial(run_seconds, self.store))
+            if not each:
                 return unknown
-            workers = self._median("number", "workers", lambda: [float(len(living(self.store, WORKER_LEASES)))])
-            left += each * position / max(workers or 1.0, 1.0)
+            [workers] = self._remembered("number", "workers", lambda: [len(living(self.store, WORKER_LEASES))])
+            left += median(each) * position / max(workers, 1.0)
         return replace(unknown, eta_s=round(left, 1))
 
     def _progress(self, job: JobRecord) -> float:
@@ -78,7 +78,7 @@ class JobDurations:
         return round(sum(weights[stage.name] * stage.progress for stage in job.stages) / whole, 4)
 
     def _left_s(self, job: JobRecord, stage: StageRecord) -> float | None:
-        """Seconds until a stage ends: by its pace, or what it usually takes less what it took."""
+        """Seconds until a stage ends: by its pace, or as those that took longer than it has; None where none did."""
         if stage.state == "succeeded":
             return 0.0
         least_progress = 0.02  # before the pace of a stage tells when it ends
@@ -86,19 +86,17 @@ class JobDurations:
         took = 0.0 if begun is None else self.store.clock() - begun
         if stage.progress >= least_progress:
             return took / stage.progress - took
-        expected = self.stage_seconds((stage.name,))
-        if expected is None and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
-            expected = OF_PHOTOS_S[stage.name]
-        if expected is None:
-            return None
-        return max((1 - stage.progress) * expected - took, took / 4)  # what is overdue takes a quarter longer
+        recent = self._remembered("seconds", stage.name, partial(stage_seconds, self.store, stage.name))
+        if not recent and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
+            recent = [OF_PHOTOS_S[stage.name]]
+        longer = [seconds for seconds in recent if seconds > took]
+        return median(longer) - took if longer else None
 
-    def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:
-        value = self._medians.get((what, of))
-        if value is not None or (self._unknown is not None and (what, of) in self._unknown):
-            return value
-        if samples := look():
-            value = self._medians[what, of] = float(median(samples))
-        elif self._unknown is not None:
-            self._unknown.add((what, of))
-        return value
+    def _remembered(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> Sequence[float]:
+        values = self._recent.get((what, of), ())
+        if not values and (self._unknown is None or (what, of) not in self._unknown):
+            if values := look():
+                self._recent[what, of] = values
+            elif self._unknown is not None:
+                self._unknown.add((what, of))
+        return values

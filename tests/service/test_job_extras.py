@@ -20,6 +20,7 @@ from jobs.states import stages_of
 from jobs.storage.assets import add_asset
 from service.app import create_app
 from service.http.caller import ANYONE
+from service.job_durations import JobDurations
 from service.routes import job_events
 from service.services import Services
 from tests import servers
@@ -90,9 +91,10 @@ def test_the_time_left_comes_from_what_jobs_took_here(
     start_stage(services.store, running, "voxelize")
     url, began = f"/v1/jobs/{waiting[0]['id']}", services.store.clock()
     report_progress(services.store, running, "voxelize", 0.01)
-    for took_s, left_s in ((0, 39.6), (30, 9.6), (100, 25)):  # by the history; then a quarter longer than it took
+    for others_s, took_s, left_s in (([40], 0, 40), ([40], 30, 10), ([40], 100, None), ([40, 130, 150], 100, 40)):
         services.store.clock = lambda took_s=took_s: began + took_s
-        assert client.get(url).json()["eta_s"] == pytest.approx(left_s)
+        change_services(client, job_durations=JobDurations(services.store, {("seconds", "voxelize"): others_s}))
+        assert client.get(url).json()["eta_s"] == pytest.approx(left_s)  # as others that took longer than it has
     services.store.clock = lambda: began + 60
     report_progress(services.store, running, "voxelize", 0.75)
     assert client.get(url).json()["eta_s"] == pytest.approx(20, abs=0.5)  # by its own pace

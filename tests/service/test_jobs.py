@@ -56,8 +56,7 @@ def test_replicas_of_different_history_give_the_same_etag(
     url = f"/v1/jobs/{create(client, asset)['id']}"
     estimates, tags = set(), set()
     for seconds in (5.0, 9.0):
-        durations = JobDurations(services.store)
-        durations._medians["seconds", "voxelize"] = seconds
+        durations = JobDurations(services.store, {("seconds", "voxelize"): [seconds]})
         change_services(client, job_durations=durations)
         answer = client.get(url)
         estimates.add(answer.json()["eta_s"])
