@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from dynamictree.files import replacing
-from dynamictree.reconstruct.cameras import pairs_to_match
+from dynamictree.reconstruct.cameras import search_seconds
 from dynamictree.reconstruct.options import ReconstructOptions
 
 STAGES = ("photos", "cameras", "depth", "splat", "mesh")
@@ -44,7 +44,7 @@ def expected_seconds(num_photos: int, options: ReconstructOptions) -> dict[str, 
     schedule = options.schedule
     return {
         "photos": 0.1 * num_photos,
-        "cameras": 1.5 * num_photos + 0.06 * len(pairs_to_match(num_photos)),
+        "cameras": sum(search_seconds(num_photos).values()),
         "depth": 3.0 * min(num_photos, options.max_views),
         "splat": schedule.num_steps * (0.01 + 0.1 * (schedule.side_px / 640) ** 2),
         "mesh": 10.0,
