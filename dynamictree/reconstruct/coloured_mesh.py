@@ -22,7 +22,7 @@ from dynamictree.reconstruct.surface_choice import best_mesh
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 
-MAX_FACES = 120_000
+MAX_FACES = 48_000
 CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
 _REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # that the pictures hold
 
