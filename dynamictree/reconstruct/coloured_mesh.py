@@ -28,25 +28,25 @@ _REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0])) 
 
 
 def stereo_surface(scene: Scene) -> Surface:
-    """Surface of the subject from the fine depth maps; empty where there are none."""
-    fine_voxels = 240  # along the longest side
-    if scene.fine is None:
+    """Surface of the subject from the depth maps; empty where they show none."""
+    voxels = 128  # along the longest side
+    if scene.subject is None:
         return NOTHING
-    fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=fine_voxels)
+    fused = fuse(scene.depths.views, scene.depths.depths, scene.subject, resolution=voxels)
     return main_cluster(above(fused, scene.cut), GAP)
 
 
 def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     """Surface of the subject from its Gaussians: opacity on a grid, then marching cubes.
 
-    Above a ground that was found it may be anywhere in the region: stereo's box lacks crowns that stereo does not see.
+    Above a ground that was found it may be anywhere in the region: the box lacks crowns that stereo does not see.
 
     Raises:
         ReconstructionError: no Gaussian is opaque enough.
     """
     widest, faintest = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
     cloud = cloud_of(table)
-    box = _REGION if scene.ground_found else scene.box
+    box = _REGION if scene.ground_found or scene.subject is None else scene.subject
     low = np.maximum(box.low, [-np.inf, -np.inf, scene.cut])
     inside = ((cloud.means > low) & (cloud.means < box.high)).all(axis=1)
     inside &= (cloud.scales.max(axis=1) < widest) & (cloud.opacity > faintest)

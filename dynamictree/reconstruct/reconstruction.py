@@ -129,7 +129,7 @@ def reconstruct(
                 draft.show(state)
 
             fit = fit_splat(
-                scene.matched, scene.coarse, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
+                scene.matched, scene.depths, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
             )
         with clock.stage("mesh"):
             cloud = cloud_of(fit.table)

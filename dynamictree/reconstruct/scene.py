@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree.photo_requests import QUALITIES
-from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths, load_depths, outside_sky, save_depths
+from dynamictree.reconstruct.depth import DepthMaps, find_depths, load_depths, outside_sky, save_depths
 from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
 from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.stage import find_stage
@@ -19,13 +19,12 @@ GAP = 0.06  # of the region's radius: pieces nearer to one another belong togeth
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Cameras and depth maps in the stage's frame, and the box around the subject."""
+    """Cameras and depth maps in the stage's frame."""
 
     model: SparseModel  # all views
     matched: SparseModel  # those of the depth maps
-    coarse: DepthMaps
-    fine: DepthMaps | None  # only for rays that meet the box; None with masks, or where the coarse ones show nothing
-    box: Box  # around the subject
+    depths: DepthMaps
+    subject: Box | None  # around what the depths show of it; None with masks, or where they show nothing
     cut: float  # height below which is ground
     ground_found: bool
     sky: list[Foreground] | None = None  # of the matched views, where they show one
@@ -39,7 +38,7 @@ def find_scene(
     on_model: Callable[[SparseModel], None] = lambda model: None,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Scene:
-    """Find up and the subject, and match all views: coarse depths locate the subject, fine ones are of it alone.
+    """Find up, match all views, and find the subject in their depths.
 
     Where photos show sky, its depths are left out: stereo gives it those of the leaves before it.
 
@@ -58,44 +57,37 @@ def find_scene(
     matched = _evenly_chosen(model, max_views)
     cut = ground_cut if stage.ground_found else -np.inf
     if saved is not None and saved.exists():
-        coarse, fine, box = load_depths(matched, saved)
+        depths, subject = load_depths(matched, saved)
     else:
-        coarse, fine, box = _depths(matched, cut, on_progress)
+        depths = find_depths(matched, lambda done, total: on_progress(done / total))
+        subject = None if cut_out else _subject(depths, cut)
         if saved is not None:
-            save_depths(coarse, fine, box, saved)
-    sky = None if cut_out else without_sky(matched.views, coarse.depths)
+            save_depths(depths, subject, saved)
+    sky = None if cut_out else without_sky(matched.views, depths.depths)
     if sky is not None:
-        coarse, fine = outside_sky(coarse, sky), None if fine is None else outside_sky(fine, sky)
+        depths = outside_sky(depths, sky)
     on_progress(1.0)
     return Scene(
         model=model,
         matched=matched,
-        coarse=coarse,
-        fine=fine,
-        box=box,
+        depths=depths,
+        subject=subject,
         cut=cut,
         ground_found=stage.ground_found,
         sky=sky,
     )
 
 
-def _depths(
-    matched: SparseModel, cut: float, on_progress: Callable[[float], None]
-) -> tuple[DepthMaps, DepthMaps | None, Box]:
-    """Coarse and fine depths and the subject's box; with masks no fine ones, stereo would leave out parts of it."""
-    box_margin = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
-    coarse_voxels = 128  # along the longest side
-    coarse, matches = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
-    cut_out = all(view.alpha is not None for view in matched.views)
-    region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
-    if cut_out:
-        return coarse, None, region
-    subject = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=coarse_voxels), cut), GAP)
-    if len(subject.faces) < LEAST_FACES:
-        return coarse, None, region
-    box = Box(low=subject.vertices.min(axis=0).astype(np.float64), high=subject.vertices.max(axis=0).astype(np.float64))
-    box = box.padded(box_margin * float((box.high - box.low).max()))
-    return coarse, fine_depths(matched, matches, box, lambda done, total: on_progress(0.5 + 0.5 * done / total)), box
+def _subject(depths: DepthMaps, cut: float) -> Box | None:
+    """The box around the main thing above the ground; None where too little is seen of it."""
+    box_margin = 0.08  # of the shape's extent: thin ends have no depth
+    voxels = 128  # along the longest side
+    region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
+    surface = main_cluster(above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), GAP)
+    if len(surface.faces) < LEAST_FACES:
+        return None
+    box = Box(low=surface.vertices.min(axis=0).astype(np.float64), high=surface.vertices.max(axis=0).astype(np.float64))
+    return box.padded(box_margin * float((box.high - box.low).max()))
 
 
 def _evenly_chosen(model: SparseModel, max_views: int) -> SparseModel:
