@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from dynamictree.export.moving_tree import Report
 from dynamictree.formats.tensors.rig import read_rig, write_rig
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rig.rig import Rig, rig_of
@@ -15,14 +16,14 @@ Recall = Callable[[Result, Callable[[Path], None]], Path]
 """Gives the file of a result; where there is none, calls the function that writes it to a path."""
 
 
-def stored_rig(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, recall: Recall | None) -> Rig:
+def stored_rig(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, recall: Recall | None, report: Report) -> Rig:
     """The rig: from the file of an earlier product of the same motion, where there is one."""
     if recall is None:
-        return rig_of(mesh, spectrum)
+        return rig_of(mesh, spectrum, report)
 
     def make(path: Path) -> None:
         with path.open("xb") as stream:
-            write_rig(rig_of(mesh, spectrum), stream)
+            write_rig(rig_of(mesh, spectrum, report), stream)
 
     with recall("rig", make).open("rb") as stream:
         return read_rig(stream)

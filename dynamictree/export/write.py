@@ -57,7 +57,7 @@ def write_products(
         splat_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
     report = on_progress or (lambda done: None)
     report(0.0)
-    rig = stored_rig(mesh, spectrum, recall)
+    rig = stored_rig(mesh, spectrum, recall, lambda done: report(RIG_SHARE * done))
     report(RIG_SHARE)
     tree = MovingTree(
         mesh=mesh,

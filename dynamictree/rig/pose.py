@@ -28,8 +28,12 @@ class Skeleton:
 
     @property
     def depths(self) -> Int64[np.ndarray, " B"]:
-        """Number of ancestors of each bone."""
-        return depths_of(self.parent.astype(np.int64))
+        """Number of ancestors of each bone, in any order of the bones."""
+        above, depth = self.parent, np.zeros(len(self), np.int64)
+        while above.max(initial=-1) >= 0:
+            depth += above >= 0
+            above = np.where(above < 0, -1, self.parent[above])
+        return depth
 
     @property
     def above(self) -> Int32[np.ndarray, " B"]:
@@ -76,13 +80,20 @@ class Poses:
     place_m: Float64[np.ndarray, "T B 3"]
 
 
-def depths_of(parent: Int64[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
-    """Number of ancestors, in any order of the bones."""
-    depth = np.where(parent < 0, 0, 1)
-    above = parent.copy()
-    while (above := np.where(above < 0, -1, parent[above])).max(initial=-1) >= 0:
-        depth += above >= 0
-    return depth
+def by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
+    """The same bones in the order of their depth, and which each was before."""
+    order = np.argsort(skeleton.depths, kind="stable")
+    number = np.argsort(order)
+    parent = np.where(skeleton.parent < 0, -1, number[skeleton.parent])[order].astype(np.int32)
+    return (
+        Skeleton(
+            parent=parent,
+            foot_m=skeleton.foot_m[order],
+            reach_m=skeleton.reach_m[order],
+            in_surface=skeleton.in_surface[order],
+        ),
+        order.astype(np.int32),
+    )
 
 
 def poses(skeleton: Skeleton, theta: Float32[np.ndarray, "T B 3"]) -> Poses:

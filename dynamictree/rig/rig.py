@@ -1,6 +1,6 @@
 """A tree that moves: its bones, how they turn in each mode, and which bones carry its vertices and voxels."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,11 +8,10 @@ import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 
 from dynamictree.mesh import Surface, edges_of
-from dynamictree.rig.pose import GROUND, Skeleton, Weights, carried, poses
+from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth, carried, poses
 from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
 from dynamictree.rig.turn_fit import Target, fit_turns
 from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, iter_motion
-from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average, voxel_trees
 
 BONES_A_VOXEL = 4
@@ -67,8 +66,8 @@ class Rig:
         return carried(self.skeleton, poses(self.skeleton, theta[None]), 0, points, weights)
 
 
-def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum) -> Rig:
-    """Find the bones of a mesh and fit their turns to the spectrum of its voxels.
+def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float], None] = lambda done: None) -> Rig:
+    """Find the bones of a mesh and fit their turns to the spectrum of its voxels, telling `report` the share done.
 
     Each of several trees has bones of its own, and voxels in which it has most of the surface.
 
@@ -76,18 +75,20 @@ def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum) -> Rig:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
     if mesh.face_tree is None:
-        return _of_one(mesh, spectrum.grid, spectrum.coefficients, spectrum.num_frames)
+        return _of_one(mesh, spectrum, report)
     moving = mesh.moving_part
     assert moving.face_tree is not None
     tree_of_voxel = voxel_trees(moving, spectrum.grid)
     every = []
-    for number in np.unique(tree_of_voxel[tree_of_voxel >= 0]):
+    numbers = np.unique(tree_of_voxel[tree_of_voxel >= 0])
+    for before, number in enumerate(numbers):
+        report(before / len(numbers))
         rows = np.flatnonzero(tree_of_voxel == number)
         vertices, corner = np.unique(moving.faces[moving.face_tree == number], return_inverse=True)
         alone = Surface(vertices=moving.vertices[vertices], faces=corner.reshape(-1, 3).astype(np.int32))
         grid = replace(spectrum.grid, coords=spectrum.grid.coords[rows])
-        coefficients = np.ascontiguousarray(spectrum.coefficients[rows])
-        every.append((vertices, rows, _of_one(alone, grid, coefficients, spectrum.num_frames)))
+        own = replace(spectrum, grid=grid, coefficients=spectrum.coefficients[rows], tree=None)
+        every.append((vertices, rows, rig_of(alone, own)))
     return _together(every, mesh.num_vertices, len(spectrum.grid))
 
 
@@ -110,19 +111,19 @@ def in_bytes(shares: Float64[np.ndarray, "n W"]) -> Float32[np.ndarray, "n W"]:
     return np.asarray(whole / 255, np.float32)
 
 
-def _of_one(mesh: Surface, grid: VoxelGrid, coefficients: Complex64[np.ndarray, "V K 3"], num_frames: int) -> Rig:
-    moving = mesh.moving_part
-    bones = surface_bones(mesh, grid)
-    mean = surface_average(moving, grid).astype(np.float64)
+def _of_one(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float], None]) -> Rig:
+    moving, num_frames = mesh.moving_part, spectrum.num_frames
+    bones = surface_bones(mesh, spectrum.grid)
+    mean = surface_average(moving, spectrum.grid).astype(np.float64)
     target = Target(
         points=mesh.vertices,
         edges=edges_of(moving.faces),
         mean=mean,
-        coefficients=coefficients,
+        coefficients=spectrum.coefficients,
         num_frames=num_frames,
         voxel_m=float(np.ptp(mesh.vertices[np.unique(moving.faces)], axis=0).max()) / FINENESS,
     )
-    turns = in_steps(fit_turns(bones.skeleton, bones.vertices, target))
+    turns = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
     voxels = _strongest(mean, bones.vertices, len(bones.skeleton))
     return Rig(skeleton=bones.skeleton, turns=turns, vertices=bones.vertices, voxels=voxels, num_frames=num_frames)
 
@@ -179,22 +180,6 @@ def _together(
         vertices=replace(vertices, rows=number[vertices.rows]),
         voxels=replace(voxels, rows=number[voxels.rows]),
         num_frames=ground.num_frames,
-    )
-
-
-def by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
-    """The same bones in the order of their depth, and which each was before."""
-    order = np.argsort(skeleton.depths, kind="stable")
-    number = np.argsort(order)
-    parent = np.where(skeleton.parent < 0, -1, number[skeleton.parent])[order].astype(np.int32)
-    return (
-        Skeleton(
-            parent=parent,
-            foot_m=skeleton.foot_m[order],
-            reach_m=skeleton.reach_m[order],
-            in_surface=skeleton.in_surface[order],
-        ),
-        order.astype(np.int32),
     )
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
-from dynamictree.rig.pose import Poses, Skeleton, Weights, carried, poses
-from dynamictree.rig.rig import STEPS, Rig, by_depth
+from dynamictree.rig.pose import Poses, Skeleton, Weights, by_depth, carried, poses
+from dynamictree.rig.rig import STEPS, Rig
 from dynamictree.rotation import matrix_quaternions, quaternion_matrices
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import bin_weights

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from dynamictree.devoxelize.attachment import CARD_VERTICES, SMALL_PART_VOXELS, Attachments, find_attachments
 from dynamictree.mesh import Surface, edges_of, part_bounds, weld
-from dynamictree.rig.pose import GROUND, Skeleton, Weights, depths_of
+from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth
 from dynamictree.voxel.grid import VoxelGrid
 
 FINENESS = 128
@@ -85,22 +85,21 @@ def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
     foot = np.concatenate([foot, np.tile(ground, (num_floating + 1, 1))])
     in_surface = np.concatenate([is_surface[part], np.zeros(num_floating + 1, bool)])
 
-    order = np.argsort(depths_of(parent), kind="stable")
-    number = np.empty(len(order), np.int64)
-    number[order] = np.arange(len(order))
+    skeleton, order = by_depth(
+        Skeleton(
+            parent=parent.astype(np.int32),
+            foot_m=foot.astype(np.float32),
+            reach_m=reach.astype(np.float32),
+            in_surface=in_surface,
+        )
+    )
     still = mesh.still_vertices | (vertex < 0)
-    parent = np.where(parent < 0, -1, number[parent])[order].astype(np.int32)
-    own = np.where(still, GROUND, number[bone][vertex]).astype(np.int32)
+    own = np.where(still, GROUND, np.argsort(order)[bone][vertex]).astype(np.int32)
     of_parent = np.where(still, 0, np.rint(255 * share[vertex]) / 255).astype(np.float32)  # a byte in files
     return SurfaceBones(
-        skeleton=Skeleton(
-            parent=parent,
-            foot_m=foot[order].astype(np.float32),
-            reach_m=reach[order].astype(np.float32),
-            in_surface=in_surface[order],
-        ),
+        skeleton=skeleton,
         vertices=Weights(
-            rows=np.stack([own, np.maximum(parent[own], GROUND)], axis=1),
+            rows=np.stack([own, skeleton.above[own]], axis=1),
             shares=np.stack([1 - of_parent, of_parent], axis=1),
         ),
         in_card=parts.is_card[parts.of][vertex] & ~still,

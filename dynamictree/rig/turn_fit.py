@@ -14,6 +14,7 @@ and what is missing in its K frequencies is fitted. A step turns no bone by more
 until it lowers the cost, and is the last one if none does, so no fit runs away.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,8 +69,10 @@ class Target:
     voxel_m: float
 
 
-def fit_turns(skeleton: Skeleton, weights: Weights, target: Target) -> Complex64[np.ndarray, "B K 3"]:
-    """Turn modes [rad], in the spectrum's convention, for the bones that carry the target's points."""
+def fit_turns(
+    skeleton: Skeleton, weights: Weights, target: Target, report: Callable[[float], None]
+) -> Complex64[np.ndarray, "B K 3"]:
+    """Turn modes [rad] of the bones that carry the target's points; `report` gets the share done."""
     placing = _placing(skeleton, weights, target.points)
     voxels = _Voxels(skeleton, weights, target, placing)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
@@ -77,7 +80,8 @@ def fit_turns(skeleton: Skeleton, weights: Weights, target: Target) -> Complex64
         problem = _Problem(skeleton, weights, target, placing, voxels, about=turns[:, 0].real)
         solution = problem.solution(turns, num_frequencies)
         played = solution, *problem.played(solution)
-        for most in rounds:
+        for number, most in enumerate(rounds):
+            report((num_frequencies > 1) * (number + 1) / (len(rounds) + 1))
             now = _descended(problem, problem.read(*played), most)
             played = now.solution, now.stacked, now.growth
         turns = problem.turns(now.solution)
