@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 33_981,
+    "lines in dynamictree": 33_922,
     "lines in lab": 6_328,
-    "lines in service, jobs and worker": 14_720,
-    "lines in tests": 40_131,
-    "names bound to numbers in dynamictree": 582,
+    "lines in service, jobs and worker": 14_718,
+    "lines in tests": 40_130,
+    "names bound to numbers in dynamictree": 578,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
