@@ -25,23 +25,27 @@ FORMAT = "tree-modes"
 VERSION = "2"
 
 
-def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints") -> dict[str, np.ndarray]:
-    """Everything that u(p) needs but the coordinates and the weights."""
-    (shapes, scale), (turns, scale_rad) = quantised(system.shapes), quantised(bones.shapes)
-    return {
+def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shapes: bool) -> dict[str, np.ndarray]:
+    """Everything that u(p) needs but the coordinates and the weights; `shapes` are what takes long."""
+    tensors: dict[str, np.ndarray] = {
         "coords": system.grid.coords.astype(np.int16),
-        "shapes": _from_bin_zero(shapes),
-        "scale_m": np.concatenate([[0], scale]).astype(np.float32),
         "frequencies_hz": np.concatenate([[0], system.wind_omega / (2 * np.pi)]).astype(np.float32),
         "bone_of_voxel": bones.of_voxel,
-        "bone_parent": bones.skeleton.parent,
-        "bone_foot_m": bones.skeleton.foot_m,
-        "bone_reach_m": bones.skeleton.reach_m,
-        "bone_turns": _from_bin_zero(turns),
         "joint_parent": joints.parent,
         "joint_place_m": joints.place_m.astype(np.float32),
         "joint_give": joints.give.astype(np.float32),
         "joint_of_bone": joints.of_bone,
+    }
+    if not shapes:
+        return tensors
+    (steps, scale), (turns, scale_rad) = quantised(system.shapes), quantised(bones.shapes)
+    return tensors | {
+        "shapes": _from_bin_zero(steps),
+        "scale_m": np.concatenate([[0], scale]).astype(np.float32),
+        "bone_parent": bones.skeleton.parent,
+        "bone_foot_m": bones.skeleton.foot_m,
+        "bone_reach_m": bones.skeleton.reach_m,
+        "bone_turns": _from_bin_zero(turns),
         "bone_scale_rad": np.concatenate([[0], scale_rad]).astype(np.float32),
     }
 
@@ -63,14 +67,10 @@ def quantised(
 ) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
     """Shapes in 16 bits, and the metres of a step of each mode."""
     largest = 32767
-    scale = np.maximum(np.abs(_parts(shapes)).max(axis=(0, 2, 3)) / largest, np.finfo(np.float32).tiny)  # [M]
-    steps = np.rint(_parts(shapes) / scale[:, None, None])
-    return np.clip(steps, -largest, largest).astype(np.int16), scale
+    parts = np.stack([shapes.real, shapes.imag], axis=-1)
+    scale = np.maximum(np.abs(parts).max(axis=(0, 2, 3)) / largest, np.finfo(np.float32).tiny)  # [M]
+    return np.clip(np.rint(parts / scale[:, None, None]), -largest, largest).astype(np.int16), scale
 
 
 def _from_bin_zero(shapes: Int16[np.ndarray, "N M 3 2"]) -> Int16[np.ndarray, "N K 3 2"]:
     return np.pad(shapes, ((0, 0), (1, 0), (0, 0), (0, 0)))
-
-
-def _parts(shapes: Complex64[np.ndarray, "N M 3"]) -> Float32[np.ndarray, "N M 3 2"]:
-    return np.stack([shapes.real, shapes.imag], axis=-1)

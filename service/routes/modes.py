@@ -19,7 +19,6 @@ from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
 
-LARGE = ("shapes", "scale_m", "lean_m", "bone_parent", "bone_foot_m", "bone_reach_m", "bone_turns", "bone_scale_rad")
 BYTES = "application/octet-stream"
 
 
@@ -35,11 +34,9 @@ def get_modes(
 ) -> Response:
     """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
     tree = with_rig(owned, ready_tree(owned, id), id)
-    lean = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
-    tensors = mode_tensors(tree.system, tree.bones, tree.joints) | {"lean_m": lean}
-    if not shapes:
-        for name in LARGE:
-            del tensors[name]
+    tensors = mode_tensors(tree.system, tree.bones, tree.joints, shapes=shapes)
+    if shapes:
+        tensors["lean_m"] = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
     content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
     return PackedResponse(content, 200, CACHED, SAFETENSORS)
 
