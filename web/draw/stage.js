@@ -188,13 +188,13 @@ export class Stage {
     return this.renderer.xr.isPresenting;
   }
 
-  /** Draw if something has changed. Whether anything was drawn. */
-  draw(now) {
+  /** Draw if something has changed; with `rough` never in full. Whether anything was drawn. */
+  draw(now, rough = false) {
     if (this.immersed) {
       this._render(1, true);
       return true;
     }
-    const full = !this.stale && this.resolution.settles(now);
+    const full = !this.stale && !rough && this.resolution.settles(now);
     if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) {
       this.resolution.pause();
       return false;

@@ -13,11 +13,12 @@ export function runFrames(parts) {
     last = now;
     if (!stage.immersed) stage.controls.update();
     player.advance(seconds);
-    if (stage.draw(now)) {
+    const empty = !scene.tree && !scene.draft; // in full it would take as long as a tree that comes
+    if (stage.draw(now, empty)) {
       dataset.frames = String(Number(dataset.frames ?? 0) + 1);
       parts.onDraw?.();
     }
-    dataset.sharp = String(stage.resolution.sharp && !stage.stale);
+    dataset.sharp = String((empty || stage.resolution.sharp) && !stage.stale);
     hand.tick();
   };
   stage.renderer.setAnimationLoop(next);

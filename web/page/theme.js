@@ -22,8 +22,8 @@ export const onSystemTheme = (listener) => system.addEventListener("change", lis
 /** Show a stage in the theme's colours, before the sky where no other background is chosen. */
 export function dress(stage) {
   const { color, backgroundColor } = getComputedStyle($("sky"));
-  const isSky = (document.body.dataset.background ?? "sky") === "sky";
-  stage.look(currentTheme(), isSky ? [color, backgroundColor] : null);
+  const { background = "sky" } = document.body.dataset;
+  stage.look(currentTheme(), background === "sky" ? [color, backgroundColor] : null);
   document.body.classList.toggle("bare", stage.surroundings.backdrop.visible);
 }
 

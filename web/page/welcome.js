@@ -27,8 +27,7 @@ function exampleItem(example, onExample) {
   const source = `./web/examples/${example.file}.webp`;
   const picture = element("img", { src: source, alt: "", width: 128, height: 128, loading: "lazy" });
   const start = button("", () => onExample(example));
-  const words = [element("span", {}, text(example.name)), element("small", {}, length(example.height_m))];
-  start.append(picture, ...words);
+  start.append(picture, element("span", {}, text(example.name)), element("small", {}, length(example.height_m)));
   return element("li", {}, start);
 }
 
