@@ -5,18 +5,17 @@ const FAST_MS = 18;
 const STEP = 0.8;
 export const LEAST = 0.5;
 const LEAST_IN_SOFTWARE = 0.6; // of a mesh: its edges look like blocks with fewer
-const FIRST_IN_SOFTWARE = 0.75;
 const SETTLE_MS = 250; // a picture that has not changed for so long is drawn in full
 const PATIENCE = 6; // frames between two changes
 const LONGEST_MS = 500; // a single frame counts as no more: the tab may have been in the background
 
 export class Resolution {
-  /** A still picture is drawn at `stillScale` of the pixel ratio; in `software` it begins with fewer pixels. */
+  /** A still picture is drawn at `stillScale` of the pixel ratio; in `software` it begins with the fewest pixels. */
   constructor(stillScale = 1, software = false) {
     this.stillScale = stillScale;
     this.software = software;
     this.least = software ? LEAST_IN_SOFTWARE : LEAST;
-    this.scale = software ? FIRST_IN_SOFTWARE : 1; // of the pixel ratio
+    this.scale = software ? this.least : 1; // of the pixel ratio
     this.frame = 0;
     this.mean = 0;
     this.before = 0;
