@@ -1,4 +1,4 @@
-"""Tables of the job store, made of the records of their rows. Times are seconds since 1970."""
+"""Tables, made of the records of their rows: mapped classes would not be frozen. Times are seconds since 1970."""
 
 from collections.abc import Callable
 from types import NoneType, UnionType
