@@ -1,6 +1,7 @@
 """Tables, made of the records of their rows: mapped classes would not be frozen. Times are seconds since 1970."""
 
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -31,8 +32,9 @@ def _columns_of(record: type, *, index: tuple[str, ...] = ()) -> list[sa.Column[
         column_type = sa.String if get_origin(kind) is Literal else _SCALARS.get(kind, sa.JSON)
         has_null = NoneType in others
         columns.append(sa.Column(name, column_type, primary_key=name == "id", nullable=has_null, index=name in index))
-        is_other = get_origin(kind) is tuple or kind in (JobState, records.AssetPart)  # than what the column gives
-        readers[name] = TypeAdapter(hint).validate_python if is_other else None
+        is_tuple = get_origin(kind) is tuple
+        is_other = kind is JobState or is_dataclass(get_args(kind)[0] if is_tuple else kind)  # than the column gives
+        readers[name] = TypeAdapter(hint).validate_python if is_other else tuple if is_tuple else None
     return [column for column in columns if column.name != "stages"]  # a job's, in a table of their own
 
 

@@ -20,7 +20,6 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from recipes.demo import served
 from recipes.software_browser import launched
 
-LOUD = frozenset({"error", "warning"})
 MOVING = "body[data-state=moving]"
 JOB_MS = 240_000.0
 AXE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/axe-core/axe.min.js"

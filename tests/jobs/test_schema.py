@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from jobs.clients.keys import create_key, find_key
 from jobs.database.engine import open_engine
 from jobs.database.tables import REVISION, make_tables
 from jobs.errors import SchemaError
@@ -46,11 +47,12 @@ def test_old_code_goes_on_with_newer_tables(tmp_path: Path) -> None:
         connection.execute(sa.text("CREATE TABLE later (id TEXT)"))
     engine.dispose()
     store = Store.open(url)
-    asset = add_asset(store, make_asset(store.clock()))[0]
-    job = add_job(store, asset)
+    job = add_job(store, add_asset(store, make_asset(store.clock()))[0])
     lease = claim(store, job.id, 1, owner="old", lease_s=60)
     assert lease is not None
     assert succeed(store, lease) == "succeeded"
+    key, _ = create_key(store, name="new", scopes=("read", "later"))  # type: ignore[arg-type]
+    assert find_key(store, id=key.id) == key
     store.close()
 
 

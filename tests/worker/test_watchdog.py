@@ -12,8 +12,7 @@ from worker.watchdog import idle_since
 
 @pytest.mark.parametrize(("waiting", "busy"), [(0, False), (3, True)])
 def test_idle_is_who_takes_nothing_until_it_works_or_its_queue_is_empty(waiting: int, busy: bool) -> None:
-    assert idle_since(None, waiting=3, busy=False, now=0) == 0
-    assert idle_since(0, waiting=3, busy=False, now=120) == 0
+    assert [idle_since(since, waiting=3, busy=False, now=120) for since in (None, 0)] == [120, 0]
     assert idle_since(0, waiting=waiting, busy=busy, now=121) is None
 
 
