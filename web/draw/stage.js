@@ -141,6 +141,7 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
     this._setSize(width, height, this.resolution.scale);
+    this.surroundings.backdrop.uniforms.share.value = height / globalThis.innerHeight;
     const { left = 0, right = 0, bottom = 0, top = 0 } = this.margins ?? {};
     const before = this.free;
     this.free = { width: Math.max(width - left - right, 1), height: Math.max(height - bottom - top, 1) };
