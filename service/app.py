@@ -3,17 +3,14 @@
 import asyncio
 import ctypes
 import gc
-import logging
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import version
 
-import sqlalchemy as sa
-from fastapi import FastAPI, Request
+from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
-from fastapi.responses import Response
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
@@ -21,8 +18,7 @@ from service import operations
 from service.http import problem_handlers
 from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
-from service.http.problems import problem_response, request_id_of
-from service.openapi.document import CONTACT, DESCRIPTION, LICENSE, SERVERS, described
+from service.openapi.document import CONTACT, DESCRIPTION, LICENSE, SERVERS, described, operation_id
 from service.routes import (
     artifacts,
     assets,
@@ -56,8 +52,6 @@ EXPOSED = (
 )
 """Headers that a page of an allowed origin may read."""
 
-logger = logging.getLogger(__name__)
-
 WARM_UP_AFTER_S = 3.0
 """Worker and housekeeper start beside the API; numba can wait until they are there."""
 
@@ -74,6 +68,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
         openapi_url="/openapi.json",
         separate_input_output_schemas=False,
+        generate_unique_id_function=operation_id,
         redirect_slashes=False,  # it would send the key on to the request's own Host, without TLS behind a proxy
         description=DESCRIPTION,
         servers=SERVERS,
@@ -86,7 +81,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for resource in (*ROUTES, *(operations.ROUTES if settings.ops_address is None else ())):
         app.include_router(resource.router)
     problem_handlers.install(app)
-    app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Authentication, settings=settings)
     if settings.cors_origins:
@@ -145,9 +139,3 @@ def _warm_up() -> None:
     import dynamictree.modal.pull  # noqa: F401
 
     gc.freeze()  # modules are never garbage; to look through them again takes 50 ms, every second or two
-
-
-async def _on_database_away(request: Request, error: Exception) -> Response:
-    logger.error("the database is away", exc_info=error)
-    detail = "the database does not answer; nothing was changed"
-    return problem_response("storage-unavailable", detail, request_id=request_id_of(request.scope))

@@ -17,7 +17,7 @@ from jobs.records import Scope as KeyScope
 from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
-from service.http.problems import ProblemError, problem_response, request_id_of
+from service.http.problems import ProblemError
 from service.http.rate_limit import RateLimiter, Standing, policy_of
 from service.http.signed_links import LINKABLE, LinkSignature
 
@@ -195,5 +195,4 @@ async def _refuse(error: ProblemError, scope: Scope, receive: Receive, send: Sen
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": error.code})
         return
-    response = problem_response(error.code, str(error.detail), request_id=request_id_of(scope), headers=error.headers)
-    await response(scope, receive, send)
+    await error.response(scope)(scope, receive, send)

@@ -13,7 +13,7 @@ from jobs.logging_setup import log_ids
 from jobs.settings import Settings
 from jobs.store import new_id
 from service.http.caller import ANYONE, CALLER
-from service.http.problems import REQUEST_ID, ProblemError, problem_response, request_id_of
+from service.http.problems import REQUEST_ID, ProblemError, request_id_of
 from service.http.request_headers import TRACE_CONTEXT
 
 logger = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ class RequestFrame:
             logger.exception("request failed", extra={"request_id": request_id, "path": scope["path"]})
             if status:
                 raise
-            response = problem_response("internal-error", "The cause was logged.", request_id=request_id)
+            response = ProblemError("internal-error", "The cause was logged.").response(scope)
             await response(scope, receive, send_framed)
         finally:
             route = getattr(scope.get("route"), "path", "none")  # paths that nobody serves share one label
@@ -135,13 +135,9 @@ class BodyLimit:
         limit = body_limit(scope["path"], self.settings)
         declared = Headers(scope=scope).get("content-length", "0")
         if not declared.isdecimal() or int(declared) > limit:
-            response = problem_response(
-                "payload-too-large",
-                f"the body has {declared} bytes; at most {limit:,} are allowed here",
-                request_id=request_id_of(scope),
-                headers={"Connection": "close"},
-            )
-            await response(scope, receive, send)
+            detail = f"the body has {declared} bytes; at most {limit:,} are allowed here"
+            refusal = ProblemError("payload-too-large", detail, headers={"Connection": "close"})
+            await refusal.response(scope)(scope, receive, send)
             return
         counted, whole = 0, False
 

@@ -2,6 +2,7 @@
 
 import logging
 
+import sqlalchemy as sa
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
@@ -11,7 +12,7 @@ from starlette.routing import Route
 from dynamictree.errors import DynamicTreeError
 from jobs.errors import JobsError
 from jobs.storage.artifacts import is_full
-from service.http.problems import REFUSALS, ProblemError, problem_of, problem_response, request_id_of
+from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.http.validation_errors import MAX_VALUE_CHARS, field_errors, summed_up
 
 logger = logging.getLogger(__name__)
@@ -26,19 +27,13 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(DynamicTreeError, _on_ours)
     app.add_exception_handler(JobsError, _on_ours)
     app.add_exception_handler(OSError, _on_system)
+    app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
 
 
 async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     problem = error if isinstance(error, ProblemError) else _problem_of_framework(request, error)
-    return problem_response(
-        problem.code,
-        problem.detail,
-        request_id=request_id_of(request.scope),
-        errors=problem.errors,
-        headers=problem.headers,
-        extra=problem.extra,
-    )
+    return problem.response(request.scope)
 
 
 def _problem_of_framework(request: Request, error: HTTPException) -> ProblemError:
@@ -68,12 +63,12 @@ def _methods(request: Request) -> list[str]:
 async def _on_validation(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     errors = field_errors(error.errors())
-    return await _on_http(request, ProblemError("validation-failed", summed_up(errors), errors=errors))
+    return ProblemError("validation-failed", summed_up(errors), errors=errors).response(request.scope)
 
 
 async def _on_ours(request: Request, error: Exception) -> Response:
     assert isinstance(error, REFUSALS)
-    return await _on_http(request, problem_of(error))
+    return problem_of(error).response(request.scope)
 
 
 async def _on_system(request: Request, error: Exception) -> Response:
@@ -82,4 +77,10 @@ async def _on_system(request: Request, error: Exception) -> Response:
         raise error
     logger.error("the disk is full", exc_info=error)
     detail = f"a file could not grow: {error.strerror}; nothing was stored"
-    return problem_response("disk-full", detail, request_id=request_id_of(request.scope))
+    return ProblemError("disk-full", detail).response(request.scope)
+
+
+async def _on_database_away(request: Request, error: Exception) -> Response:
+    logger.error("the database is away", exc_info=error)
+    detail = "the database does not answer; nothing was changed"
+    return ProblemError("storage-unavailable", detail).response(request.scope)

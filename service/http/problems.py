@@ -103,6 +103,14 @@ class ProblemError(HTTPException):
         self.errors = errors
         self.extra = extra or {}
 
+    def response(self, scope: Scope) -> Response:
+        """Answer to the request of this scope."""
+        body = problem_body(self.code, self.detail, request_id=request_id_of(scope), errors=self.errors)
+        headers = dict(self.headers or {})
+        if self.status_code in {429, 503}:
+            headers.setdefault("Retry-After", "5")
+        return Response(orjson.dumps(body | dict(self.extra)), self.status_code, headers, MEDIA_TYPE)
+
 
 Refusal = ProblemError | DynamicTreeError | JobsError
 """What a route may raise on purpose."""
@@ -126,23 +134,6 @@ def problem_body(
         "suggestion": kind.suggestion,
         "errors": list(errors),
     }
-
-
-def problem_response(
-    code: str,
-    detail: str,
-    *,
-    request_id: str | None,
-    errors: Sequence[FieldError] = (),
-    headers: Mapping[str, str] | None = None,
-    extra: Mapping[str, object] | None = None,
-) -> Response:
-    """Response with a problem object."""
-    body = problem_body(code, detail, request_id=request_id, errors=errors) | dict(extra or {})
-    sent = dict(headers or {})
-    if KINDS[code].status in {429, 503}:
-        sent.setdefault("Retry-After", "5")
-    return Response(orjson.dumps(body), KINDS[code].status, sent, MEDIA_TYPE)
 
 
 def wrong_field(pointer: str, code: str, detail: str) -> ProblemError:

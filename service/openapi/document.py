@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from fastapi import FastAPI
+from fastapi.routing import APIRoute
 
 from service.http.problems import KINDS, MEDIA_TYPE, problem_body
 from service.http.routing import refusals_of
@@ -41,6 +42,12 @@ HEADERS = {
 SERVERS = [{"url": "/", "description": "where this page came from"}]
 
 Page = dict[str, Any]
+
+
+def operation_id(route: APIRoute) -> str:
+    """Id of an operation: the name of its function in camel case."""
+    first, *others = route.name.strip("_").split("_")
+    return first + "".join(word.title() for word in others)
 
 
 def described(app: FastAPI) -> Page:

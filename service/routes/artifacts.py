@@ -3,7 +3,7 @@
 from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Header, Query, Response, status
+from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import RedirectResponse, StreamingResponse
 
 from jobs.errors import GoneError
@@ -24,7 +24,7 @@ _RESPONSES = refusals("not-found", "expired", "range-not-satisfiable") | {
 }
 
 
-@router.get("/{id}", operation_id="getArtifact", response_class=Response, responses=_RESPONSES)
+@router.get("/{id}", response_class=Response, responses=_RESPONSES)
 def get_artifact(
     id: Id,
     owned: OwnedDep,
@@ -36,7 +36,7 @@ def get_artifact(
     """Download a file, or go on with a download."""
     artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact, filename))
+        return Response(status_code=304, headers=_headers(artifact, filename))
     part = _requested_range(artifact, range, if_range)
     if not owned.services.artifacts.exists(artifact.sha256):
         raise GoneError(f"the bytes of artefact {id} were removed; run the job again")
@@ -48,18 +48,18 @@ def get_artifact(
         sent["Content-Range"] = f"bytes {start}-{stop - 1}/{artifact.bytes}"
     return StreamingResponse(
         owned.services.artifacts.read(artifact.sha256, start=start, stop=stop),
-        status_code=status.HTTP_200_OK if part is None else status.HTTP_206_PARTIAL_CONTENT,
+        status_code=200 if part is None else 206,
         headers=sent,
         media_type=artifact.media_type,
     )
 
 
-@router.head("/{id}", operation_id="headArtifact", response_class=Response, responses=_RESPONSES)
+@router.head("/{id}", response_class=Response, responses=_RESPONSES)
 def head_artifact(id: Id, owned: OwnedDep, if_none_match: Annotated[str | None, Header()] = None) -> Response:
     """Size, hash and type of a file."""
     artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact))
+        return Response(status_code=304, headers=_headers(artifact))
     sent = _headers(artifact) | {"Content-Length": str(artifact.bytes)}
     return Response(headers=sent, media_type=artifact.media_type)
 

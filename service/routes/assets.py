@@ -4,7 +4,7 @@ import json
 import shutil
 from contextlib import AsyncExitStack
 
-from fastapi import APIRouter, Request, Response, status
+from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import contextmanager_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
@@ -66,8 +66,7 @@ _FORM = {
 
 @router.post(
     "",
-    operation_id="createAsset",
-    status_code=status.HTTP_201_CREATED,
+    status_code=201,
     response_model=AssetPayload,
     openapi_extra=_FORM,
     responses=refusals(
@@ -151,22 +150,17 @@ async def _read_json(request: Request, owned: Owned) -> AssetRequest:
 
 def _asset_response(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
     response.headers["Location"] = f"/v1/assets/{asset.id}"
-    response.status_code = status.HTTP_201_CREATED if new else status.HTTP_200_OK
+    response.status_code = 201 if new else 200
     return AssetPayload.of(asset)
 
 
-@router.get("/{id}", operation_id="getAsset", responses=refusals("not-found", "expired"))
+@router.get("/{id}", responses=refusals("not-found", "expired"))
 def get_asset(id: Id, owned: OwnedDep) -> AssetPayload:
     """What was uploaded, and what was found in it."""
     return AssetPayload.of(asset_rows.read_asset(owned.store, id))
 
 
-@router.delete(
-    "/{id}",
-    operation_id="deleteAsset",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=refusals("not-found", "conflict", "expired"),
-)
+@router.delete("/{id}", status_code=204, responses=refusals("not-found", "conflict", "expired"))
 def delete_asset(id: Id, owned: OwnedDep) -> None:
     """Forget an upload. What was made of it stays until it expires."""
     asset_rows.delete_asset(owned.store, id)

@@ -115,13 +115,13 @@ def require_preset(name: str) -> None:
         raise wrong_field("/preset", "unknown-preset", detail)
 
 
-@router.get("/presets", operation_id="listPresets", responses=refusals())
+@router.get("/presets", responses=refusals())
 def list_presets() -> PresetListPayload:
     """The models that diffuse and animate jobs may name."""
     return PresetListPayload(data=[PresetPayload(name=name, bytes=size) for name, size in preset_sizes().items()])
 
 
-@router.get("/limits", operation_id="getLimits", responses=refusals())
+@router.get("/limits", responses=refusals())
 def get_limits(owned: OwnedDep) -> LimitsPayload:
     """Sizes, numbers and formats that are allowed."""
     from dynamictree.export.table import available_products
@@ -168,7 +168,7 @@ class UsagePayload(Payload):
     months: list[MonthPayload] = Field(description="newest first, at most 12")
 
 
-@router.get("/usage", operation_id="getUsage", responses=refusals())
+@router.get("/usage", responses=refusals())
 def get_usage(owned: OwnedDep) -> UsagePayload:
     """Jobs that have not ended, bytes stored, the limits of the key, and what jobs took by month."""
     caller = owned.caller

@@ -4,7 +4,7 @@ import logging
 from typing import Literal
 
 import sqlalchemy as sa
-from fastapi import APIRouter, Response, status
+from fastapi import APIRouter, Response
 
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
@@ -37,25 +37,24 @@ class ReadyPayload(Payload):
     housekeeper: Check
 
 
-@router.get("/livez", operation_id="getLiveness", responses=refusals())
-async def livez() -> LivePayload:
+@router.get("/livez", responses=refusals())
+async def get_liveness() -> LivePayload:
     """Whether the process answers."""
     return LivePayload()
 
 
 @router.get(
     "/readyz",
-    operation_id="getReadiness",
     responses=refusals() | {503: {"description": "Something that the service needs is away", "model": ReadyPayload}},
 )
-def readyz(response: Response, owned: OwnedDep) -> ReadyPayload:
+def get_readiness(response: Response, owned: OwnedDep) -> ReadyPayload:
     """Whether jobs can be taken and run."""
     database, there = _database(owned)
     checks = {"database": database, "redis": _redis(owned), "storage": _storage(owned)}
     ready = all(check == "ok" for check in checks.values())
     if not ready:
         logger.warning("not ready", extra=checks)
-        response.status_code = status.HTTP_503_SERVICE_UNAVAILABLE
+        response.status_code = 503
         response.headers["Retry-After"] = "5"
     return ReadyPayload(
         status="ready" if ready else "unready",

@@ -120,7 +120,6 @@ class InteractPayload(Payload):
 
 @router.post(
     "",
-    operation_id="interact",
     response_model=InteractPayload,
     responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep", "overloaded")
     | {

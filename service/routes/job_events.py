@@ -23,7 +23,6 @@ SEND_TIMEOUT_S = 30.0
 
 @router.get(
     "/{id}/events",
-    operation_id="streamJob",
     response_class=EventSourceResponse,
     responses=refusals("not-found")
     | {

@@ -5,7 +5,7 @@ import time
 from datetime import datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Request, Response, status
+from fastapi import APIRouter, Header, Query, Request, Response
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.concurrency import run_in_threadpool
@@ -45,12 +45,7 @@ _ACCEPTED = {
 }
 
 
-@router.post(
-    "",
-    operation_id="createJob",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
-)
+@router.post("", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})
 def create_job(
     body: JobRequest,
     response: Response,
@@ -65,7 +60,7 @@ def create_job(
     return accept(owned, body, origin, response, key=key)
 
 
-@router.post("/estimate", operation_id="estimateJob", responses=refusals(*_REFUSALS))
+@router.post("/estimate", responses=refusals(*_REFUSALS))
 def estimate_job(body: JobRequest, owned: OwnedDep) -> EstimatePayload:
     """What a job would take, where it would be accepted; nothing is created."""
     asset, stages = require_possible(owned, body)
@@ -73,12 +68,7 @@ def estimate_job(body: JobRequest, owned: OwnedDep) -> EstimatePayload:
     return EstimatePayload(est_seconds=seconds, format_bytes=format_bytes(body, asset))
 
 
-@router.post(
-    "/{id}/retry",
-    operation_id="retryJob",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
-)
+@router.post("/{id}/retry", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})
 def retry_job(id: Id, response: Response, owned: OwnedDep, origin: Origin) -> JobPayload:
     """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
     return accept_again(owned, owned.store.job(id), origin, response)
@@ -106,7 +96,7 @@ class JobFilter(BaseModel):
     limit: int = Field(20, ge=1, le=MAX_PAGE, description="jobs a page")
 
 
-@router.get("", operation_id="listJobs", responses=refusals())
+@router.get("", responses=refusals())
 def list_jobs(
     request: Request, response: Response, owned: OwnedDep, wanted: Annotated[JobFilter, Query()]
 ) -> JobListPayload:
@@ -124,7 +114,6 @@ def list_jobs(
 
 @router.get(
     "/{id}",
-    operation_id="getJob",
     response_model=JobPayload,
     responses=refusals("not-found", "expired")
     | {
@@ -156,44 +145,30 @@ async def get_job(
     if wait_s:
         estimate["Preference-Applied"] = f"wait={wait_s:g}"
     if matches(if_none_match, estimate["etag"]):
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=estimate)
+        return Response(status_code=304, headers=estimate)
     # made here: FastAPI would check the payload once more, which takes longer than the queries
     return Response(payload.model_dump_json(), headers=estimate, media_type="application/json")
 
 
-@router.post(
-    "/{id}/cancel",
-    operation_id="cancelJob",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=refusals("not-found", "conflict"),
-)
+@router.post("/{id}/cancel", status_code=202, responses=refusals("not-found", "conflict"))
 def cancel_job(id: Id, response: Response, owned: OwnedDep) -> JobPayload:
     """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
     return tell(owned, owned.store.cancel(id), response)
 
 
-@router.delete(
-    "/{id}",
-    operation_id="deleteJob",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=refusals("not-found", "conflict", "expired"),
-)
+@router.delete("/{id}", status_code=204, responses=refusals("not-found", "conflict", "expired"))
 def delete_job(id: Id, owned: OwnedDep) -> None:
     """Forget a job that has ended, and its files. Other jobs keep what they share with it."""
     owned.store.delete_job(id)
 
 
-@router.get("/{id}/artifacts", operation_id="listArtifacts", responses=refusals("not-found"))
+@router.get("/{id}/artifacts", responses=refusals("not-found"))
 def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
     return manifest_payload(owned.store.job(id), owned.store.artifacts_of(id))
 
 
-@router.get(
-    "/{id}/still",
-    operation_id="getStill",
-    **file_route(WEBP, "160 × 232 pixels, some 10 kB", "not-found", "expired"),
-)
+@router.get("/{id}/still", **file_route(WEBP, "160 × 232 pixels, some 10 kB", "not-found", "expired"))
 def get_still(id: Id, owned: OwnedDep) -> Response:
     """The first frame of a job's preview, once it is written."""
     written = {artifact.name: artifact for artifact in owned.store.artifacts_of(owned.store.job(id).id)}

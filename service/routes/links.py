@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Response, status
+from fastapi import APIRouter, Response
 from pydantic import Field
 
 from jobs.clients.keys import find_key
@@ -39,9 +39,7 @@ class LinkPayload(Payload):
     expires_at: Time | None = Field(description="null where no key is required, and the path itself opens")
 
 
-@router.post(
-    "", operation_id="createLink", status_code=status.HTTP_201_CREATED, responses=refusals("not-found", "expired")
-)
+@router.post("", status_code=201, responses=refusals("not-found", "expired"))
 def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkPayload:
     """Sign an address, so that `<model-viewer src>` or a download manager can open it without a header.
 

@@ -22,11 +22,7 @@ router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
 BYTES = "application/octet-stream"
 
 
-@router.get(
-    "/{id}/modes",
-    operation_id="getModes",
-    **file_route(SAFETENSORS, "safetensors; see docs/interaction.md", "not-found", "expired"),
-)
+@router.get("/{id}/modes", **file_route(SAFETENSORS, "safetensors; see docs/interaction.md", "not-found", "expired"))
 def get_modes(
     id: Id,
     owned: OwnedDep,
@@ -41,11 +37,7 @@ def get_modes(
     return PackedResponse(content, 200, CACHED, SAFETENSORS)
 
 
-@router.get(
-    "/{id}/reach",
-    operation_id="getReach",
-    **file_route(BYTES, "one byte a voxel: 255 w", "not-found", "expired"),
-)
+@router.get("/{id}/reach", **file_route(BYTES, "one byte a voxel: 255 w", "not-found", "expired"))
 def get_reach(
     id: Id,
     owned: OwnedDep,

@@ -40,7 +40,7 @@ class OpsPayload(Payload):
     unsent_messages: int
 
 
-@router.get("/v1/ops", operation_id="getOperations", responses=refusals(), tags=["health"])
+@router.get("/v1/ops", responses=refusals(), tags=["health"])
 def get_operations(owned: OwnedDep) -> OpsPayload:
     """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
     with owned.store.reading() as connection:

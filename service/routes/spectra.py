@@ -55,7 +55,7 @@ class SpectrumPayload(Payload):
     artifact_url: str
 
 
-@router.get("/{id}", operation_id="getSpectrum", responses=refusals("not-found", "expired"))
+@router.get("/{id}", responses=refusals("not-found", "expired"))
 def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
     """What a spectrum is: frequencies, voxels, bounds, model. The coefficients are the artefact's bytes."""
     spectrum = load_spectrum(owned, id)
@@ -107,7 +107,7 @@ class TurbulentWindPayload(Payload):
     turn_rad: WavePayload = Field(description="of the whole displacement about the vertical, from +X towards +Y")
 
 
-@router.get("/{id}/wind", operation_id="getWind", responses=refusals("not-found", "expired"))
+@router.get("/{id}/wind", responses=refusals("not-found", "expired"))
 def get_wind(
     id: Id,
     owned: OwnedDep,

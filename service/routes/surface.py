@@ -32,16 +32,14 @@ _SEEN = "safetensors; see docs/viewer.md"
 _OF_ASSET = file_route(SAFETENSORS, _SEEN, "not-found", "conflict", "expired")
 
 
-@router.get("/assets/{id}/surface", operation_id="getAssetSurface", tags=["assets"], **_OF_ASSET)
+@router.get("/assets/{id}/surface", tags=["assets"], **_OF_ASSET)
 def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
     mesh = load_asset_mesh(owned, id)
     return _response(mesh_tensors(mesh), mesh)
 
 
-@router.get(
-    "/spectra/{id}/surface", operation_id="getSurface", **file_route(SAFETENSORS, _SEEN, "not-found", "expired")
-)
+@router.get("/spectra/{id}/surface", **file_route(SAFETENSORS, _SEEN, "not-found", "expired"))
 def get_surface(id: Id, owned: OwnedDep) -> Response:
     """The source mesh, and the bones that turn in the wind and under a push."""
     ready = ready_tree(owned, id)
@@ -49,7 +47,7 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
     return _response(mesh_tensors(mesh) | _motion(owned, id, ready), mesh)
 
 
-@router.get("/assets/{id}/points", operation_id="getAssetPoints", tags=["assets"], **_OF_ASSET)
+@router.get("/assets/{id}/points", tags=["assets"], **_OF_ASSET)
 def get_asset_points(id: Id, owned: OwnedDep) -> Response:
     """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
     content = save(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})

@@ -7,7 +7,7 @@ import time
 from email.utils import formatdate
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Request, Response, status
+from fastapi import APIRouter, Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import ConflictError
@@ -51,21 +51,20 @@ _STANDS = headers(
 _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mismatch", "request-timeout", "disk-full")
 
 
-@router.options("", operation_id="getUploadProtocol", status_code=status.HTTP_204_NO_CONTENT, responses=refusals())
-async def get_protocol(owned: OwnedDep) -> Response:
+@router.options("", status_code=204, responses=refusals())
+async def get_upload_protocol(owned: OwnedDep) -> Response:
     """Supported tus versions and extensions."""
     protocol_headers = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
         "Tus-Max-Size": str(owned.services.settings.max_upload_bytes),
     }
-    return Response(status_code=status.HTTP_204_NO_CONTENT, headers=protocol_headers)
+    return Response(status_code=204, headers=protocol_headers)
 
 
 @router.post(
     "",
-    operation_id="createUpload",
-    status_code=status.HTTP_201_CREATED,
+    status_code=201,
     **_TAKES_BYTES,
     responses=refusals("invalid-input", "quota-exceeded", *_ERRORS)
     | {201: {"description": "Begun", **headers(Location="the upload", Upload_Offset="bytes that are there")}},
@@ -106,12 +105,11 @@ async def create_upload(
         size = await append(owned, record, request.stream(), 0)
         record = await _record_progress(owned, record, size)
     sent = _standing(record, size) | {"Location": f"/v1/uploads/{record.id}"}
-    return Response(status_code=status.HTTP_201_CREATED, headers=sent)
+    return Response(status_code=201, headers=sent)
 
 
 @router.head(
     "/{id}",
-    operation_id="headUpload",
     response_class=Response,
     responses=refusals("not-found", "expired", "precondition-failed")
     | {200: {"description": "Where it stands", **_STANDS}},
@@ -131,8 +129,7 @@ def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Resp
 
 @router.patch(
     "/{id}",
-    operation_id="appendToUpload",
-    status_code=status.HTTP_204_NO_CONTENT,
+    status_code=204,
     **_TAKES_BYTES,
     responses=refusals("not-found", "expired", "upload-offset-conflict", *_ERRORS)
     | {204: {"description": "Kept", **_STANDS}},
@@ -154,14 +151,14 @@ async def append_to_upload(
     if record.state != "receiving":
         if offset != record.received:
             raise stands_elsewhere(offset, record.received)
-        return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, record.received))
+        return Response(status_code=204, headers=_standing(record, record.received))
     await run_in_threadpool(require_room, owned)
     size = await append(owned, record, request.stream(), offset)
     record = await _record_progress(owned, record, size)
-    return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, size))
+    return Response(status_code=204, headers=_standing(record, size))
 
 
-@router.get("/{id}", operation_id="getUpload", responses=refusals("not-found", "expired"))
+@router.get("/{id}", responses=refusals("not-found", "expired"))
 async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
     """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
     deadline = time.monotonic() + wait_s
@@ -177,7 +174,7 @@ async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
     return upload_payload(record, size)
 
 
-@router.post("/{id}/parts", operation_id="createUploadParts", responses=refusals("not-found", "expired", "conflict"))
+@router.post("/{id}/parts", responses=refusals("not-found", "expired", "conflict"))
 def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
     """Addresses in object storage to PUT the missing bytes to; then PATCH at the whole length, without bytes.
 
@@ -200,11 +197,7 @@ def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
 
 
 @router.delete(
-    "/{id}",
-    operation_id="deleteUpload",
-    status_code=status.HTTP_204_NO_CONTENT,
-    response_class=Response,
-    responses=refusals("not-found", "expired", "precondition-failed"),
+    "/{id}", status_code=204, response_class=Response, responses=refusals("not-found", "expired", "precondition-failed")
 )
 def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
     """Give an upload up. An asset that was made of it stays."""
@@ -212,7 +205,7 @@ def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> R
     upload(owned.store, id)
     owned.services.upload_parts.delete(id)
     delete_upload(owned.store, id)
-    return Response(status_code=status.HTTP_204_NO_CONTENT)
+    return Response(status_code=204)
 
 
 async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, FastAPI, Query, Response, status
+from fastapi import APIRouter, FastAPI, Query, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
@@ -119,11 +119,12 @@ class DeliveryListPayload(Payload):
 
 @router.post(
     "",
-    operation_id="createWebhookEndpoint",
-    status_code=status.HTTP_201_CREATED,
+    status_code=201,
     responses=refusals("conflict", "fetch-failed") | {201: {"description": "Made", **headers(Location="the endpoint")}},
 )
-async def create_endpoint(body: EndpointRequest, response: Response, owned: OwnedDep) -> EndpointWithSecretPayload:
+async def create_webhook_endpoint(
+    body: EndpointRequest, response: Response, owned: OwnedDep
+) -> EndpointWithSecretPayload:
     """Register an address that receives an event when a job ends. The signing secret is returned only here."""
     await owned.services.outbound.check(body.url)
     box = owned.services.secret_box
@@ -132,32 +133,27 @@ async def create_endpoint(body: EndpointRequest, response: Response, owned: Owne
     return EndpointWithSecretPayload.of(new, secret=secret)
 
 
-@router.get("", operation_id="listWebhookEndpoints", responses=refusals())
-def list_endpoints(owned: OwnedDep) -> EndpointListPayload:
+@router.get("", responses=refusals())
+def list_webhook_endpoints(owned: OwnedDep) -> EndpointListPayload:
     """All endpoints."""
     return EndpointListPayload(data=[EndpointPayload.of(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
-@router.delete(
-    "/{id}",
-    operation_id="deleteWebhookEndpoint",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=refusals("not-found"),
-)
-def delete_endpoint(id: Id, owned: OwnedDep) -> None:
+@router.delete("/{id}", status_code=204, responses=refusals("not-found"))
+def delete_webhook_endpoint(id: Id, owned: OwnedDep) -> None:
     """Delete an endpoint and its deliveries."""
     webhooks.delete_endpoint(owned.store, id)
 
 
-@router.post("/{id}/secret", operation_id="rotateWebhookSecret", responses=refusals("not-found"))
-def rotate_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
+@router.post("/{id}/secret", responses=refusals("not-found"))
+def rotate_webhook_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
     new, secret = webhooks.rotate_secret(owned.store, id, owned.services.secret_box)
     return EndpointWithSecretPayload.of(new, secret=secret)
 
 
-@router.get("/{id}/deliveries", operation_id="listWebhookDeliveries", responses=refusals("not-found"))
-def list_deliveries(
+@router.get("/{id}/deliveries", responses=refusals("not-found"))
+def list_webhook_deliveries(
     id: Id,
     owned: OwnedDep,
     cursor: Cursor = None,
@@ -172,13 +168,8 @@ def list_deliveries(
     )
 
 
-@router.post(
-    "/{id}/deliveries/{delivery_id}/replay",
-    operation_id="replayWebhookDelivery",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=refusals("not-found"),
-)
-def replay_delivery(id: Id, delivery_id: str, owned: OwnedDep) -> DeliveryPayload:
+@router.post("/{id}/deliveries/{delivery_id}/replay", status_code=202, responses=refusals("not-found"))
+def replay_webhook_delivery(id: Id, delivery_id: str, owned: OwnedDep) -> DeliveryPayload:
     """Send a message again as a new delivery; the receiver recognises it by its webhook-id."""
     delivery = webhooks.replay(owned.store, id, delivery_id)
     return DeliveryPayload.of(delivery, tries=delivery.log)
