@@ -1,4 +1,7 @@
-"""Load spectra, and the meshes and clouds that they were made for, from storage."""
+"""Load spectra, and the meshes and clouds that they were made for, from storage.
+
+Each raises NotFoundError or GoneError where there is no spectrum or asset of this id, or it has expired.
+"""
 
 import time
 from io import BytesIO
@@ -14,7 +17,7 @@ from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.errors import ConflictError, GoneError, NotFoundError
-from jobs.records import ArtifactRecord
+from jobs.records import ArtifactRecord, AssetRecord, JobRecord
 from jobs.storage.assets import read_asset
 from jobs.storage.intermediates import RESULT_SOURCES, find_stored, result_key
 from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM
@@ -26,11 +29,7 @@ _AWAITING = BoundedSemaphore(16)  # each occupies one of the process's 40 thread
 
 
 def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
-    """Artifact record of a spectrum.
-
-    Raises:
-        NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
-    """
+    """Artifact record of a spectrum."""
     if not is_id(spectrum_id):
         raise NotFoundError(f"there is no spectrum {spectrum_id!r}; a job's result names the one that it made")
     artifact = owned.store.artifact(spectrum_id)
@@ -39,12 +38,14 @@ def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
     return artifact
 
 
-def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
-    """A spectrum with its coefficients, from memory where it was used lately.
+def source_of(owned: Owned, spectrum_id: str) -> tuple[JobRecord, AssetRecord]:
+    """The job that made a spectrum, and the asset that it was made for."""
+    job = owned.store.job(spectrum_artifact(owned, spectrum_id).job_id)
+    return job, read_asset(owned.store, job.asset_id)
 
-    Raises:
-        NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
-    """
+
+def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
+    """A spectrum with its coefficients, from memory where it was used lately."""
     artifact = spectrum_artifact(owned, spectrum_id)
     spectrum = owned.services.spectra.get(artifact.sha256)
     if spectrum is None:
@@ -54,19 +55,13 @@ def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
 
 
 def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
-    """The mesh that a spectrum was made for.
-
-    Raises:
-        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
-    """
-    artifact = spectrum_artifact(owned, spectrum_id)
-    job = owned.store.job(artifact.job_id)
-    asset = read_asset(owned.store, job.asset_id)
+    """The mesh that a spectrum was made for."""
+    job, asset = source_of(owned, spectrum_id)
     if asset.prepared is not None and asset.kind == "mesh":
         params = CloudParams.part_of(job.params)
         mesh = with_choice(_mesh(owned, asset.prepared.sha256, asset.id), params)
         return mesh if params.tree is None else only_tree_of(mesh, params.tree)
-    bundles = [other for other in owned.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
+    bundles = [other for other in owned.store.artifacts_of(job.id) if other.name == MESH_BUNDLE]
     if not bundles:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
     return _mesh(owned, bundles[0].sha256, f"of spectrum {spectrum_id}")
@@ -76,12 +71,9 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
     """What a job computed for a spectrum and its mesh, by `RESULT_SOURCES`, or computes now; None without.
 
     Raises:
-        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
         ProblemError: too many requests wait already.
     """
-    artifact = spectrum_artifact(owned, spectrum_id)
-    job = owned.store.job(artifact.job_id)
-    asset = read_asset(owned.store, job.asset_id)
+    job, asset = source_of(owned, spectrum_id)
     digests = {other.name: other.sha256 for other in owned.store.artifacts_of(job.id)}
     if asset.prepared is not None and asset.kind == "mesh":
         digests[MESH_BUNDLE] = asset.prepared.sha256
@@ -107,7 +99,6 @@ def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
     """Mesh of an asset.
 
     Raises:
-        NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: the asset is of another kind.
     """
     return _mesh(owned, _prepared(owned, asset_id, "mesh", "a job makes its mesh"), asset_id)
@@ -117,7 +108,6 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
     """Cloud of an asset.
 
     Raises:
-        NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: the asset is of another kind.
     """
     from dynamictree.formats.tensors.bundle import read_cloud_bundle
@@ -130,13 +120,11 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudPar
     """The cloud that a spectrum was made for, and what of it moves in its job.
 
     Raises:
-        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
         ProblemError: the source is no cloud.
     """
     from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
-    job = owned.store.job(spectrum_artifact(owned, spectrum_id).job_id)
-    asset = read_asset(owned.store, job.asset_id)
+    job, asset = source_of(owned, spectrum_id)
     if asset.kind != "cloud" or asset.prepared is None:
         detail = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
         raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")

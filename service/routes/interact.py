@@ -25,7 +25,7 @@ from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.response import Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
-from dynamictree.modal.system import ModalSystem, with_physics
+from dynamictree.modal.system import ModalSystem
 from service.http.problems import ProblemError
 from service.http.request_headers import JSON, SAFETENSORS, chosen
 from service.http.routing import refusals
@@ -43,17 +43,7 @@ from service.interact.forces import (
     state_payload,
     with_state,
 )
-from service.interact.ready_tree import ReadyTree
-from service.interact.tree_cache import (
-    living_tree,
-    moving_gaussians,
-    ready_tree,
-    rig_for,
-    vertex_contact,
-    vertex_frames,
-    with_mesh,
-    with_rig,
-)
+from service.interact.tree_cache import ServedTree, living_tree, served_tree
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
 
@@ -135,27 +125,23 @@ async def interact(
     """Push a tree, and read how it swings."""
     offered = (JSON, SAFETENSORS) if body.output == "modal" else (SAFETENSORS,)
     media_type = chosen(accept, offered)
-    ready = living_tree(owned, body.spectrum_id)
-    if ready is not None and _is_short(body):
-        return _response(body, ready, owned, media_type)  # 1 to 3 ms: a thread would cost as much again
+    tree = living_tree(owned, body.spectrum_id)
+    if tree is not None and _is_short(body):
+        return _response(body, tree, media_type)  # 1 to 3 ms: a thread would cost as much again
     if body.output == "modal":
         return await run_in_threadpool(_prepared_response, body, owned, media_type, threading.Event())
-    large_slot = AsyncExitStack()
-    try:
-        async with asyncio.timeout(SLOT_WAIT_S):
-            await large_slot.enter_async_context(owned.services.large_answers.slot(owned.caller.owner or ""))
-    except TimeoutError as error:
-        raise ProblemError("overloaded", "other large answers are computed or sent; try again") from error
-    try:
-        async with _noticing_who_leaves(request) as left:
-            response = await run_in_threadpool(_prepared_response, body, owned, media_type, left)
-    except Cancelled:
-        await large_slot.aclose()
-        return Response(status_code=CLIENT_LEFT)
-    except BaseException:
-        await large_slot.aclose()
-        raise
-    return SlotResponse(response, large_slot)
+    async with AsyncExitStack() as large_slot:
+        try:
+            async with asyncio.timeout(SLOT_WAIT_S):
+                await large_slot.enter_async_context(owned.services.large_answers.slot(owned.caller.owner or ""))
+        except TimeoutError as error:
+            raise ProblemError("overloaded", "other large answers are computed or sent; try again") from error
+        try:
+            async with _noticing_who_leaves(request) as left:
+                response = await run_in_threadpool(_prepared_response, body, owned, media_type, left)
+        except Cancelled:
+            return Response(status_code=CLIENT_LEFT)
+        return SlotResponse(response, large_slot.pop_all())
 
 
 CLIENT_LEFT = 499
@@ -211,43 +197,36 @@ def _is_short(body: InteractRequest) -> bool:
 
 def _prepared_response(body: InteractRequest, owned: Owned, media_type: str, left: threading.Event) -> Response:
     try:
-        return _response(body, ready_tree(owned, body.spectrum_id), owned, media_type, left)
+        return _response(body, served_tree(owned, body.spectrum_id), media_type, left)
     finally:
         owned.services.trees.trim()  # what the answer needs grows with the tree
 
 
 def _response(
-    body: InteractRequest, ready: ReadyTree, owned: Owned, media_type: str, left: threading.Event | None = None
+    body: InteractRequest, tree: ServedTree, media_type: str, left: threading.Event | None = None
 ) -> Response:
-    system, answer = answer_of(body, ready, owned)
+    system, answer = answer_of(body, tree)
     if media_type == JSON:
         return Response(
             orjson.dumps(_interact_payload(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON
         )
     arrays = answer_tensors(answer)
     if body.output == "gaussians":
-        arrays |= _gaussians(body, ready, owned, answer, left)
+        arrays |= _gaussians(body, tree, answer, left)
     elif body.output != "modal":
-        arrays["displacement"] = _displacement(body, ready, owned, answer, left)
+        arrays["displacement"] = _displacement(body, tree, answer, left)
     return Response(_packed(arrays, _facts(body, system)), 200, None, media_type)
 
 
-def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[ModalSystem, Answer]:
+def answer_of(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
     """Let the tree answer a request.
 
     Raises:
         InputError, NumericsError, ProblemError: the request cannot be met.
     """
-    system = with_physics(
-        ready.tree.system,
-        mass_kg=body.mass_kg,
-        damping_ratio=body.damping_ratio,
-        frequency_hz=body.frequency_hz,
-        foliage=body.foliage,
-    )
-
-    bent = with_rig(owned, ready, body.spectrum_id) if body.warp else None
-    at_vertex = partial(vertex_contact, owned, ready, body.spectrum_id, bent=body.warp)
+    system = tree.system(body)
+    bent = tree.with_rig() if body.warp else None
+    at_vertex = partial(tree.vertex_contact, bent=body.warp)
     forces = [library_force(force, system.grid, at_vertex) for force in body.forces]
     groups = group_forces(forces, falloff_m=chosen_falloff_m(system, body))
     begin: Start | State = body.start
@@ -272,17 +251,13 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
     return system, answer
 
 
-def _displacement(
-    body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer, left: threading.Event | None
-) -> np.ndarray:
+def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event | None) -> np.ndarray:
     """[T, V or N, 3] in metres."""
     if body.output == "voxels":
-        _refuse_costly(answer, len(ready.tree.system.grid), 12)
-        tree = with_rig(owned, ready, body.spectrum_id)
-        return np.stack(list(_while_there(tree.voxels(answer, warp=body.warp), left)))
-    mesh = with_mesh(owned, ready, body.spectrum_id)
-    _refuse_costly(answer, mesh.num_vertices, 12)
-    return np.stack(list(_while_there(_iter_vertices(body, ready, owned, answer), left)))
+        _refuse_costly(answer, len(tree.ready.tree.system.grid), 12)
+        return np.stack(list(_while_there(tree.with_rig().voxels(answer, warp=body.warp), left)))
+    _refuse_costly(answer, tree.mesh().num_vertices, 12)
+    return np.stack(list(_while_there(_iter_vertices(body, tree, answer), left)))
 
 
 def _while_there(frames: Iterator[np.ndarray], left: threading.Event | None) -> Iterator[np.ndarray]:
@@ -297,29 +272,26 @@ def _while_there(frames: Iterator[np.ndarray], left: threading.Event | None) -> 
         yield frame
 
 
-def _iter_vertices(
-    body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer
-) -> Iterator[Float32[np.ndarray, "N 3"]]:
+def _iter_vertices(body: InteractRequest, tree: ServedTree, answer: Answer) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Displacement of the mesh's vertices, frame after frame [m]."""
-    tree, rig = with_rig(owned, ready, body.spectrum_id), rig_for(owned, ready, body.spectrum_id)
     if body.warp:
-        yield from tree.bent(answer, with_mesh(owned, ready, body.spectrum_id).vertices, rig.vertices)
+        yield from tree.with_rig().bent(answer, tree.mesh().vertices, tree.rig().vertices)
     else:
-        yield from tree.superposed(answer, vertex_frames(owned, ready, body.spectrum_id))
+        yield from tree.with_rig().superposed(answer, tree.frames())
 
 
 def _gaussians(
-    body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer, left: threading.Event | None
+    body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event | None
 ) -> dict[str, np.ndarray]:
     """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
     from dynamictree.gaussian.deform import Pose  # brings numba
 
-    moving = moving_gaussians(owned, ready, body.spectrum_id)
+    moving = tree.gaussians()
     _refuse_costly(answer, len(moving.rows), 40)
     shape = body.num_frames, len(moving.rows)
     means, quaternions, scales = (np.empty((*shape, width), np.float32) for width in (3, 4, 3))
     with moving.alone:
-        for frame, vertices in enumerate(_while_there(_iter_vertices(body, ready, owned, answer), left)):
+        for frame, vertices in enumerate(_while_there(_iter_vertices(body, tree, answer), left)):
             out = Pose(means=means[frame], quaternions=quaternions[frame], scales=scales[frame])
             moving.deformer.pose(vertices, out=out)
     return {"rows": moving.rows, "means": means, "quaternions": quaternions, "scales": scales}

@@ -19,15 +19,13 @@ from starlette.websockets import WebSocketState
 
 from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.step import exact_step
-from dynamictree.modal.system import with_physics
 from dynamictree.requests import SwingParams
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.slots import until_revoked
 from service.http.validation_errors import field_errors, summed_up
 from service.interact.forces import ForcePayload
-from service.interact.ready_tree import ReadyTree
 from service.interact.session import Grips, Session, force_of
-from service.interact.tree_cache import ready_tree, vertex_contact, with_rig
+from service.interact.tree_cache import ServedTree, served_tree
 from service.schemas.base import Finite, Payload
 from service.services import Owned, owned_by_caller
 
@@ -96,11 +94,11 @@ async def _serve(socket: WebSocket, owned: Owned) -> None:
         opened = await _open(socket, owned)
         if opened is None:
             return
-        message, ready, session = opened
+        message, tree, session = opened
         async with asyncio.TaskGroup() as tasks:
             ticking = tasks.create_task(_send_frames(socket, session))
             watching = tasks.create_task(_close_once_revoked(socket, owned))
-            await _receive(socket, owned, message, ready, session)
+            await _receive(socket, message, tree, session)
             ticking.cancel()
             watching.cancel()
     except* WebSocketDisconnect:
@@ -113,18 +111,12 @@ async def _close_once_revoked(socket: WebSocket, owned: Owned) -> None:
     raise WebSocketDisconnect(INVALID)
 
 
-async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree, Session] | None:
+async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ServedTree, Session] | None:
     """Answer the first message; None where it was refused."""
     try:
         message = _FIRST.validate_json(await asyncio.wait_for(_text(socket), OPEN_S))
-        ready = await run_in_threadpool(ready_tree, owned, message.spectrum_id)
-        system = with_physics(
-            ready.tree.system,
-            mass_kg=message.mass_kg,
-            damping_ratio=message.damping_ratio,
-            frequency_hz=message.frequency_hz,
-            foliage=message.foliage,
-        )
+        tree = await run_in_threadpool(served_tree, owned, message.spectrum_id)
+        system = tree.system(message)
     except TimeoutError:
         await socket.close(INVALID, f"no open message within {OPEN_S:g} s")
         return None
@@ -142,18 +134,18 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
         "modal_mass_kg_m2": system.modal_mass,
     }
     await _send(socket, reply)
-    return message, ready, session
+    return message, tree, session
 
 
-async def _receive(socket: WebSocket, owned: Owned, opened: OpenMessage, ready: ReadyTree, session: Session) -> None:
+async def _receive(socket: WebSocket, opened: OpenMessage, tree: ServedTree, session: Session) -> None:
     """Take messages until the client disconnects or falls silent."""
     project = partial(
         force_of,
         system=session.system,
         dt_s=session.step.dt_s,
         falloff_m=chosen_falloff_m(session.system, opened),
-        vertex_contact=partial(vertex_contact, owned, ready, opened.spectrum_id, bent=True),
-        grips=Grips(partial(with_rig, owned, ready, opened.spectrum_id), session.system),
+        vertex_contact=partial(tree.vertex_contact, bent=True),
+        grips=Grips(tree.with_rig, session.system),
     )
     while True:
         try:

@@ -5,16 +5,15 @@ from typing import Annotated
 import numpy as np
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
-from safetensors.numpy import save
 
 from dynamictree.modal.interactive_tree import ForceGroup, Locality
 from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
-from service.http.packing import PackedResponse
+from service.http.packing import packed_tensors
 from service.http.request_headers import SAFETENSORS
 from service.http.routing import CACHED, Id, file_route
 from service.interact.stored_trees import load_spectrum
-from service.interact.tree_cache import ready_tree, with_rig
+from service.interact.tree_cache import served_tree
 from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -29,12 +28,11 @@ def get_modes(
     shapes: Annotated[bool, Query(description="false leaves out what the bones of …/surface say as well")] = True,
 ) -> Response:
     """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
-    tree = with_rig(owned, ready_tree(owned, id), id)
+    tree = served_tree(owned, id).with_rig()
     tensors = mode_tensors(tree.system, tree.bones, tree.joints, shapes=shapes)
     if shapes:
-        tensors["lean_m"] = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
-    content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
-    return PackedResponse(content, 200, CACHED, SAFETENSORS)
+        tensors["lean_m"] = load_spectrum(owned, id).coefficients[:, 0].real
+    return packed_tensors(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
 
 
 @router.get("/{id}/reach", **file_route(BYTES, "one byte a voxel: 255 w", "not-found", "expired"))
@@ -48,6 +46,6 @@ def get_reach(
 ) -> Response:
     """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
     place = Locality(seed_voxel=seed_voxel, falloff_m=falloff_m)
-    (weights,) = with_rig(owned, ready_tree(owned, id), id).weights([ForceGroup(locality=place)])
+    (weights,) = served_tree(owned, id).with_rig().weights([ForceGroup(locality=place)])
     content = np.rint(weights * 255).astype(np.uint8).tobytes()
     return Response(content, 200, CACHED, BYTES)

@@ -5,20 +5,18 @@ import json
 import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
-from safetensors.numpy import save
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import bin_weights
-from service.http.packing import PackedResponse
+from service.http.packing import packed_tensors
 from service.http.request_headers import SAFETENSORS
-from service.http.routing import CACHED, Id, file_route
-from service.interact.ready_tree import ReadyTree
+from service.http.routing import Id, file_route
 from service.interact.stored_trees import load_asset_cloud, load_asset_mesh
-from service.interact.tree_cache import ready_tree, rig_for, with_mesh
-from service.services import Owned, OwnedDep
+from service.interact.tree_cache import ServedTree, served_tree
+from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
 
@@ -42,16 +40,15 @@ def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
 @router.get("/spectra/{id}/surface", **file_route(SAFETENSORS, _SEEN, "not-found", "expired"))
 def get_surface(id: Id, owned: OwnedDep) -> Response:
     """The source mesh, and the bones that turn in the wind and under a push."""
-    ready = ready_tree(owned, id)
-    mesh = with_mesh(owned, ready, id)
-    return _response(mesh_tensors(mesh) | _motion(owned, id, ready), mesh)
+    tree = served_tree(owned, id)
+    mesh = tree.mesh()
+    return _response(mesh_tensors(mesh) | _motion(tree), mesh)
 
 
 @router.get("/assets/{id}/points", tags=["assets"], **_OF_ASSET)
 def get_asset_points(id: Id, owned: OwnedDep) -> Response:
     """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
-    content = save(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})
-    return PackedResponse(content, 200, CACHED, SAFETENSORS)
+    return packed_tensors(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})
 
 
 def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:
@@ -63,7 +60,7 @@ def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:
     rows = visible[::step]
     colours = np.clip(0.5 + SH_0 * cloud.sh[rows, 0], 0, 1)
     return {
-        "points": np.ascontiguousarray(cloud.means[rows], np.float32),
+        "points": cloud.means[rows].astype(np.float32),
         "colours": np.rint(255 * colours).astype(np.uint8),
         "radius_m": (1.5 * np.sqrt(step) * np.median(cloud.scales[rows], axis=1)).astype(np.float32),
     }
@@ -83,8 +80,8 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     return tensors
 
 
-def _motion(owned: Owned, spectrum_id: str, ready: ReadyTree) -> dict[str, np.ndarray]:
-    rig = rig_for(owned, ready, spectrum_id)
+def _motion(tree: ServedTree) -> dict[str, np.ndarray]:
+    rig = tree.rig()
     weights = bin_weights(rig.turns.shape[1], rig.num_frames)[:, None]  # bin 0 is the lean, the others φ_k = 2 c_k
     turns, step_rad = quantised(rig.turns * weights)
     return {
@@ -103,5 +100,4 @@ def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:
     materials = [{name: getattr(material, name) for name in fields} for material in mesh.look.materials]
     metadata = {"format": "tree-surface", "version": "1", "unit": "m", "up_axis": "+Z"}
     metadata["materials"] = json.dumps(materials)
-    content = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata)
-    return PackedResponse(content, 200, CACHED, SAFETENSORS)
+    return packed_tensors(tensors, metadata)

@@ -294,11 +294,11 @@ def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
 
 def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, services: Services, poke: dict) -> None:
     post(client, spectrum_id, poke)
-    ready = living_tree(services.owned_by(ANYONE), spectrum_id)
-    assert ready is not None
+    tree = living_tree(services.owned_by(ANYONE), spectrum_id)
+    assert tree is not None
     for number in range(5):
-        services.trees.max_bytes = 3 * ready.num_bytes
-        services.trees.put(f"other-{number}", ready)
+        services.trees.max_bytes = 3 * tree.ready.num_bytes
+        services.trees.put(f"other-{number}", tree.ready)
     assert len(services.trees) == 3
     assert living_tree(services.owned_by(ANYONE), spectrum_id) is None
 
