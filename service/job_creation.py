@@ -15,7 +15,7 @@ from jobs.states import AUTO, CPU, GPU, JobState, JobType, queue_of, stages_of
 from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.problems import ProblemError, wrong_field
-from service.http.request_headers import RequestOrigin
+from service.http.request_headers import Origin
 from service.http.routing import is_id
 from service.job_responses import tell
 from service.routes.catalogue import require_preset
@@ -35,7 +35,7 @@ PAPER = "paper"
 """The preset that takes minutes without a GPU."""
 
 
-def accept(owned: Owned, body: JobRequest, origin: RequestOrigin, response: Response, *, key: str | None) -> JobPayload:
+def accept(owned: Owned, body: JobRequest, origin: Origin, response: Response, *, key: str | None) -> JobPayload:
     """Validate a request and store its job, or return the job created with the same key."""
     named = None
     if key is not None:
@@ -47,7 +47,7 @@ def accept(owned: Owned, body: JobRequest, origin: RequestOrigin, response: Resp
     return _keep(owned, _record(owned, body, asset, origin), stages, named, response)
 
 
-def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: Response) -> JobPayload:
+def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Response) -> JobPayload:
     """Store a new job with an old one's request.
 
     Raises:
@@ -62,10 +62,9 @@ def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: 
         id=new_id(),
         state=JobState.QUEUED,
         asset_id=read_asset(owned.store, old.asset_id).id,
-        request_id=origin.request_id,
-        traceparent=origin.traceparent,
         retry_of=old.id,
         created_at=owned.store.clock(),
+        **origin,
         **{name: getattr(old, name) for name in REPEATED},
     )
     return _keep(owned, again, tuple(stage.name for stage in old.stages), None, response)
@@ -158,7 +157,7 @@ def _require_tree(number: int, asset: AssetRecord) -> None:
         raise wrong_field("/params/tree", "out-of-range", f"asset {asset.id} holds {len(trees)} trees, not {number}")
 
 
-def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestOrigin) -> JobRecord:
+def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: Origin) -> JobRecord:
     now = owned.store.clock()
     return JobRecord(
         id=new_id(),
@@ -172,13 +171,12 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         priority=body.priority,
         webhook_id=body.webhook,
         webhook_events=body.webhook_events,
-        request_id=origin.request_id,
-        traceparent=origin.traceparent,
         external_id=body.external_id,
         metadata=body.metadata,
         destination=body.destination,
         cancel_at=None if body.cancel_after_s is None else now + body.cancel_after_s,
         created_at=now,
+        **origin,
     )
 
 

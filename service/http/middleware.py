@@ -132,8 +132,8 @@ class BodyLimit:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        limit = body_limit(scope["path"], self.settings)
-        declared = Headers(scope=scope).get("content-length", "0")
+        sent = Headers(scope=scope)
+        limit, declared = _body_limit(scope["path"], sent, self.settings), sent.get("content-length", "0")
         if not declared.isdecimal() or int(declared) > limit:
             detail = f"the body has {declared} bytes; at most {limit:,} are allowed here"
             refusal = ProblemError("payload-too-large", detail, headers={"Connection": "close"})
@@ -163,9 +163,9 @@ class BodyLimit:
         await self.app(scope, receive_counted, send)
 
 
-def body_limit(path: str, settings: Settings) -> int:
+def _body_limit(path: str, sent: Headers, settings: Settings) -> int:
     """Largest allowed body of a route [bytes]."""
-    if path == "/v1/assets":
+    if path == "/v1/assets" and not sent.get("content-type", "").startswith("application/json"):
         return settings.max_multipart_bytes
     if path == "/v1/uploads" or path.startswith("/v1/uploads/"):
         return settings.max_upload_bytes

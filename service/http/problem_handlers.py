@@ -13,7 +13,7 @@ from dynamictree.errors import DynamicTreeError
 from jobs.errors import JobsError
 from jobs.storage.artifacts import is_full
 from service.http.problems import REFUSALS, ProblemError, problem_of
-from service.http.validation_errors import MAX_VALUE_CHARS, field_errors, summed_up
+from service.http.validation_errors import MAX_VALUE_CHARS, invalid
 
 logger = logging.getLogger(__name__)
 
@@ -62,8 +62,7 @@ def _methods(request: Request) -> list[str]:
 
 async def _on_validation(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    errors = field_errors(error.errors())
-    return ProblemError("validation-failed", summed_up(errors), errors=errors).response(request.scope)
+    return invalid(error.errors()).response(request.scope)
 
 
 async def _on_ours(request: Request, error: Exception) -> Response:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jobs.states import JOB_TYPES
-from service.http.problems import FieldError
+from service.http.problems import FieldError, ProblemError
 
 MAX_VALUE_CHARS = 60
 MAX_ERRORS = 20
@@ -32,9 +32,13 @@ def _own(raw_errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return [error for error in raw_errors if error["type"] != "too_short" or tuple(error["loc"]) not in above]
 
 
-def summed_up(errors: Sequence[FieldError]) -> str:
-    """Summarise field errors in one text."""
-    return "; ".join(f"{error['pointer'] or 'the body'}: {error['detail']}" for error in errors)
+def invalid(raw_errors: Sequence[Mapping[str, Any]], where: str | None = None) -> ProblemError:
+    """Problem of wrong fields; `where` they stood, if pydantic does not know it."""
+    if where is not None:
+        raw_errors = [{**error, "loc": (where, *error["loc"])} for error in raw_errors]
+    errors = field_errors(raw_errors)
+    detail = "; ".join(f"{error['pointer'] or 'the body'}: {error['detail']}" for error in errors)
+    return ProblemError("validation-failed", detail, errors=errors)
 
 
 def _pointer(error: Mapping[str, Any]) -> str:

@@ -1,12 +1,10 @@
 """/v1/assets: upload, read and delete the inputs of jobs."""
 
-import json
 import shutil
 from contextlib import AsyncExitStack
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import contextmanager_in_threadpool
-from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
@@ -18,12 +16,13 @@ from jobs.storage import assets as asset_rows
 from jobs.storage.uploads import add_upload, upload
 from jobs.store import new_id
 from service.http.multipart import MAX_FILES, receive_form
-from service.http.problems import ProblemError
+from service.http.request_headers import JSON
 from service.http.routing import Id, headers, refusals
-from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, upload_payload
+from service.http.validation_errors import invalid
+from service.schemas.assets import AssetOptions, AssetPayload, AssetRequest, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
-from service.uploads.intake import FIELDS, admit, sort_out
+from service.uploads.intake import admit, sort_out
 from service.uploads.quota import reserved
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
@@ -86,18 +85,20 @@ _FORM = {
 async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
     """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
     length = int(request.headers.get("content-length", "0"))
-    if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":
+    content_type = request.headers.get("content-type", "")
+    if content_type.partition(";")[0].strip() == JSON:
         return await _of_uploads_or_address(request, response, owned)
     async with AsyncExitStack() as room:
         await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, length)))
         folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
         await run_in_threadpool(folder.mkdir, parents=True)
         try:
-            form = await receive_form(request.headers.get("content-type", ""), request.stream(), folder)
+            form = await receive_form(content_type, request.stream(), folder)
             if not length:  # sent without its size: it counts once it is here
                 sent = sum(file.bytes for file in form.files)
                 await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, sent)))
-            sorted_out = await run_in_threadpool(sort_out, owned, form, folder)
+            options = AssetOptions.read(form.fields, where="form")
+            sorted_out = await run_in_threadpool(sort_out, owned, options, form.files, folder)
             asset, new = await admit(owned, sorted_out, folder)
         finally:
             await run_in_threadpool(shutil.rmtree, folder)
@@ -105,12 +106,13 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
 
 
 async def _of_uploads_or_address(request: Request, response: Response, owned: Owned) -> AssetPayload | Response:
-    wanted = await _read_json(request, owned)
-    given = {name: value for name in FIELDS if (value := getattr(wanted, name)) is not None}
-    fields = {name: value if isinstance(value, str) else json.dumps(value) for name, value in given.items()}
+    try:
+        wanted = AssetRequest.model_validate_json(await request.body())
+    except ValidationError as error:
+        raise invalid(error.errors(include_url=False), "body") from None
     if wanted.upload_ids is not None:
         uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
-        asset, new = await make_asset(owned, uploads, fields)
+        asset, new = await make_asset(owned, uploads, wanted)
         return _asset_response(asset, new, response)
     assert wanted.url is not None
     # says at once what is wrong; what is connected to is checked again
@@ -120,7 +122,7 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
         id=new_id(),
         state="fetching",
         filename=wanted.filename or name_of_url(wanted.url),
-        options=dict(fields) | ({} if allowed is None else {BYTES_ALLOWED: allowed}),
+        options=wanted.stored() | ({} if allowed is None else {BYTES_ALLOWED: allowed}),
         length=None,
         sha256=wanted.sha256,
         source_url=wanted.url,
@@ -132,20 +134,6 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     owned.services.ingest_wakeup.set()
     sent = {"Location": f"/v1/uploads/{record.id}", "Retry-After": "1"}
     return Response(upload_payload(record, 0).model_dump_json(), 202, sent, "application/json")
-
-
-async def _read_json(request: Request, owned: Owned) -> AssetRequest:
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > owned.services.settings.max_json_bytes:
-            allowed = f"at most {owned.services.settings.max_json_bytes:,} bytes of JSON are allowed"
-            raise ProblemError("payload-too-large", allowed, headers={"Connection": "close"})
-    try:
-        return AssetRequest.model_validate_json(bytes(body))
-    except ValidationError as error:
-        located = [{**item, "loc": ("body", *item["loc"])} for item in error.errors(include_url=False)]
-        raise RequestValidationError(located) from error
 
 
 def _asset_response(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:

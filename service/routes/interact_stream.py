@@ -22,7 +22,7 @@ from dynamictree.modal.step import exact_step
 from dynamictree.requests import SwingParams
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.slots import until_revoked
-from service.http.validation_errors import field_errors, summed_up
+from service.http.validation_errors import invalid
 from service.interact.forces import ForcePayload
 from service.interact.session import Grips, Session, force_of
 from service.interact.tree_cache import ServedTree, served_tree
@@ -207,7 +207,6 @@ async def _send(socket: WebSocket, message: dict[str, object]) -> None:
 def _problem(error: ValidationError | Refusal) -> dict[str, object]:
     """A problem object, less its `type`, whose place the message's own takes."""
     if isinstance(error, ValidationError):
-        located = [{**item, "loc": ("body", *item["loc"])} for item in error.errors()]
-        error = ProblemError("validation-failed", summed_up(field_errors(located)))
+        error = invalid(error.errors(), "body")
     problem = problem_of(error)
     return problem_body(problem.code, problem.detail, request_id=None) | {"type": "problem"}

@@ -2,7 +2,6 @@
 
 import asyncio
 import base64
-import binascii
 import time
 from email.utils import formatdate
 from typing import Annotated, Any
@@ -17,14 +16,12 @@ from jobs.storage.object_storage import LINK_S
 from jobs.storage.uploads import change_upload, delete_upload, upload
 from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
-from service.http.multipart import MAX_NAME_CHARS, is_name
 from service.http.problems import ProblemError, wrong_field
 from service.http.request_headers import WaitS
 from service.http.routing import Id, headers, refusals
-from service.schemas.assets import UploadPartPayload, UploadPartsPayload, UploadPayload, upload_payload
+from service.schemas.assets import UploadMetadata, UploadPartPayload, UploadPartsPayload, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.append import append, stands_elsewhere
-from service.uploads.intake import FIELDS, metadata_of, reading_options
 from service.uploads.quota import announce, require_room
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
@@ -91,11 +88,11 @@ async def create_upload(
     record = UploadRecord(
         id=new_id(),
         state="receiving",
-        filename=metadata.get("filename") or metadata.get("name") or "file",
-        options={name: metadata[name] for name in FIELDS if name in metadata} | {"sent": upload_metadata or ""},
+        filename=metadata.filename or metadata.name or "file",
+        options=metadata.stored() | {"sent": upload_metadata or ""},
         length=length,
-        sha256=metadata.get("sha256"),
-        make_asset=metadata.get("asset") == "auto",
+        sha256=metadata.sha256,
+        make_asset=metadata.asset == "auto",
         created_at=now,
         expires_at=now + owned.services.settings.upload_begin_s,
     )
@@ -263,34 +260,20 @@ def _length(header: str | None, owned: Owned) -> int:
     return length
 
 
-def _metadata(header: str | None) -> dict[str, str]:
-    """The pairs of Upload-Metadata, those that mean something here checked."""
+def _metadata(header: str | None) -> UploadMetadata:
+    """The pairs of Upload-Metadata that mean something here."""
     if header is not None and len(header) > MAX_METADATA_CHARS:
         raise ProblemError("bad-request", f"Upload-Metadata has more than {MAX_METADATA_CHARS} characters")
     pairs: dict[str, str] = {}
     for pair in (header or "").split(","):
         name, _, encoded = pair.strip().partition(" ")
-        if not name:
-            continue
         try:
             pairs[name] = base64.b64decode(encoded.strip(), validate=True).decode()
-        except (binascii.Error, ValueError) as error:
-            raise _wrong(name, "not-base64", f"the value of {name!r} is no base64 of UTF-8") from error
-    reading_options({name: pairs[name] for name in FIELDS if name in pairs}, where="metadata")
-    metadata_of(pairs, where="metadata")
-    promised = pairs.get("sha256")
-    if promised is not None and (len(promised) != 64 or not set(promised) <= set("0123456789abcdef")):
-        raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
-    if pairs.get("asset", "auto") != "auto":
-        raise _wrong("asset", "not-allowed", f"asset is {pairs['asset']!r}; only auto is allowed")
-    for key in ("filename", "name"):
-        if not is_name(pairs.get(key, "")):
-            raise _wrong(key, "not-allowed", f"{key} has at most {MAX_NAME_CHARS} characters and no control character")
-    return pairs
-
-
-def _wrong(name: str, code: str, detail: str) -> ProblemError:
-    return wrong_field(f"metadata:{name}", code, detail)
+        except ValueError as error:
+            detail = f"the value of {name!r} is no base64 of UTF-8"
+            raise wrong_field(f"metadata:{name}", "not-base64", detail) from error
+    known = {name: pairs[name] for name in UploadMetadata.model_fields if name in pairs}
+    return UploadMetadata.read(known, where="metadata")
 
 
 def _standing(record: UploadRecord, size: int) -> dict[str, str]:

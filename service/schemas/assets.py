@@ -1,13 +1,17 @@
 """Bodies of assets and uploads."""
 
-from typing import Annotated, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import from_json
 
 from dynamictree.requests import Reading
 from jobs.records import UploadRecord, UploadState
 from jobs.states import AssetKind
-from service.http.multipart import MAX_FILES
+from service.http.multipart import MAX_FILES, MAX_NAME_CHARS
+from service.http.problems import wrong_field
+from service.http.validation_errors import invalid
 from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time, problem_of
 
 
@@ -38,7 +42,47 @@ class AssetPayload(Payload):
     expires_at: Time
 
 
-class AssetRequest(Reading):
+class AssetOptions(Reading):
+    """How to read the files of an asset, and what comes back with it."""
+
+    kind: AssetKind | None = Field(default=None, description="by name if unset")
+    metadata: Metadata | None = Field(default=None, description="texts of yours, returned as they are")
+
+    @classmethod
+    def read(cls, values: Mapping[str, object], *, where: str) -> Self:
+        """Read the fields of a form, or of `Upload-Metadata`, which are texts; `where` names them in errors.
+
+        Raises:
+            ProblemError: a field is unknown or not allowed.
+        """
+        values = dict(values)
+        try:
+            if isinstance(texts := values.get("metadata"), str):
+                values["metadata"] = from_json(texts)
+            return cls.model_validate(values, strict=False)
+        except ValidationError as error:
+            raise invalid([{**one, "loc": one["loc"][:1]} for one in error.errors()], where) from None
+        except ValueError as error:
+            raise wrong_field(f"{where}:metadata", "json-invalid", f"metadata is no JSON object: {error}") from None
+
+    def stored(self) -> dict[str, Any]:
+        """Those that were given, as they are stored with an upload."""
+        return self.model_dump(mode="json", include=set(AssetOptions.model_fields), exclude_none=True)
+
+
+_NAME = r"^[^\x00-\x1f\x7f]*$"
+
+
+class UploadMetadata(AssetOptions):
+    """What `Upload-Metadata` may hold."""
+
+    filename: str | None = Field(default=None, max_length=MAX_NAME_CHARS, pattern=_NAME)
+    name: str | None = Field(default=None, max_length=MAX_NAME_CHARS, pattern=_NAME)
+    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
+    asset: Literal["auto"] | None = None
+
+
+class AssetRequest(AssetOptions):
     """What to make an asset of: uploads that are whole, or an address."""
 
     upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
@@ -47,8 +91,6 @@ class AssetRequest(Reading):
     url: str | None = Field(default=None, max_length=2048, description="https; fetched once, redirects are checked too")
     sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
     filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
-    kind: AssetKind | None = Field(default=None, description="by name if unset")
-    metadata: Metadata | None = Field(default=None, description="texts of yours, returned as they are")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import shutil
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
@@ -17,11 +17,12 @@ from jobs.storage.assets import read_asset
 from jobs.storage.uploads import change_upload, claim_uploads
 from jobs.store import new_id
 from service.http.caller import Caller
-from service.http.multipart import Form, ReceivedFile
+from service.http.multipart import ReceivedFile
 from service.http.problems import REFUSALS, ProblemError, problem_of
+from service.schemas.assets import AssetOptions
 from service.services import Owned, Services
 from service.uploads.batches import write_in_batches
-from service.uploads.intake import FIELDS, admit, sort_out
+from service.uploads.intake import admit, sort_out
 from service.uploads.quota import require_bytes, require_room
 
 logger = logging.getLogger(__name__)
@@ -34,9 +35,7 @@ LOOK_S = 5.0
 CHUNK_BYTES = 1024**2
 
 
-async def make_asset(
-    owned: Owned, uploads: Sequence[UploadRecord], fields: Mapping[str, str]
-) -> tuple[AssetRecord, bool]:
+async def make_asset(owned: Owned, uploads: Sequence[UploadRecord], options: AssetOptions) -> tuple[AssetRecord, bool]:
     """Make one asset of whole uploads, or give the one that was made of them before; tell whether it is new.
 
     Raises:
@@ -52,8 +51,8 @@ async def make_asset(
     folder = owned.services.settings.scratch_dir / f"ingest-{new_id()}"
     await run_in_threadpool(folder.mkdir, parents=True)
     try:
-        form = Form(fields=dict(fields), files=await run_in_threadpool(_files, owned, uploads, folder))
-        asset, new = await admit(owned, await run_in_threadpool(sort_out, owned, form, folder), folder)
+        files = await run_in_threadpool(_files, owned, uploads, folder)
+        asset, new = await admit(owned, await run_in_threadpool(sort_out, owned, options, files, folder), folder)
     finally:
         await run_in_threadpool(shutil.rmtree, folder)
     for upload in uploads:
@@ -145,8 +144,8 @@ class Ingest:
         try:
             if upload.state == "fetching":
                 upload = await fetch(owned, upload)
-            options = {name: str(value) for name, value in upload.options.items() if name in FIELDS}
-            await make_asset(owned, [upload], options)
+            own = {name: value for name, value in upload.options.items() if name in AssetOptions.model_fields}
+            await make_asset(owned, [upload], AssetOptions.read(own, where="metadata"))
         except (*REFUSALS, OSError) as error:
             if isinstance(error, OSError) and not isinstance(error, REFUSALS) and not is_full(error):
                 raise

@@ -7,7 +7,6 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
-from pydantic import TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.companions import is_system_file
@@ -25,16 +24,15 @@ from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 from dynamictree.requests import Reading
 from jobs.lifecycle.attempts import touch_blob
 from jobs.records import AssetPart, AssetRecord, Json
-from jobs.states import ASSET_KINDS, AssetKind
+from jobs.states import AssetKind
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import add_asset, find_asset
 from jobs.storage.parser_process import ParseRequest, parse
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.store import new_id
-from service.http.multipart import Form, ReceivedFile
-from service.http.problems import ProblemError, wrong_field
-from service.http.validation_errors import field_errors, summed_up
-from service.schemas.base import Metadata
+from service.http.multipart import ReceivedFile
+from service.http.problems import ProblemError
+from service.schemas.assets import AssetOptions
 from service.services import Owned
 from service.uploads.archives import is_zip, unpack
 from service.uploads.exif_privacy import without_place
@@ -46,8 +44,6 @@ CAMERA_FILES = (
 )
 """What may come with photos: cameras that are known."""
 MAX_PHOTO_BYTES = 30 * 1024**2
-FIELDS = ("kind", "up_axis", "unit_m", "height_m", "metadata")
-_METADATA: TypeAdapter[dict[str, str]] = TypeAdapter(Metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,14 +75,13 @@ class Upload:
         return sha256(json.dumps(meaning).encode()).hexdigest()
 
 
-def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
+def sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
     """Tell models, companions and photos apart; unpack a zip, if there is room for what is in it.
 
     Raises:
-        ProblemError: a field or the set of files is not allowed.
+        ProblemError: the set of files is not allowed.
     """
-    reading, metadata = reading_options(form.fields), metadata_of(form.fields)
-    files = form.files
+    metadata = options.metadata or {}
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder, require_room=partial(require_room, owned))
     files = [file for file in files if not is_system_file(file.name)] or files
@@ -96,7 +91,7 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     pictures = [file for file in with_photos if not _is_camera_file(file)]
     films = [file for file in files if _suffix(file) in FILM_SUFFIXES]
     of_photos = films or (pictures and len(with_photos) == len(files))
-    kind = form.fields.get("kind") or ("photos" if of_photos else "mesh")
+    kind = options.kind or ("photos" if of_photos else "mesh")
     if kind == "photos":
         stems = {PurePosixPath(_beside(file.name)).with_suffix("") for file in pictures}
         live = [file for file in films if PurePosixPath(_beside(file.name)).with_suffix("") in stems]
@@ -108,41 +103,8 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     models = _models(files)
     beside = tuple(file for file in files if file not in models)
     every = (*models, *beside)
+    reading = Reading.part_of(options.model_dump())
     return Upload(kind="mesh", num_models=len(models), files=every, reading=reading, metadata=metadata)
-
-
-def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Reading:
-    """Up axis and unit of the fields of a form, or of `Upload-Metadata`; `where` names it in errors.
-
-    Raises:
-        ProblemError: a field is unknown or not allowed.
-    """
-    unknown = sorted(set(fields) - set(FIELDS))
-    if unknown:
-        raise _wrong(
-            where, unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known"
-        )
-    if fields.get("kind", "mesh") not in ASSET_KINDS:
-        raise _wrong(where, "kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
-    try:
-        own = {name: fields[name] for name in Reading.model_fields if name in fields}
-        return Reading.model_validate(own, strict=False)  # a form has texts only
-    except ValidationError as error:
-        wrong = field_errors([one | {"loc": (where, *one["loc"])} for one in error.errors()])
-        raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
-
-
-def metadata_of(fields: Mapping[str, str], *, where: str = "form") -> dict[str, str]:
-    """The texts of `metadata`, which is a JSON object.
-
-    Raises:
-        ProblemError: it is none, or has too many or too long texts.
-    """
-    try:
-        return _METADATA.validate_json(fields.get("metadata", "{}"))
-    except ValidationError as error:
-        wrong = field_errors([one | {"loc": (where, "metadata")} for one in error.errors()])
-        raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
 
 
 def _film(files: list[ReceivedFile]) -> tuple[ReceivedFile]:
@@ -289,10 +251,6 @@ def _is_mask(file: ReceivedFile) -> bool:
 
 def _suffix(file: ReceivedFile) -> str:
     return PurePosixPath(file.name).suffix.lower()
-
-
-def _wrong(where: str, name: str, code: str, detail: str) -> ProblemError:
-    return wrong_field(f"{where}:{name}", code, detail)
 
 
 def _unsupported(file: ReceivedFile, suffixes: tuple[str, ...]) -> ProblemError:
