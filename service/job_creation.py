@@ -1,6 +1,7 @@
 """Create jobs: check the request, quotas and disk space; return the earlier job for a repeated key."""
 
 from hashlib import sha256
+from typing import Any
 
 from fastapi import Response
 
@@ -25,11 +26,8 @@ from service.services import Owned
 from service.uploads.quota import require_bytes, require_room
 
 KEY_EXPIRES_S = 86400.0
-REPEATED = (
-    *("type", "preset", "seed", "params", "queue", "priority"),
-    *("webhook_id", "webhook_events", "external_id", "metadata", "destination"),
-)
-"""Fields of a job that one that is run again has too."""
+OF_REQUEST = ("type", "preset", "seed", "priority", "webhook_events", "external_id", "metadata", "destination")
+"""Fields that a job has as its request does."""
 
 PAPER = "paper"
 """The preset that takes minutes without a GPU."""
@@ -44,7 +42,17 @@ def accept(owned: Owned, body: JobRequest, origin: Origin, response: Response, *
         if earlier is not None:
             return _answer(owned, earlier, response)
     asset, stages = require_possible(owned, body)
-    return _keep(owned, _record(owned, body, asset, origin), stages, named, response)
+    job = _record(
+        owned,
+        origin,
+        asset_id=asset.id,
+        params=_resolved(body, asset),
+        queue=queue_of(_queue(owned, body, asset), body.priority),
+        webhook_id=body.webhook,
+        cancel_at=None if body.cancel_after_s is None else owned.store.clock() + body.cancel_after_s,
+        **{name: getattr(body, name) for name in OF_REQUEST},
+    )
+    return _keep(owned, job, stages, named, response)
 
 
 def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Response) -> JobPayload:
@@ -58,15 +66,9 @@ def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Respons
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
     _require_place(owned)
     require_bytes(owned, 0)
-    again = JobRecord(
-        id=new_id(),
-        state=JobState.QUEUED,
-        asset_id=read_asset(owned.store, old.asset_id).id,
-        retry_of=old.id,
-        created_at=owned.store.clock(),
-        **origin,
-        **{name: getattr(old, name) for name in REPEATED},
-    )
+    asset_id = read_asset(owned.store, old.asset_id).id
+    own = {name: getattr(old, name) for name in (*OF_REQUEST, "params", "queue", "webhook_id")}
+    again = _record(owned, origin, asset_id=asset_id, retry_of=old.id, **own)
     return _keep(owned, again, tuple(stage.name for stage in old.stages), None, response)
 
 
@@ -157,27 +159,8 @@ def _require_tree(number: int, asset: AssetRecord) -> None:
         raise wrong_field("/params/tree", "out-of-range", f"asset {asset.id} holds {len(trees)} trees, not {number}")
 
 
-def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: Origin) -> JobRecord:
-    now = owned.store.clock()
-    return JobRecord(
-        id=new_id(),
-        type=body.type,
-        state=JobState.QUEUED,
-        asset_id=asset.id,
-        preset=body.preset,
-        seed=body.seed,
-        params=_resolved(body, asset),
-        queue=queue_of(_queue(owned, body, asset), body.priority),
-        priority=body.priority,
-        webhook_id=body.webhook,
-        webhook_events=body.webhook_events,
-        external_id=body.external_id,
-        metadata=body.metadata,
-        destination=body.destination,
-        cancel_at=None if body.cancel_after_s is None else now + body.cancel_after_s,
-        created_at=now,
-        **origin,
-    )
+def _record(owned: Owned, origin: Origin, **fields: Any) -> JobRecord:
+    return JobRecord(id=new_id(), state=JobState.QUEUED, created_at=owned.store.clock(), **origin, **fields)
 
 
 def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:

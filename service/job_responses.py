@@ -5,9 +5,12 @@ from hashlib import sha256
 
 from fastapi import Response
 
-from jobs.records import JobRecord
+from jobs.records import ArtifactRecord, JobRecord
 from jobs.storage.assets import asset_summaries
-from service.schemas.jobs import JobPayload, job_payload
+from jobs.storage.stage_files import MESH, SPECTRUM, VOXELS
+from service.schemas.assets import AssetSummary
+from service.schemas.base import problem_of
+from service.schemas.jobs import JobPayload, ResultPayload
 from service.services import Owned
 
 POLL_AFTER_S = 1
@@ -44,6 +47,27 @@ def payloads(owned: Owned, page: Sequence[JobRecord]) -> list[JobPayload]:
     bodies = []
     for job in page:
         position, artifacts = seen[job.id]
-        source, forecast = sources.get(job.asset_id), durations.forecast(job, position)
-        bodies.append(job_payload(job, artifacts, source=source, forecast=forecast, retention_s=retention_s))
+        body = JobPayload.of(
+            job,
+            **vars(durations.forecast(job, position)),
+            result=_result(job, artifacts, sources.get(job.asset_id)) if artifacts else None,
+            error=problem_of(job.error_code, job.error_message),
+            webhook=job.webhook_id,
+            expires_at=None if job.finished_at is None else job.finished_at + retention_s,
+        )
+        bodies.append(body)
     return bodies
+
+
+def _result(job: JobRecord, artifacts: Sequence[ArtifactRecord], source: AssetSummary | None) -> ResultPayload:
+    ids = {artifact.name: artifact.id for artifact in artifacts}
+    facts = {artifact.name: artifact.facts for artifact in artifacts}
+    return ResultPayload.of(
+        job,
+        mesh_id=ids.get(MESH),
+        voxels_id=ids.get(VOXELS),
+        spectrum_id=ids.get(SPECTRUM),
+        source=source,
+        warnings=facts.get("report.json", {}).get("warnings", []),
+        artifacts_url=f"/v1/jobs/{job.id}/artifacts",
+    )

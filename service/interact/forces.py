@@ -166,7 +166,7 @@ def state_payload(groups: tuple[ForceGroup, ...], state: State, bends: Sequence[
     """The state as a response body, as a `StatePayload` reads it."""
     return {
         "groups": [
-            {"locality": locality_payload(group.locality), "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
+            {"locality": group.locality, "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
             | ({"bend": bend.turn, "bend_rate": bend.rate} if len(bend.turn) else {"bend": None, "bend_rate": None})
             for group, q, q_dot, bend in zip(groups, state.q, state.q_dot, bends, strict=True)
         ]
@@ -183,11 +183,6 @@ def reached_payload(reached: Reached) -> dict[str, object]:
         "error_m": error,
         "why": reached.why if short else None,
     }
-
-
-def locality_payload(locality: Locality | None) -> dict[str, object] | None:
-    """A locality as a response body."""
-    return None if locality is None else {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
 
 
 def _contact(at: AtPayload, grid: VoxelGrid, vertex_contact: Callable[[int, float], Contact]) -> Contact:

@@ -19,7 +19,7 @@ from dynamictree.modal.response import group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, run
 from dynamictree.modal.system import ModalSystem
 from service.http.problems import ProblemError
-from service.interact.forces import MAX_GROUPS, ForcePayload, library_force, locality_payload, reached_payload
+from service.interact.forces import MAX_GROUPS, ForcePayload, library_force, reached_payload
 
 SETTLED_M = 1e-4
 """A group is dropped once no voxel can move further than this [m]."""
@@ -211,7 +211,7 @@ class Session:
         self.unacknowledged.append(self.frame)
         q = with_bin_zero(self.state.q)  # [G, K, 2]
         groups = [
-            {"locality": locality_payload(at), "q": q[n], "bend": turn if len(turn := self.bends[n].turn) else None}
+            {"locality": at, "q": q[n], "bend": turn if len(turn := self.bends[n].turn) else None}
             for n, at in enumerate(self.localities)
         ]
         drag = self.constant.get("drag")

@@ -171,19 +171,15 @@ def listen(host: str, port: int) -> socket.socket:
     Raises:
         OSError: the address is taken or not ours; the message names it.
     """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    opened = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    is_v6 = ":" in host
+    family = socket.AF_INET6 if is_v6 else socket.AF_INET
+    try:
+        opened = socket.create_server((host, port), family=family, backlog=1024, dualstack_ipv6=is_v6)
+    except OSError as error:
+        reason = f"cannot listen at {host} port {port}: {error.strerror}"
+        raise OSError(f"{reason}; choose another, or 0 for a free one") from error
     # connections inherit it; without it each answer of two packets waits 40 ms for the client's acknowledgement
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    try:
-        opened.bind((host, port))
-    except OSError as error:
-        opened.close()
-        raise OSError(
-            f"cannot listen at {host} port {port}: {error.strerror}; choose another, or 0 for a free one"
-        ) from error
-    opened.listen(1024)
     opened.set_inheritable(True)
     return opened
 

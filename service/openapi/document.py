@@ -1,6 +1,6 @@
 """Additions to FastAPI's OpenAPI document: tags, keys, examples, and tuples that all tools can read."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from fastapi import FastAPI
@@ -54,57 +54,50 @@ def described(app: FastAPI) -> Page:
     """The application's page, with examples, and tuples that every reader understands."""
     if app.openapi_schema is None:
         page = FastAPI.openapi(app)
-        schemas = page["components"]["schemas"]
         for path, item in page["paths"].items():
-            if path.startswith("/v1"):
-                _add_doors(item)
-        page["components"]["headers"] = {
-            name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()
-        }
-        for operation in _operations(page):
-            for parameter in operation.get("parameters", ()):
-                parameter["schema"] = _never_null(parameter["schema"])
-            for status, response in operation["responses"].items():
-                _add_headers(str(status), response)
-        page["components"]["securitySchemes"] = {"key": KEY}
-        page["security"] = [{}, {"key": []}]  # keys are asked for where the operator wants them
-        page["components"]["examples"] = _problems_named_in(page)
-        page["tags"] = TAGS
+            for operation in item.values():
+                _complete(operation, DOORS if path.startswith("/v1") else ())
+        components = page["components"]
         for name, example in SCHEMAS.items():
-            schemas[name]["examples"] = [example]
-        for operation in _operations(page):
-            for media, content in operation.get("requestBody", {}).get("content", {}).items():
-                if media == "application/json" and operation["operationId"] in REQUESTS:
-                    content["examples"] = REQUESTS[operation["operationId"]]
+            components["schemas"][name]["examples"] = [example]
         for node in _nodes(page):
             if "prefixItems" in node:  # of equal kind in all our tuples; older tools only know items
                 node["items"] = node["prefixItems"][0]
+        components["headers"] = {
+            name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()
+        }
+        components["securitySchemes"] = {"key": KEY}
+        components["examples"] = _problems_named_in(page)
+        page["security"] = [{}, {"key": []}]  # keys are asked for where the operator wants them
+        page["tags"] = TAGS
         app.openapi_schema = page
     return app.openapi_schema
+
+
+def _complete(operation: Page, doors: Sequence[str]) -> None:
+    """Add the refusals by the doors, the headers of every response, and examples of bodies."""
+    for status, entry in refusals_of(doors).items():
+        response = operation["responses"].setdefault(str(status), entry)
+        if response is not entry:
+            response["description"] = f"{response['description']}; {entry['description']}"
+            response["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
+    for parameter in operation.get("parameters", ()):
+        parameter["schema"] = _never_null(parameter["schema"])
+    for status, response in operation["responses"].items():
+        names = ["X-Request-Id", "traceparent", *(["Retry-After"] if status in ("429", "503") else [])]
+        names += ["RateLimit", "RateLimit-Policy"] if status == "429" else []
+        own = response.setdefault("headers", {})
+        for name in names:
+            own.setdefault(name, {"$ref": f"#/components/headers/{name}"})
+    if operation["operationId"] in REQUESTS:
+        content = operation["requestBody"]["content"]["application/json"]
+        content["examples"] = REQUESTS[operation["operationId"]]
 
 
 def _never_null(schema: Page) -> Page:
     """Drop the null of a parameter that may be left out: no header and no query can hold one."""
     kinds = [kind for kind in schema.pop("anyOf", ()) if kind.get("type") != "null"]
     return schema | (kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {})
-
-
-def _add_doors(item: Page) -> None:
-    for operation in _operations({"paths": {"": item}}):
-        for status, entry in refusals_of(DOORS).items():
-            response = operation["responses"].setdefault(str(status), entry)
-            if response is not entry:
-                response["description"] = f"{response['description']}; {entry['description']}"
-                response["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
-
-
-def _add_headers(status: str, response: Page) -> None:
-    """Name the headers that every response has, and those of a refusal for now."""
-    names = ["X-Request-Id", "traceparent", *(["Retry-After"] if status in ("429", "503") else [])]
-    names += ["RateLimit", "RateLimit-Policy"] if status == "429" else []
-    own = response.setdefault("headers", {})
-    for name in names:
-        own.setdefault(name, {"$ref": f"#/components/headers/{name}"})
 
 
 def _problems_named_in(page: Page) -> Page:
@@ -117,13 +110,6 @@ def _problems_named_in(page: Page) -> Page:
         for code, kind in KINDS.items()
         if code in named
     }
-
-
-def _operations(page: Page) -> Iterator[Page]:
-    for item in page["paths"].values():
-        for operation in item.values():
-            if isinstance(operation, dict) and "operationId" in operation:
-                yield operation
 
 
 def _nodes(node: object) -> Iterator[Page]:

@@ -38,7 +38,6 @@ from service.interact.forces import (
     StatePayload,
     Vector,
     library_force,
-    locality_payload,
     reached_payload,
     state_payload,
     with_state,
@@ -330,7 +329,7 @@ def _interact_payload(body: InteractRequest, system: ModalSystem, answer: Answer
     coordinates = with_bin_zero(answer.q)  # [T, G, K, 2]
     groups = [
         {
-            "locality": locality_payload(group.locality),
+            "locality": group.locality,
             "q": np.ascontiguousarray(coordinates[:, index]),
             "bend": answer.bends[index] if answer.bends[index].shape[1] else None,
         }

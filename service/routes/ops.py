@@ -1,24 +1,22 @@
 """/v1/ops, and the page /ops that displays it: state of the whole service, without ids."""
 
-from functools import cache
-from importlib import resources
 from typing import Literal
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from jobs.database.counters import tallies
 from jobs.lifecycle.statistics import census
 from service.http.routing import refusals
+from service.routes.pages import answer, read_page
 from service.schemas.base import Payload
 from service.services import OwnedDep
 
 router = APIRouter()
 
-CONTENT_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-_TYPES = {"index.html": "text/html", "ops.js": "text/javascript", "style.css": "text/css"}
+}
 
 
 class QueuePayload(Payload):
@@ -50,22 +48,12 @@ def get_operations(owned: OwnedDep) -> OpsPayload:
 
 
 @router.get("/ops", include_in_schema=False)
-def get_page() -> Response:
+async def get_page(request: Request) -> Response:
     """The operator's page."""
-    return _sent("index.html")
+    return answer(request, await read_page("ops_page/index.html", "service"), HEADERS)
 
 
 @router.get("/ops/{name}", include_in_schema=False)
-def get_part(name: Literal["ops.js", "style.css"]) -> Response:
+async def get_part(request: Request, name: Literal["ops.js", "style.css"]) -> Response:
     """Files of the operator's page."""
-    return _sent(name)
-
-
-def _sent(name: str) -> Response:
-    headers = {"Content-Security-Policy": CONTENT_POLICY, "Cache-Control": "no-cache"}
-    return Response(_read(name), headers=headers, media_type=_TYPES[name])
-
-
-@cache
-def _read(name: str) -> bytes:
-    return resources.files("service").joinpath("ops_page", name).read_bytes()
+    return answer(request, await read_page(f"ops_page/{name}", "service"), HEADERS)

@@ -73,14 +73,14 @@ def answer(request: Request, page: Page, headers: dict[str, str]) -> Response:
 @router.api_route("/", methods=["GET", "HEAD"])
 async def get_viewer(request: Request) -> Response:
     """The viewer."""
-    page = await own_page("index.html")
+    page = await read_page("index.html")
     return answer(request, page, {"Content-Security-Policy": content_policy(page.content)})
 
 
 @router.api_route("/embed", methods=["GET", "HEAD"])
 async def get_embed_page(request: Request) -> Response:
     """One tree, for a frame in the pages of `embed_origins`."""
-    page = await own_page("embed.html")
+    page = await read_page("embed.html")
     ancestors = " ".join(("'self'", *request.app.state.services.settings.embed_origins))
     return answer(request, page, {"Content-Security-Policy": content_policy(page.content, ancestors=ancestors)})
 
@@ -88,25 +88,22 @@ async def get_embed_page(request: Request) -> Response:
 @router.api_route("/docs", methods=["GET", "HEAD"])
 async def get_api_page(request: Request) -> Response:
     """Every operation of the API, to read and to try."""
-    return answer(request, await own_page("docs.html"), {"Content-Security-Policy": DOCS_POLICY})
+    return answer(request, await read_page("docs.html"), {"Content-Security-Policy": DOCS_POLICY})
 
 
 @router.api_route("/llms.txt", methods=["GET", "HEAD"])
 async def get_llms_text(request: Request) -> Response:
     """How to use the service, for language models (llmstxt.org)."""
-    return answer(request, await own_page("llms.txt"), {})
+    return answer(request, await read_page("llms.txt"), {})
 
 
 @router.api_route("/web/{path:path}", methods=["GET", "HEAD"])
 async def get_page_file(path: str, request: Request) -> Response:
     """Files of the viewer."""
-    page = await read_page(path)
-    if page is None:
-        raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")
     headers = {"Cache-Control": VENDORED} if path.startswith("vendor/") else {}
     if path == ELEMENT:
         headers |= ANY_SITE
-    return answer(request, page, headers)
+    return answer(request, await read_page(path), headers)
 
 
 def content_policy(page: bytes, *, ancestors: str = "'none'") -> str:
@@ -130,35 +127,28 @@ def content_policy(page: bytes, *, ancestors: str = "'none'") -> str:
     return "; ".join(f"{name} {sources}" for name, sources in allowed.items())
 
 
-async def own_page(path: str) -> Page:
-    """A page that the package has."""
-    page = await read_page(path)
-    assert page is not None
-    return page
-
-
 packed_pages: dict[str, Page] = {}
-"""Those that were asked for, by path; what does not exist is not remembered."""
+"""Those that were asked for, by package and path; what does not exist is not remembered."""
 
 
-async def read_page(path: str) -> Page | None:
-    """A file of the package `web`, or None where there is no such file or it is none for browsers."""
-    if path not in packed_pages:
-        page = await run_in_threadpool(pack_page, path)
-        if page is None:
-            return None
-        packed_pages[path] = page
-    return packed_pages[path]
+async def read_page(path: str, package: str = "web") -> Page:
+    """A file of a package.
+
+    Raises:
+        ProblemError: there is none, or it is none for browsers.
+    """
+    name = f"{package}/{path}"
+    if name not in packed_pages:
+        packed_pages[name] = await run_in_threadpool(_pack_page, path, package)
+    return packed_pages[name]
 
 
-def pack_page(path: str) -> Page | None:
-    """Read and pack a file."""
-    if not re.fullmatch(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*)*", path):
-        return None
+def _pack_page(path: str, package: str) -> Page:
+    valid = re.fullmatch(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*)*", path)
     media_type = MEDIA_TYPES.get(path.rpartition(".")[2])
-    file = resources.files("web").joinpath(path)
+    file = resources.files(package).joinpath(path if valid else "")
     if media_type is None or not file.is_file():
-        return None
+        raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")
     content = file.read_bytes()
     packed = gzip.compress(content, LEVEL, mtime=0)
     etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'

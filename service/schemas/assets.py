@@ -61,7 +61,9 @@ class AssetOptions(Reading):
                 values["metadata"] = from_json(texts)
             return cls.model_validate(values, strict=False)
         except ValidationError as error:
-            raise invalid([{**one, "loc": one["loc"][:1]} for one in error.errors()], where) from None
+            # too many items are reported without a place, and of these fields only `metadata` has items
+            located = [{**one, "loc": one["loc"][:1] or ("metadata",)} for one in error.errors()]
+            raise invalid(located, where) from None
         except ValueError as error:
             raise wrong_field(f"{where}:metadata", "json-invalid", f"metadata is no JSON object: {error}") from None
 

@@ -4,10 +4,8 @@ from pydantic import Field
 
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.states import JobState, JobType, Priority, StageState
-from jobs.storage.stage_files import MESH, SPECTRUM, VOXELS
-from service.job_durations import Forecast
 from service.schemas.assets import AssetSummary
-from service.schemas.base import Payload, Problem, Time, problem_of
+from service.schemas.base import Payload, Problem, Time
 
 
 class StagePayload(Payload):
@@ -106,43 +104,6 @@ class ManifestPayload(Payload):
     job_id: str
     complete: bool = Field(description="whether the job has succeeded and nothing will be added")
     artifacts: list[ArtifactPayload]
-
-
-def job_payload(
-    job: JobRecord,
-    artifacts: list[ArtifactRecord],
-    *,
-    source: AssetSummary | None,
-    forecast: Forecast,
-    retention_s: float,
-) -> JobPayload:
-    """A job as a response body."""
-    return JobPayload.of(
-        job,
-        progress=forecast.progress,
-        queue_position=forecast.queue_position,
-        eta_s=forecast.eta_s,
-        result=_result(job, artifacts, source),
-        error=problem_of(job.error_code, job.error_message),
-        webhook=job.webhook_id,
-        expires_at=None if job.finished_at is None else job.finished_at + retention_s,
-    )
-
-
-def _result(job: JobRecord, artifacts: list[ArtifactRecord], source: AssetSummary | None) -> ResultPayload | None:
-    if not artifacts:
-        return None
-    ids = {artifact.name: artifact.id for artifact in artifacts}
-    facts = {artifact.name: artifact.facts for artifact in artifacts}
-    return ResultPayload.of(
-        job,
-        mesh_id=ids.get(MESH),
-        voxels_id=ids.get(VOXELS),
-        spectrum_id=ids.get(SPECTRUM),
-        source=source,
-        warnings=facts.get("report.json", {}).get("warnings", []),
-        artifacts_url=f"/v1/jobs/{job.id}/artifacts",
-    )
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
