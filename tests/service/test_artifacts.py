@@ -8,7 +8,6 @@ from PIL import Image
 
 from dynamictree.render.contact_sheet import STRIP_PX
 from jobs.records import AssetRecord
-from service.http.problems import ProblemError
 from service.http.request_headers import matches, parse_range
 from service.services import Services
 from tests.service.conftest import hold, publish
@@ -92,7 +91,7 @@ def test_ranges_parse() -> None:
     assert parse_range(None, 10) is None
     assert parse_range("bytes=2-3", 10) == range(2, 4)
     assert parse_range("bytes=-20", 10) == range(10)
-    with pytest.raises(ProblemError, match="outside"):
+    with pytest.raises(Exception, match="lies outside"):
         parse_range("bytes=0-", 0)
     assert matches("*", '"a"')
     assert matches('W/"a"', '"a"')
