@@ -272,8 +272,8 @@ def _metadata(header: str | None) -> UploadMetadata:
         except ValueError as error:
             detail = f"the value of {name!r} is no base64 of UTF-8"
             raise wrong_field(f"metadata:{name}", "not-base64", detail) from error
-    known = {name: pairs[name] for name in UploadMetadata.model_fields if name in pairs}
-    return UploadMetadata.read(known, where="metadata")
+    own = {name: pairs[name] for name in UploadMetadata.model_fields if name in pairs}
+    return UploadMetadata.read(own, where="metadata")
 
 
 def _standing(record: UploadRecord, size: int) -> dict[str, str]:
