@@ -56,12 +56,7 @@ def accept(owned: Owned, body: JobRequest, origin: Origin, response: Response, *
 
 
 def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Response) -> JobPayload:
-    """Store a new job with an old one's request.
-
-    Raises:
-        ConflictError: the old one has not ended.
-        ProblemError: there is no place for another.
-    """
+    """Store a new job with an old one's request."""
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
     _require_place(owned)
@@ -98,11 +93,7 @@ def _require_frames(wanted: int, asset: AssetRecord) -> None:
 
 
 def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
-    """Return the asset and stages of a request, or refuse it.
-
-    Raises:
-        ProblemError, JobsError, InputError: it cannot; the message says why.
-    """
+    """Return the asset and stages of a request, or refuse it."""
     _require_place(owned)
     if not is_id(body.asset_id):
         raise ProblemError("not-found", f"there is no asset {body.asset_id!r}; POST /v1/assets gives ids")

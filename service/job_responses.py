@@ -29,11 +29,7 @@ def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
 
 
 def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
-    """Read a job: its record and response body.
-
-    Raises:
-        NotFoundError, GoneError: there is none, or its record has expired.
-    """
+    """Read a job: its record and response body."""
     job = owned.store.job(job_id)
     return job, tell(owned, job, response)
 

@@ -126,11 +126,7 @@ class Authentication:
 
 
 def require_own_machine(scope: Scope, headers: Headers, hosts: tuple[str, ...], cors_origins: tuple[str, ...]) -> None:
-    """Refuse what did not come to a loopback address, under one of its names, from no other site's page.
-
-    Raises:
-        ProblemError: it did.
-    """
+    """Refuse what did not come to a loopback address, under one of its names, from no other site's page."""
     server = scope.get("server")
     arrived = _address(server[0]) if server else None
     if arrived is not None and not arrived.is_loopback:

@@ -1,4 +1,7 @@
-"""Errors as RFC 9457 problem objects: one shape, one table from code to status."""
+"""Errors as RFC 9457 problem objects: one shape, one table from code to status.
+
+Whatever refuses a request raises a `Refusal`, which `problem_handlers` answers; docstrings do not repeat that.
+"""
 
 import logging
 from collections.abc import Mapping, Sequence

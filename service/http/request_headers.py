@@ -20,10 +20,9 @@ def matches(header: str | None, etag: str) -> bool:
 
 
 def parse_range(header: str | None, size: int) -> range | None:
-    """The bytes that a header asks for; None where it is absent, malformed or more than one, which all mean the whole.
+    """The bytes that a header asks for; None for the whole, which none, several or malformed ranges mean.
 
-    Raises:
-        ProblemError: it begins past the end.
+    A range that begins past the end is refused.
     """
     wanted = parse_range_header(header)
     if wanted is None or wanted.units != "bytes" or len(wanted.ranges) != 1:
@@ -37,11 +36,7 @@ def parse_range(header: str | None, size: int) -> range | None:
 
 
 def chosen(accept: str | None, offered: Sequence[str]) -> str:
-    """The offered media type with the highest quality; the first of equals.
-
-    Raises:
-        ProblemError: none is acceptable.
-    """
+    """The offered media type with the highest quality; the first of equals."""
     accepted = parse_accept_header(accept or "*/*", MIMEAccept)
     best = max(offered, key=accepted.quality)
     if accepted.quality(best) <= 0:

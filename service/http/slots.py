@@ -75,11 +75,7 @@ class OpenStreams:
 
     @contextmanager
     def opened(self, caller: Caller) -> Iterator[None]:
-        """Context manager that counts one stream while it is open.
-
-        Raises:
-            ProblemError: the owner, or the process, has too many.
-        """
+        """Context manager that counts one stream while it is open."""
         owner = caller.owner or ""
         allowed = min(caller.limits.get("streams", self.total), self.total)
         if self._open[owner] >= allowed or self._open.total() >= self.total:

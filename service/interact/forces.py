@@ -126,11 +126,7 @@ class InteractRequest(InteractParams):
 
 
 def library_force(force: ForcePayload, grid: VoxelGrid, vertex_contact: Callable[[int, float], Contact]) -> Force:
-    """Convert to the library's force; `vertex_contact` gives the place of a vertex, and a radius around it.
-
-    Raises:
-        InputError, ProblemError: it acts nowhere on this tree.
-    """
+    """Convert to the library's force; `vertex_contact` gives the place of a vertex, and a radius around it."""
     if force.wind_m_s is not None:
         samples = force.wind_m_s if isinstance(force.wind_m_s, list) else [force.wind_m_s]
         return WindField(velocity_m_s=np.array(samples), start_s=force.start_s, duration_s=force.duration_s)

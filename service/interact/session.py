@@ -83,11 +83,7 @@ def force_of(
     vertex_contact: Callable[[int, float], Contact],
     grips: Grips,
 ) -> ModalForce:
-    """Project a message's force onto the modes.
-
-    Raises:
-        InputError, ProblemError: it cannot be used.
-    """
+    """Project a message's force onto the modes."""
     if payload.start_s != 0 or payload.duration_s is not None:
         raise ProblemError("validation-failed", "forces of a stream begin now; leave start_s and duration_s out")
     force = library_force(payload, system.grid, vertex_contact)
@@ -130,11 +126,7 @@ class Session:
         return not (self.localities or self.constant or self.impulses)
 
     def push(self, force: ModalForce) -> None:
-        """Apply a force from the next step on.
-
-        Raises:
-            ProblemError: too many groups move already.
-        """
+        """Apply a force from the next step on."""
         if force.locality not in self.localities:
             if len(self.localities) >= MAX_GROUPS:
                 raise ProblemError("validation-failed", f"{MAX_GROUPS} places still swing; push one of them, or wait")

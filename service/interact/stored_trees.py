@@ -68,11 +68,7 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
 
 
 def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
-    """What a job computed for a spectrum and its mesh, by `RESULT_SOURCES`, or computes now; None without.
-
-    Raises:
-        ProblemError: too many requests wait already.
-    """
+    """What a job computed for a spectrum and its mesh, by `RESULT_SOURCES`, or computes now; None without."""
     job, asset = source_of(owned, spectrum_id)
     digests = {other.name: other.sha256 for other in owned.store.artifacts_of(job.id)}
     if asset.prepared is not None and asset.kind == "mesh":
@@ -96,20 +92,12 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
 
 
 def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
-    """Mesh of an asset.
-
-    Raises:
-        ConflictError: the asset is of another kind.
-    """
+    """Mesh of an asset."""
     return _mesh(owned, _prepared(owned, asset_id, "mesh", "a job makes its mesh"), asset_id)
 
 
 def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
-    """Cloud of an asset.
-
-    Raises:
-        ConflictError: the asset is of another kind.
-    """
+    """Cloud of an asset."""
     from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
     digest = _prepared(owned, asset_id, "cloud", "only splats and scans have points")
@@ -117,11 +105,7 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
 
 
 def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudParams]:
-    """The cloud that a spectrum was made for, and what of it moves in its job.
-
-    Raises:
-        ProblemError: the source is no cloud.
-    """
+    """The cloud that a spectrum was made for, and what of it moves in its job."""
     from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
     job, asset = source_of(owned, spectrum_id)

@@ -56,11 +56,7 @@ class ServedTree:
         return self.ready.mesh
 
     def vertex_contact(self, vertex: int, radius_m: float, *, bent: bool) -> Contact:
-        """Where a force at a vertex acts; in the bent shape a drag by displacement holds the vertex itself.
-
-        Raises:
-            InputError, ProblemError: there is no such vertex, or no voxel near it.
-        """
+        """Where a force at a vertex acts; in the bent shape a drag by displacement holds the vertex itself."""
         mesh = self.mesh()
         if vertex >= mesh.num_vertices:
             detail = f"vertex {vertex} does not exist; the mesh has vertices 0 to {mesh.num_vertices - 1}"
@@ -97,11 +93,7 @@ class ServedTree:
         return self.ready.frames
 
     def gaussians(self) -> MovingGaussians:
-        """Moving Gaussians of the source cloud, bound to its mesh.
-
-        Raises:
-            ProblemError: the source is no cloud.
-        """
+        """Moving Gaussians of the source cloud, bound to its mesh."""
         from dynamictree.gaussian.binding import bind
         from dynamictree.gaussian.deform import Deformer
         from dynamictree.plant.capture import moving_part

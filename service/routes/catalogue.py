@@ -105,11 +105,7 @@ def preset_sizes() -> dict[str, int]:
 
 
 def require_preset(name: str) -> None:
-    """Refuse a model that is not there.
-
-    Raises:
-        ProblemError: `name` is none of them.
-    """
+    """Refuse a model that is not there."""
     if name not in preset_sizes():
         detail = f"there is no preset {name!r}; there are {', '.join(preset_sizes()) or 'none'}"
         raise wrong_field("/preset", "unknown-preset", detail)

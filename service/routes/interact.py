@@ -218,11 +218,7 @@ def _response(
 
 
 def answer_of(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
-    """Let the tree answer a request.
-
-    Raises:
-        InputError, NumericsError, ProblemError: the request cannot be met.
-    """
+    """Let the tree answer a request."""
     system = tree.system(body)
     bent = tree.with_rig() if body.warp else None
     at_vertex = partial(tree.vertex_contact, bent=body.warp)

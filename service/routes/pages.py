@@ -132,11 +132,7 @@ packed_pages: dict[str, Page] = {}
 
 
 async def read_page(path: str, package: str = "web") -> Page:
-    """A file of a package.
-
-    Raises:
-        ProblemError: there is none, or it is none for browsers.
-    """
+    """A file of a package."""
     name = f"{package}/{path}"
     if name not in packed_pages:
         packed_pages[name] = await run_in_threadpool(_pack_page, path, package)

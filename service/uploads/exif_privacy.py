@@ -32,11 +32,7 @@ _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12
 
 
 def without_place(file: ReceivedFile) -> ReceivedFile:
-    """The same photo without the place where it was taken, in JPEG, PNG, WebP, TIFF and HEIC.
-
-    Raises:
-        ProblemError: it is a BigTIFF, whose directories have another form.
-    """
+    """The same photo without the place where it was taken, in JPEG, PNG, WebP, TIFF and HEIC; BigTIFF is refused."""
     content = bytearray(file.path.read_bytes())
     before = bytes(content)
     if before.startswith(b"\xff\xd8"):

@@ -36,12 +36,7 @@ CHUNK_BYTES = 1024**2
 
 
 async def make_asset(owned: Owned, uploads: Sequence[UploadRecord], options: AssetOptions) -> tuple[AssetRecord, bool]:
-    """Make one asset of whole uploads, or give the one that was made of them before; tell whether it is new.
-
-    Raises:
-        ConflictError: one is not whole.
-        ProblemError: they cannot be used.
-    """
+    """Make one asset of whole uploads, or give the one that was made of them before; tell whether it is new."""
     asset_ids = {upload.asset_id for upload in uploads}
     if len(asset_ids) == 1 and None not in asset_ids:
         return await run_in_threadpool(read_asset, owned.store, str(asset_ids.pop())), False
@@ -174,11 +169,7 @@ class Ingest:
 
 
 async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
-    """Fetch an upload's bytes from its address.
-
-    Raises:
-        OutboundError, ProblemError: it may not be called, does not answer, or has too much.
-    """
+    """Fetch an upload's bytes from its address."""
     settings = owned.services.settings
     assert upload.source_url is not None
     parts = owned.services.upload_parts

@@ -76,11 +76,7 @@ class Upload:
 
 
 def sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
-    """Tell models, companions and photos apart; unpack a zip, if there is room for what is in it.
-
-    Raises:
-        ProblemError: the set of files is not allowed.
-    """
+    """Tell models, companions and photos apart; unpack a zip, if there is room for what is in it."""
     metadata = options.metadata or {}
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder, require_room=partial(require_room, owned))
@@ -160,11 +156,7 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
 
 
 async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
-    """Read the files in the parser's process, keep their bytes, and keep the asset; tell whether it is new.
-
-    Raises:
-        ProblemError: they cannot be used.
-    """
+    """Read the files in the parser's process, keep their bytes, and keep the asset; tell whether it is new."""
     store = owned.store
     expires_at = store.clock() + owned.services.settings.asset_retention_s
     existing = await run_in_threadpool(find_asset, store, upload.fingerprint)

@@ -16,11 +16,7 @@ OWNERS_SHARE, ALL_SHARE = 4, 2
 
 
 def require_bytes(owned: Owned, wanted: int) -> None:
-    """Refuse bytes beyond the owner's quota.
-
-    Raises:
-        BytesQuotaError: with `wanted` more bytes they would keep more than is allowed.
-    """
+    """Refuse bytes beyond the owner's quota."""
     allowed = owned.caller.limits.get("bytes")
     if allowed is not None:
         with owned.store.reading() as connection:
@@ -28,11 +24,7 @@ def require_bytes(owned: Owned, wanted: int) -> None:
 
 
 def announce(owned: Owned, upload: UploadRecord) -> UploadRecord:
-    """Begin an upload, if there is room for it.
-
-    Raises:
-        ProblemError, BytesQuotaError: on the disk, or in the owner's quota, there is not.
-    """
+    """Begin an upload, if there is room for it."""
     require_room(owned, upload.length or 0)
     return add_upload(owned.store, upload, max_bytes=owned.caller.limits.get("bytes"))
 
@@ -59,11 +51,7 @@ def reserved(owned: Owned, length: int) -> Iterator[None]:
 
 
 def require_room(owned: Owned, wanted: int = 0) -> None:
-    """Refuse what would fill the disk, together with what uploads that have begun announce.
-
-    Raises:
-        ProblemError: less than `min_free_bytes` would be left after `wanted` more.
-    """
+    """Refuse what would leave less than `min_free_bytes`, counting what uploads that have begun announce."""
     settings, promised = owned.services.settings, 0
     free = free_bytes(settings)
     in_storage = owned.services.artifacts.free_bytes()
