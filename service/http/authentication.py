@@ -18,7 +18,7 @@ from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
 from service.http.problems import ProblemError
-from service.http.rate_limit import RateLimiter, Standing, policy_of
+from service.http.rate_limit import RateLimiter, Standing, limit_of
 from service.http.signed_links import LINKABLE, LinkSignature
 
 logger = logging.getLogger(__name__)
@@ -54,10 +54,10 @@ class Authentication:
         standing: Standing | None = None
         try:
             caller = await self._caller(scope)
-            policy = policy_of(scope.get("method", "GET"), scope["path"])
-            standing = None if self._limiter is None else await self._limiter.count(caller, policy)
+            if self._limiter is not None:
+                standing = await self._limiter.count(caller, limit_of(scope.get("method", "GET"), scope["path"]))
             if standing is not None and not standing.allowed:
-                allowance = f"{standing.quota} {policy.name} in {policy.window_s} s are allowed"
+                allowance = f"{standing.quota} {standing.name} in {standing.window_s} s are allowed"
                 raise ProblemError("rate-limited", f"{allowance}; wait {standing.reset_s} s", headers=standing.headers)
         except sa.exc.OperationalError:
             logger.warning("the database is away", exc_info=True)
@@ -68,7 +68,7 @@ class Authentication:
             if error.code == "unauthorized" and self._limiter is not None:
                 wrong = await self._limiter.count_wrong_key((scope.get("client") or ("",))[0])
                 if not wrong.allowed:
-                    detail = f"{wrong.quota} requests with a wrong key in {wrong.policy.window_s} s are allowed"
+                    detail = f"{wrong.quota} requests with a wrong key in {wrong.window_s} s are allowed"
                     error = ProblemError("rate-limited", detail, headers=wrong.headers)
             await _refuse(error, scope, receive, send)
             return

