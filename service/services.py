@@ -67,6 +67,7 @@ def open_services(settings: Settings) -> Iterator[Services]:
     """Open every connection; close them at the end."""
     artifacts_url, credentials = settings.resolved_artifacts_url, settings.s3_credentials
     store = Store.open(settings.resolved_database_url)
+    settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:
         store.check()
         yield Services(

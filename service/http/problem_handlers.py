@@ -11,8 +11,7 @@ from starlette.routing import Route
 
 from dynamictree.errors import DynamicTreeError
 from jobs.errors import JobsError
-from jobs.storage.artifacts import is_full
-from service.http.problems import REFUSALS, ProblemError, problem_of
+from service.http.problems import ProblemError, Refusal, problem_of
 from service.http.validation_errors import MAX_VALUE_CHARS, invalid
 
 logger = logging.getLogger(__name__)
@@ -24,9 +23,8 @@ def install(app: FastAPI) -> None:
     """Answer every exception that a route may raise with a problem. What is not known is answered by the middleware."""
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_validation)
-    app.add_exception_handler(DynamicTreeError, _on_ours)
-    app.add_exception_handler(JobsError, _on_ours)
-    app.add_exception_handler(OSError, _on_system)
+    for ours in (DynamicTreeError, JobsError, OSError):
+        app.add_exception_handler(ours, _on_ours)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
 
 
@@ -66,17 +64,8 @@ async def _on_validation(request: Request, error: Exception) -> Response:
 
 
 async def _on_ours(request: Request, error: Exception) -> Response:
-    assert isinstance(error, REFUSALS)
+    assert isinstance(error, Refusal | OSError)
     return problem_of(error).response(request.scope)
-
-
-async def _on_system(request: Request, error: Exception) -> Response:
-    assert isinstance(error, OSError)
-    if not is_full(error):
-        raise error
-    logger.error("the disk is full", exc_info=error)
-    detail = f"a file could not grow: {error.strerror}; nothing was stored"
-    return ProblemError("disk-full", detail).response(request.scope)
 
 
 async def _on_database_away(request: Request, error: Exception) -> Response:

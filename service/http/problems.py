@@ -15,6 +15,7 @@ from starlette.types import Scope
 
 from dynamictree.errors import DynamicTreeError
 from jobs.errors import JobsError
+from jobs.storage.artifacts import is_full
 
 logger = logging.getLogger(__name__)
 
@@ -145,10 +146,19 @@ def wrong_field(pointer: str, code: str, detail: str) -> ProblemError:
     return ProblemError("validation-failed", detail, errors=errors)
 
 
-def problem_of(error: Refusal) -> ProblemError:
-    """Problem of one of our exceptions. The cause is logged if the client cannot correct it."""
+def problem_of(error: Refusal | OSError) -> ProblemError:
+    """Problem of one of our exceptions, or of a full disk. The cause is logged if the client cannot correct it.
+
+    Raises:
+        OSError: another one.
+    """
     if isinstance(error, ProblemError):
         return error
+    if isinstance(error, OSError):
+        if not is_full(error):
+            raise error
+        logger.error("the disk is full", exc_info=error)
+        return ProblemError("disk-full", "a file could not grow, since the disk is full; it was not stored")
     code = problem_code(error)
     if KINDS[code].status == 500:
         logger.error("request failed", exc_info=error)

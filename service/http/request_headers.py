@@ -25,14 +25,15 @@ def parse_range(header: str | None, size: int) -> range | None:
     A range that begins past the end is refused.
     """
     wanted = parse_range_header(header)
-    if header is None or wanted is None or wanted.units != "bytes" or len(wanted.ranges) != 1:
+    nothing = header == "bytes=-0"  # the last 0 bytes, which werkzeug takes for malformed
+    if not nothing and (wanted is None or wanted.units != "bytes" or len(wanted.ranges) != 1):
         return None
-    start, stop = wanted.ranges[0]
-    bytes_wanted = range(max(start + size, 0) if start < 0 else start, size if stop is None else min(stop, size))
-    if not bytes_wanted or header.rstrip().endswith("=-0"):  # the last 0 bytes, which werkzeug takes for all
+    start, stop = (size, size) if wanted is None else wanted.ranges[0]
+    wanted_bytes = range(max(start + size, 0) if start < 0 else start, size if stop is None else min(stop, size))
+    if not wanted_bytes:
         detail = f"the range {header!r} lies outside of the file's {size:,} bytes"
         raise ProblemError("range-not-satisfiable", detail, headers={"Content-Range": f"bytes */{size}"})
-    return bytes_wanted
+    return wanted_bytes
 
 
 def chosen(accept: str | None, offered: Sequence[str]) -> str:

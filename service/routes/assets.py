@@ -1,6 +1,5 @@
 """/v1/assets: upload, read and delete the inputs of jobs."""
 
-import shutil
 from contextlib import AsyncExitStack
 
 from fastapi import APIRouter, Request, Response
@@ -22,7 +21,7 @@ from service.http.validation_errors import invalid
 from service.schemas.assets import AssetOptions, AssetPayload, AssetRequest, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
-from service.uploads.intake import admit, sort_out
+from service.uploads.intake import admit, scratch_folder
 from service.uploads.quota import reserved
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
@@ -90,18 +89,12 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
         return await _of_uploads_or_address(request, response, owned)
     async with AsyncExitStack() as room:
         await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, length)))
-        folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
-        await run_in_threadpool(folder.mkdir, parents=True)
-        try:
-            form = await receive_form(content_type, request.stream(), folder)
-            if not length:  # sent without its size: it counts once it is here
-                sent = sum(file.bytes for file in form.files)
-                await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, sent)))
-            options = AssetOptions.read(form.fields, where="form")
-            sorted_out = await run_in_threadpool(sort_out, owned, options, form.files, folder)
-            asset, new = await admit(owned, sorted_out, folder)
-        finally:
-            await run_in_threadpool(shutil.rmtree, folder)
+        folder = await room.enter_async_context(scratch_folder(owned))
+        form = await receive_form(content_type, request.stream(), folder)
+        if not length:  # sent without its size: it counts once it is here
+            sent = sum(file.bytes for file in form.files)
+            await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, sent)))
+        asset, new = await admit(owned, AssetOptions.read(form.fields, where="form"), form.files, folder)
     return _asset_response(asset, new, response)
 
 

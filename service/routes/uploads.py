@@ -4,6 +4,8 @@ import asyncio
 import base64
 import time
 from email.utils import formatdate
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
@@ -221,14 +223,9 @@ async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> Upl
 
 
 def _require_promised(owned: Owned, record: UploadRecord) -> None:
-    folder = owned.services.settings.scratch_dir
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"check-{new_id()}"
-    try:
-        owned.services.upload_parts.fetch(record.id, path)
+    with TemporaryDirectory(prefix="check-", dir=owned.services.settings.scratch_dir) as folder:
+        owned.services.upload_parts.fetch(record.id, path := Path(folder) / "whole")
         digest, _ = hash_file(path)
-    finally:
-        path.unlink(missing_ok=True)
     if digest != record.sha256:
         owned.services.upload_parts.delete(record.id)
         raise ProblemError("checksum-mismatch", f"the sha256 is {digest}, {record.sha256} was promised; send it anew")

@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import shutil
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
@@ -12,17 +11,16 @@ from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import ConflictError, GoneError, OutboundError
 from jobs.records import AssetRecord, Limit, UploadRecord
-from jobs.storage.artifacts import hash_file, is_full
+from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
 from jobs.storage.uploads import change_upload, claim_uploads
-from jobs.store import new_id
 from service.http.caller import Caller
 from service.http.multipart import ReceivedFile
 from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.schemas.assets import AssetOptions
 from service.services import Owned, Services
 from service.uploads.batches import write_in_batches
-from service.uploads.intake import admit, sort_out
+from service.uploads.intake import admit, scratch_folder
 from service.uploads.quota import require_bytes, require_room
 
 logger = logging.getLogger(__name__)
@@ -43,13 +41,9 @@ async def make_asset(owned: Owned, uploads: Sequence[UploadRecord], options: Ass
     for upload in uploads:
         if upload.state not in {"received", "failed"} or upload.length is None:
             raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")
-    folder = owned.services.settings.scratch_dir / f"ingest-{new_id()}"
-    await run_in_threadpool(folder.mkdir, parents=True)
-    try:
+    async with scratch_folder(owned) as folder:
         files = await run_in_threadpool(_files, owned, uploads, folder)
-        asset, new = await admit(owned, await run_in_threadpool(sort_out, owned, options, files, folder), folder)
-    finally:
-        await run_in_threadpool(shutil.rmtree, folder)
+        asset, new = await admit(owned, options, files, folder)
     for upload in uploads:
         await run_in_threadpool(_finish, owned, upload, asset)
     return asset, new
@@ -142,11 +136,7 @@ class Ingest:
             own = {name: value for name, value in upload.options.items() if name in AssetOptions.model_fields}
             await make_asset(owned, [upload], AssetOptions.read(own, where="metadata"))
         except (*REFUSALS, OSError) as error:
-            if isinstance(error, OSError) and not isinstance(error, REFUSALS) and not is_full(error):
-                raise
-            problem = (
-                problem_of(error) if isinstance(error, REFUSALS) else ProblemError("disk-full", "the disk is full")
-            )
+            problem = problem_of(error)
             if upload.state == "fetching":
                 await run_in_threadpool(owned.services.upload_parts.delete, upload.id)  # a later fetch begins anew
             await run_in_threadpool(

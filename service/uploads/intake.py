@@ -1,12 +1,15 @@
 """Turn received files into an asset: find the model among them, parse it, store it."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractAsyncContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 
+from fastapi.concurrency import contextmanager_in_threadpool
 from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.companions import is_system_file
@@ -75,7 +78,7 @@ class Upload:
         return sha256(json.dumps(meaning).encode()).hexdigest()
 
 
-def sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
+def _sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
     """Tell models, companions and photos apart; unpack a zip, if there is room for what is in it."""
     metadata = options.metadata or {}
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
@@ -155,9 +158,22 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     return tuple(models)
 
 
-async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
-    """Read the files in the parser's process, keep their bytes, and keep the asset; tell whether it is new."""
-    store = owned.store
+def scratch_folder(owned: Owned) -> AbstractAsyncContextManager[Path]:
+    """Context manager that gives a folder for files that make an asset, and deletes it."""
+
+    @contextmanager
+    def opened() -> Iterator[Path]:
+        with TemporaryDirectory(prefix="asset-", dir=owned.services.settings.scratch_dir) as folder:
+            yield Path(folder)
+
+    return contextmanager_in_threadpool(opened())
+
+
+async def admit(
+    owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path
+) -> tuple[AssetRecord, bool]:
+    """Read files in the parser's process, keep their bytes, and keep the asset; tell whether it is new."""
+    store, upload = owned.store, await run_in_threadpool(_sort_out, owned, options, files, folder)
     expires_at = store.clock() + owned.services.settings.asset_retention_s
     existing = await run_in_threadpool(find_asset, store, upload.fingerprint)
     if existing is not None:
