@@ -29,7 +29,6 @@ from service.routes import (
     job_events,
     jobs,
     links,
-    modes,
     pages,
     spectra,
     surface,
@@ -40,7 +39,7 @@ from service.services import open_services
 from service.uploads.ingest import Ingest
 
 ROUTES = (
-    *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream, modes),
+    *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream),
     *(surface, pages, webhooks, catalogue, health),
 )
 """A module a resource; a new one is added here."""

@@ -20,10 +20,9 @@ from service.http.request_headers import Origin
 from service.http.routing import is_id
 from service.job_responses import tell
 from service.routes.catalogue import require_preset
-from service.schemas.job_requests import JobRequest
-from service.schemas.jobs import JobPayload
+from service.schemas.jobs import JobPayload, JobRequest
 from service.services import Owned
-from service.uploads.quota import require_bytes, require_room
+from service.uploads.quota import require_place, require_room
 
 KEY_EXPIRES_S = 86400.0
 OF_REQUEST = ("type", "preset", "seed", "priority", "webhook_events", "external_id", "metadata", "destination")
@@ -59,8 +58,8 @@ def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Respons
     """Store a new job with an old one's request."""
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
-    _require_place(owned)
-    require_bytes(owned, 0)
+    _require_turn(owned)
+    require_place(owned, 0)
     asset_id = read_asset(owned.store, old.asset_id).id
     own = {name: getattr(old, name) for name in (*OF_REQUEST, "params", "queue", "webhook_id")}
     again = _record(owned, origin, asset_id=asset_id, retry_of=old.id, **own)
@@ -94,7 +93,8 @@ def _require_frames(wanted: int, asset: AssetRecord) -> None:
 
 def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
     """Return the asset and stages of a request, or refuse it."""
-    _require_place(owned)
+    _require_turn(owned)
+    require_room(owned)
     if not is_id(body.asset_id):
         raise ProblemError("not-found", f"there is no asset {body.asset_id!r}; POST /v1/assets gives ids")
     if body.priority == "high" and "high-priority" not in owned.caller.scopes:
@@ -116,8 +116,7 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
     size = sum(format_bytes(body, asset).values())
-    require_room(owned, size)
-    require_bytes(owned, size)
+    require_place(owned, size)
     return asset, stages
 
 
@@ -162,8 +161,7 @@ def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:
     return GPU if is_served(owned.store, GPU) and (learns or not is_served(owned.store, CPU)) else CPU
 
 
-def _require_place(owned: Owned) -> None:
-    require_room(owned)
+def _require_turn(owned: Owned) -> None:
     if count_jobs(owned.services.store, [JobState.QUEUED]) >= owned.services.settings.max_queued_jobs:
         raise ProblemError(
             "queue-full", f"{owned.services.settings.max_queued_jobs} jobs wait already, which is the limit"

@@ -275,6 +275,16 @@ def interact(body: InteractRequest, *, accept: str | None = None) -> Call[Intera
     return Call(method="POST", path="/v1/interact", answer=Interact | bytes, headers={"accept": accept}, body=body)
 
 
+def get_asset_surface(id: str) -> Call[bytes]:
+    """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
+    return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
+
+
+def get_surface(id: str) -> Call[bytes]:
+    """The source mesh, and the bones that turn in the wind and under a push."""
+    return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
+
+
 def get_modes(id: str, *, shapes: bool | None = None) -> Call[bytes]:
     """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
     return Call(
@@ -290,16 +300,6 @@ def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
         answer=bytes,
         query={"seed_voxel": seed_voxel, "falloff_m": falloff_m},
     )
-
-
-def get_asset_surface(id: str) -> Call[bytes]:
-    """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
-    return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
-
-
-def get_surface(id: str) -> Call[bytes]:
-    """The source mesh, and the bones that turn in the wind and under a push."""
-    return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
 
 
 def get_asset_points(id: str) -> Call[bytes]:

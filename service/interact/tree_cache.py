@@ -109,6 +109,16 @@ class ServedTree:
         return self.ready.gaussians
 
 
+def system_facts(system: ModalSystem) -> dict[str, object]:
+    """What a client needs to know of a modal system."""
+    return {
+        "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
+        "damping_ratio": float(system.damping_ratio[0]),
+        "foliage": system.foliage,
+        "modal_mass_kg_m2": system.modal_mass,
+    }
+
+
 def served_tree(owned: Owned, spectrum_id: str) -> ServedTree:
     """The tree of a spectrum."""
     tree = living_tree(owned, spectrum_id)

@@ -26,7 +26,7 @@ def create(
     owner: Annotated[
         str | None, typer.Option(help="whose things it opens; another key of the same owner opens them too")
     ] = None,
-    scope: Annotated[list[Scope] | None, typer.Option(help="all if unset")] = None,
+    scope: Annotated[list[str] | None, typer.Option(help=f"one of {', '.join(SCOPES)}; all if unset")] = None,
     limit: Annotated[
         list[str] | None, typer.Option(help=f"NAME=NUMBER in place of the setting; {', '.join(LIMITS)}")
     ] = None,
@@ -37,7 +37,7 @@ def create(
     as_json: _AsJson = False,
 ) -> None:
     """Create a key. It is printed once and not stored."""
-    scopes = tuple(name for name in SCOPES if name in (scope or SCOPES))
+    scopes = _scopes(scope or list(SCOPES))
     limits = _limits(limit or [])
     with _store(state_dir) as store:
         expires_s = None if expires_days is None else expires_days * 86400
@@ -78,6 +78,13 @@ def _key_facts(key: KeyRecord) -> dict[str, object]:
 
 def _time(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.gmtime(seconds))
+
+
+def _scopes(given: list[str]) -> tuple[Scope, ...]:
+    unknown = [scope for scope in given if scope not in SCOPES]
+    if unknown:
+        raise typer.BadParameter(f"there is no scope {unknown[0]!r}; there are {', '.join(SCOPES)}")
+    return tuple(scope for scope in SCOPES if scope in given)
 
 
 def _limits(given: list[str]) -> dict[Limit, int]:

@@ -9,11 +9,10 @@ from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.suffixes import CLOUD_SUFFIXES, FILM_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.requests import Reading
-from jobs.records import AssetRecord, UploadRecord
+from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
 from jobs.storage import assets as asset_rows
-from jobs.storage.uploads import add_upload, upload
-from jobs.store import new_id
+from jobs.storage.uploads import upload
 from service.http.multipart import MAX_FILES, receive_form
 from service.http.request_headers import JSON
 from service.http.routing import Id, headers, refusals
@@ -22,7 +21,7 @@ from service.schemas.assets import AssetOptions, AssetPayload, AssetRequest, Upl
 from service.services import Owned, OwnedDep
 from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
 from service.uploads.intake import admit, scratch_folder
-from service.uploads.quota import reserved
+from service.uploads.quota import announce, reserved
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 
@@ -110,9 +109,11 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     assert wanted.url is not None
     # says at once what is wrong; what is connected to is checked again
     await owned.services.outbound.check(wanted.url)
-    now, allowed = owned.store.clock(), owned.caller.limits.get("bytes")
-    record = UploadRecord(
-        id=new_id(),
+    allowed = owned.caller.limits.get("bytes")
+    record = await run_in_threadpool(
+        announce,
+        owned,
+        owned.services.settings.upload_retention_s,
         state="fetching",
         filename=wanted.filename or name_of_url(wanted.url),
         options=wanted.stored() | ({} if allowed is None else {BYTES_ALLOWED: allowed}),
@@ -120,13 +121,10 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
         sha256=wanted.sha256,
         source_url=wanted.url,
         make_asset=True,
-        created_at=now,
-        expires_at=now + owned.services.settings.upload_retention_s,
     )
-    record = await run_in_threadpool(add_upload, owned.store, record)
     owned.services.ingest_wakeup.set()
     sent = {"Location": f"/v1/uploads/{record.id}", "Retry-After": "1"}
-    return Response(upload_payload(record, 0).model_dump_json(), 202, sent, "application/json")
+    return Response(upload_payload(record).model_dump_json(), 202, sent, "application/json")
 
 
 def _asset_response(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:

@@ -42,7 +42,7 @@ from service.interact.forces import (
     state_payload,
     with_state,
 )
-from service.interact.tree_cache import ServedTree, living_tree, served_tree
+from service.interact.tree_cache import ServedTree, living_tree, served_tree, system_facts
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
 
@@ -313,11 +313,8 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
         "integrator": body.integrator,
         "dt_s": body.dt_s,
         "num_frames": body.num_frames,
-        "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
-        "damping_ratio": float(system.damping_ratio[0]),
-        "foliage": system.foliage,
         "mass_kg": system.mass_kg,
-        "modal_mass_kg_m2": system.modal_mass,
+        **system_facts(system),
     }
 
 

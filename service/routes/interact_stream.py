@@ -10,7 +10,6 @@ import time
 from functools import partial
 from typing import Annotated, Literal
 
-import numpy as np
 import orjson
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
@@ -25,7 +24,7 @@ from service.http.slots import until_revoked
 from service.http.validation_errors import invalid
 from service.interact.forces import ForcePayload
 from service.interact.session import Grips, Session, force_of
-from service.interact.tree_cache import ServedTree, served_tree
+from service.interact.tree_cache import ServedTree, served_tree, system_facts
 from service.schemas.base import Finite, Payload
 from service.services import Owned, owned_by_caller
 
@@ -125,15 +124,7 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ServedTre
         await socket.close(INVALID)
         return None
     session = Session(system=system, step=exact_step(system, 1 / message.rate_hz))
-    reply = {
-        "type": "opened",
-        "rate_hz": message.rate_hz,
-        "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
-        "damping_ratio": float(system.damping_ratio[0]),
-        "foliage": system.foliage,
-        "modal_mass_kg_m2": system.modal_mass,
-    }
-    await _send(socket, reply)
+    await _send(socket, {"type": "opened", "rate_hz": message.rate_hz, **system_facts(system)})
     return message, tree, session
 
 

@@ -2,12 +2,11 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Depends, Header, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
-from starlette.types import Receive, Scope, Send
 
 from service.http.routing import Id, refusals
 from service.http.slots import until_revoked
@@ -21,9 +20,16 @@ SEND_TIMEOUT_S = 30.0
 """After which a client that does not read is let go."""
 
 
+async def _counted(owned: OwnedDep) -> AsyncIterator[None]:
+    """Count one of the caller's streams until its response ends, however it ends; refuse one too many."""
+    with owned.services.streams.opened(owned.caller):
+        yield
+
+
 @router.get(
     "/{id}/events",
     response_class=EventSourceResponse,
+    dependencies=[Depends(_counted)],
     responses=refusals("not-found")
     | {
         200: {
@@ -42,27 +48,13 @@ async def stream_job(
     """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
     await run_in_threadpool(owned.store.job, id)
     seen = last_event_id if last_event_id is not None and last_event_id.isdecimal() else ""
-    return CountedStream(
+    return EventSourceResponse(
         _events(owned, id, seen),
-        owned,
         ping=HEARTBEAT_S,
         send_timeout=SEND_TIMEOUT_S,
         sep="\n",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
-
-
-class CountedStream(EventSourceResponse):
-    """Server-sent events that hold one of the caller's streams while they are sent, however that ends."""
-
-    def __init__(self, events: AsyncIterator[ServerSentEvent], owned: Owned, **options: Any) -> None:
-        super().__init__(events, **options)
-        self.owned = owned
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the events. Refused with a ProblemError before the head where the caller has too many streams."""
-        with self.owned.services.streams.opened(self.owned.caller):
-            await super().__call__(scope, receive, send)
 
 
 async def _events(owned: Owned, job_id: str, seen: str) -> AsyncIterator[ServerSentEvent]:

@@ -17,11 +17,11 @@ from service.http.request_headers import Origin, WaitS, matches
 from service.http.routing import CACHED, Cursor, Id, file_route, headers, refusals
 from service.job_creation import accept, accept_again, format_bytes, require_possible
 from service.job_responses import look, payloads, tell
-from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import (
     EstimatePayload,
     JobListPayload,
     JobPayload,
+    JobRequest,
     ManifestPayload,
     manifest_payload,
 )

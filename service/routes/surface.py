@@ -1,20 +1,23 @@
-"""The source for a viewer: a mesh as uploaded and with the motion of its vertices, the points of a cloud."""
+"""What a viewer or an engine draws and moves: meshes, points of clouds, bones, mode shapes, reach of a force."""
 
 import json
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from fastapi.responses import Response
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.modes import quantised
+from dynamictree.modal.interactive_tree import ForceGroup, Locality
+from dynamictree.modal.modes import mode_metadata, mode_tensors, quantised
+from dynamictree.request_model import LARGEST
 from dynamictree.spectrum import bin_weights
 from service.http.packing import packed_tensors
 from service.http.request_headers import SAFETENSORS
-from service.http.routing import Id, file_route
-from service.interact.stored_trees import load_asset_cloud, load_asset_mesh
+from service.http.routing import CACHED, Id, file_route
+from service.interact.stored_trees import load_asset_cloud, load_asset_mesh, load_spectrum
 from service.interact.tree_cache import ServedTree, served_tree
 from service.services import OwnedDep
 
@@ -25,6 +28,8 @@ MAX_POINTS = 200_000
 
 FAINTEST = 0.1
 """Gaussians of a lower opacity are left out: alone they are not seen."""
+
+BYTES = "application/octet-stream"
 
 _SEEN = "safetensors; see docs/viewer.md"
 _OF_ASSET = file_route(SAFETENSORS, _SEEN, "not-found", "conflict", "expired")
@@ -43,6 +48,38 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
     tree = served_tree(owned, id)
     mesh = tree.mesh()
     return _response(mesh_tensors(mesh) | _motion(tree), mesh)
+
+
+@router.get(
+    "/spectra/{id}/modes", **file_route(SAFETENSORS, "safetensors; see docs/interaction.md", "not-found", "expired")
+)
+def get_modes(
+    id: Id,
+    owned: OwnedDep,
+    shapes: Annotated[bool, Query(description="false leaves out what the bones of …/surface say as well")] = True,
+) -> Response:
+    """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
+    tree = served_tree(owned, id).with_rig()
+    tensors = mode_tensors(tree.system, tree.bones, tree.joints, shapes=shapes)
+    if shapes:
+        tensors["lean_m"] = load_spectrum(owned, id).coefficients[:, 0].real
+    return packed_tensors(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
+
+
+@router.get("/spectra/{id}/reach", **file_route(BYTES, "one byte a voxel: 255 w", "not-found", "expired"))
+def get_reach(
+    id: Id,
+    owned: OwnedDep,
+    seed_voxel: Annotated[int, Query(ge=0, description="of the group's locality")],
+    falloff_m: Annotated[
+        float, Query(gt=0, le=LARGEST, allow_inf_nan=False, description="of the group's locality [m]")
+    ],
+) -> Response:
+    """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
+    place = Locality(seed_voxel=seed_voxel, falloff_m=falloff_m)
+    (weights,) = served_tree(owned, id).with_rig().weights([ForceGroup(locality=place)])
+    content = np.rint(weights * 255).astype(np.uint8).tobytes()
+    return Response(content, 200, CACHED, BYTES)
 
 
 @router.get("/assets/{id}/points", tags=["assets"], **_OF_ASSET)

@@ -3,6 +3,8 @@
 import asyncio
 import base64
 import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
 from email.utils import formatdate
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +18,6 @@ from jobs.records import UploadRecord
 from jobs.storage.artifacts import hash_file
 from jobs.storage.object_storage import LINK_S
 from jobs.storage.uploads import change_upload, delete_upload, upload
-from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
 from service.http.problems import ProblemError, wrong_field
 from service.http.request_headers import WaitS
@@ -86,25 +87,20 @@ async def create_upload(
     length = _length(upload_length, owned)
     metadata = _metadata(upload_metadata)
     with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
-    now = owned.store.clock()
-    record = UploadRecord(
-        id=new_id(),
+    record = await run_in_threadpool(
+        announce,
+        owned,
+        owned.services.settings.upload_begin_s,
         state="receiving",
         filename=metadata.filename or metadata.name or "file",
         options=metadata.stored() | {"sent": upload_metadata or ""},
         length=length,
         sha256=metadata.sha256,
         make_asset=metadata.asset == "auto",
-        created_at=now,
-        expires_at=now + owned.services.settings.upload_begin_s,
     )
-    record = await run_in_threadpool(announce, owned, record)
-    size = 0
     if with_bytes:
-        size = await append(owned, record, request.stream(), 0)
-        record = await _record_progress(owned, record, size)
-    sent = _standing(record, size) | {"Location": f"/v1/uploads/{record.id}"}
-    return Response(status_code=201, headers=sent)
+        record = await _append(owned, record, request.stream(), 0)
+    return Response(status_code=201, headers=_standing(record) | {"Location": f"/v1/uploads/{record.id}"})
 
 
 @router.head(
@@ -116,9 +112,8 @@ async def create_upload(
 def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
     """Current offset of an upload."""
     _require_version(tus_resumable)
-    record = upload(owned.store, id)
-    size = owned.services.upload_parts.size(id) if record.state == "receiving" else record.received
-    sent = _standing(record, size) | {"Cache-Control": "no-store"}
+    record = _as_it_stands(owned, upload(owned.store, id))
+    sent = _standing(record) | {"Cache-Control": "no-store"}
     if record.length is not None:
         sent["Upload-Length"] = str(record.length)
     if record.options.get("sent"):
@@ -150,11 +145,10 @@ async def append_to_upload(
     if record.state != "receiving":
         if offset != record.received:
             raise stands_elsewhere(offset, record.received)
-        return Response(status_code=204, headers=_standing(record, record.received))
+        return Response(status_code=204, headers=_standing(record))
     await run_in_threadpool(require_room, owned)
-    size = await append(owned, record, request.stream(), offset)
-    record = await _record_progress(owned, record, size)
-    return Response(status_code=204, headers=_standing(record, size))
+    record = await _append(owned, record, request.stream(), offset)
+    return Response(status_code=204, headers=_standing(record))
 
 
 @router.get("/{id}", responses=refusals("not-found", "expired"))
@@ -167,10 +161,7 @@ async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
         if settled or time.monotonic() >= deadline:
             break
         await asyncio.sleep(_LOOK_S)
-    size = record.received
-    if record.state == "receiving":
-        size = await run_in_threadpool(owned.services.upload_parts.size, id)
-    return upload_payload(record, size)
+    return upload_payload(await run_in_threadpool(_as_it_stands, owned, record))
 
 
 @router.post("/{id}/parts", responses=refusals("not-found", "expired", "conflict"))
@@ -207,8 +198,16 @@ def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> R
     return Response(status_code=204)
 
 
-async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:
-    """Write down that bytes came; an upload that is whole is closed, and checked against its sha256."""
+def _as_it_stands(owned: Owned, record: UploadRecord) -> UploadRecord:
+    """The record with the number of bytes that are there while they come."""
+    if record.state != "receiving":
+        return record
+    return replace(record, received=owned.services.upload_parts.size(record.id))
+
+
+async def _append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> UploadRecord:
+    """Append a body; an upload that is whole is closed, and checked against its sha256."""
+    size = await append(owned, record, body, offset)
     changes: dict[str, Any] = {"received": size}
     if size:
         changes["expires_at"] = owned.store.clock() + owned.services.settings.upload_retention_s
@@ -273,5 +272,5 @@ def _metadata(header: str | None) -> UploadMetadata:
     return UploadMetadata.read(own, where="metadata")
 
 
-def _standing(record: UploadRecord, size: int) -> dict[str, str]:
-    return {"Upload-Offset": str(size), "Upload-Expires": formatdate(record.expires_at, usegmt=True)}
+def _standing(record: UploadRecord) -> dict[str, str]:
+    return {"Upload-Offset": str(record.received), "Upload-Expires": formatdate(record.expires_at, usegmt=True)}

@@ -135,6 +135,7 @@ class UploadPartsPayload(Payload):
     expires_at: Time
 
 
-def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
-    """An upload as a response body, with the number of bytes received."""
-    return UploadPayload.of(upload, bytes_received=size, error=problem_of(upload.error_code, upload.error_message))
+def upload_payload(upload: UploadRecord) -> UploadPayload:
+    """An upload as a response body."""
+    error = problem_of(upload.error_code, upload.error_message)
+    return UploadPayload.of(upload, bytes_received=upload.received, error=error)

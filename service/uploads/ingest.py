@@ -21,7 +21,7 @@ from service.schemas.assets import AssetOptions
 from service.services import Owned, Services
 from service.uploads.batches import write_in_batches
 from service.uploads.intake import admit, scratch_folder
-from service.uploads.quota import require_bytes, require_room
+from service.uploads.quota import require_place
 
 logger = logging.getLogger(__name__)
 
@@ -167,14 +167,14 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     writer = await run_in_threadpool(lambda: parts.writer(upload.id, 0))
 
     def write(batch: list[bytes]) -> None:
-        _require_place(owned, sum(map(len, batch)))
+        require_place(owned, sum(map(len, batch)))
         writer.write(batch)
 
     try:
         async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
-            await run_in_threadpool(_require_place, owned, _bytes_of(response.headers.get("content-length", "0")))
+            await run_in_threadpool(require_place, owned, _bytes_of(response.headers.get("content-length", "0")))
             body = _bounded(response.aiter_raw(CHUNK_BYTES), settings.max_upload_bytes)
             size = await write_in_batches(body, write)
     except TimeoutError as error:
@@ -197,11 +197,6 @@ async def _bounded(body: AsyncIterator[bytes], allowed: int) -> AsyncIterator[by
 
 def _bytes_of(length: str) -> int:
     return int(length) if length.isascii() and length.isdecimal() and len(length) <= 18 else 0
-
-
-def _require_place(owned: Owned, wanted: int) -> None:
-    require_room(owned, wanted)
-    require_bytes(owned, wanted)
 
 
 def name_of_url(url: str) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from jobs.records import UploadRecord
 from jobs.storage.disk import free_bytes
@@ -23,27 +24,25 @@ def require_bytes(owned: Owned, wanted: int) -> None:
             require_bytes_in(connection, owned.store, wanted, allowed)
 
 
-def announce(owned: Owned, upload: UploadRecord) -> UploadRecord:
+def require_place(owned: Owned, wanted: int) -> None:
+    """Refuse bytes for which there is no room on the disk or in the owner's quota."""
+    require_room(owned, wanted)
+    require_bytes(owned, wanted)
+
+
+def announce(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:
     """Begin an upload, if there is room for it."""
-    require_room(owned, upload.length or 0)
-    return add_upload(owned.store, upload, max_bytes=owned.caller.limits.get("bytes"))
+    now = owned.store.clock()
+    record = UploadRecord(id=new_id(), created_at=now, expires_at=now + lifetime_s, **fields)
+    require_room(owned, record.length or 0)
+    return add_upload(owned.store, record, max_bytes=owned.caller.limits.get("bytes"))
 
 
 @contextmanager
 def reserved(owned: Owned, length: int) -> Iterator[None]:
     """Context manager that holds room for a body of this length, as an upload that was announced does."""
-    now = owned.store.clock()
-    row = UploadRecord(
-        id=new_id(),
-        state="receiving",
-        filename="form",
-        options={},
-        length=length,
-        writer="form",
-        created_at=now,
-        expires_at=now + REQUEST_TIMEOUT_S,
-    )
-    announce(owned, row)
+    fields = {"state": "receiving", "filename": "form", "options": {}, "length": length, "writer": "form"}
+    row = announce(owned, REQUEST_TIMEOUT_S, **fields)
     try:
         yield
     finally:

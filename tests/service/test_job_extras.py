@@ -4,7 +4,6 @@ import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from unittest.mock import AsyncMock
 
 import anyio
 import httpx
@@ -19,9 +18,7 @@ from jobs.settings import Settings
 from jobs.states import stages_of
 from jobs.storage.assets import add_asset
 from service.app import create_app
-from service.http.caller import ANYONE
 from service.job_durations import JobDurations
-from service.routes import job_events
 from service.services import Services
 from tests import servers
 from tests.line import answering
@@ -186,7 +183,9 @@ def test_an_address_inside_is_not_fetched(client: TestClient) -> None:
         assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed")
 
 
-def test_a_stream_whose_head_is_not_taken_gives_its_place_back(client: TestClient, services: Services) -> None:
+def test_a_stream_whose_head_is_not_taken_gives_its_place_back(
+    client: TestClient, asset: AssetRecord, services: Services
+) -> None:
     async def gone(_: object) -> None:
         raise OSError("the connection is gone")
 
@@ -194,9 +193,10 @@ def test_a_stream_whose_head_is_not_taken_gives_its_place_back(client: TestClien
         await anyio.sleep_forever()
         return {"type": "http.disconnect"}
 
-    stream = job_events.CountedStream(AsyncMock(), services.owned_by(ANYONE))
+    path = f"/v1/jobs/{create(client, asset)['id']}/events"
+    scope = {"type": "http", "method": "GET", "path": path, "query_string": b"", "headers": [(b"host", b"localhost")]}
     with pytest.raises(BaseException, match=r"unhandled errors|gone"):
-        client.portal.call(stream, {"type": "http", "method": "GET", "asgi": {}}, connected, gone)
+        client.portal.call(client.app, scope, connected, gone)
     assert services.streams.num_open == 0
 
 

@@ -11,7 +11,7 @@ from jobs.records import AssetRecord, Claim
 from jobs.store import new_id
 from service.job_creation import KEY_EXPIRES_S, _fingerprint
 from service.job_durations import JobDurations
-from service.schemas.job_requests import VoxelizeRequest
+from service.schemas.jobs import VoxelizeRequest
 from service.services import Services
 from tests.service.conftest import change_services, hold, publish
 

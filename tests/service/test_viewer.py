@@ -31,7 +31,7 @@ from service.app import create_app
 from service.interact import stored_trees
 from service.local.serve import Announcer
 from service.routes import pages, surface
-from service.routes.modes import LARGE
+from service.routes.surface import LARGE
 from tests.line import answering
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
