@@ -211,10 +211,10 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     if asset.kind == "mesh" and body.params.wind_mode == "turbulent":
         num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")
         sizes = turbulent_bytes(formats, num_vertices=num_vertices, num_faces=num_faces, num_frames=num_frames)
-        return {str(name): size for name, size in sizes.items()}
-    if asset.kind != "cloud":
+    elif asset.kind != "cloud":
         return {}
-    sizes = splat_bytes(_count(asset, "num_gaussians"), _count(asset, "sh_degree"), num_frames, body.params)
+    else:
+        sizes = splat_bytes(_count(asset, "num_gaussians"), _count(asset, "sh_degree"), num_frames, body.params)
     return {str(name): size for name, size in sizes.items()}
 
 

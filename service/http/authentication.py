@@ -8,8 +8,8 @@ from urllib.parse import urlsplit
 import sqlalchemy as sa
 from cachetools import TTLCache
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import Headers, MutableHeaders
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from jobs.clients.keys import digest_of, find_key, note_use
 from jobs.records import KeyRecord
@@ -17,7 +17,7 @@ from jobs.records import Scope as KeyScope
 from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
-from service.http.problems import ProblemError
+from service.http.problems import ADDED_HEADERS, ProblemError
 from service.http.rate_limit import RateLimiter, Standing, limit_of
 from service.http.signed_links import LINKABLE, LinkSignature
 
@@ -73,10 +73,8 @@ class Authentication:
             await _refuse(error, scope, receive, send)
             return
         scope[CALLER] = caller
-        added = {} if standing is None else standing.headers
-        if caller.by_link:
-            added |= LINK_HEADERS
-        await self.app(scope, receive, _with_headers(send, added) if added else send)
+        scope[ADDED_HEADERS] = ({} if standing is None else standing.headers) | (LINK_HEADERS if caller.by_link else {})
+        await self.app(scope, receive, send)
 
     async def _caller(self, scope: Scope) -> Caller:
         headers = Headers(scope=scope)
@@ -173,17 +171,6 @@ def _scope_of(scope: Scope) -> KeyScope:
 
 def _unauthorized(detail: str) -> ProblemError:
     return ProblemError("unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
-
-
-def _with_headers(send: Send, added: dict[str, str]) -> Send:
-    async def sending(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            headers = MutableHeaders(scope=message)
-            for name, value in added.items():
-                headers[name] = value
-        await send(message)
-
-    return sending
 
 
 async def _refuse(error: ProblemError, scope: Scope, receive: Receive, send: Send) -> None:

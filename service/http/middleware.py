@@ -13,7 +13,7 @@ from jobs.logging_setup import log_ids
 from jobs.settings import Settings
 from jobs.store import new_id
 from service.http.caller import ANYONE, CALLER
-from service.http.problems import REQUEST_ID, ProblemError, request_id_of
+from service.http.problems import ADDED_HEADERS, REQUEST_ID, ProblemError, request_id_of
 from service.http.request_headers import TRACE_CONTEXT
 
 logger = logging.getLogger(__name__)
@@ -65,6 +65,7 @@ class RequestFrame:
             nonlocal status, location
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
+                headers.update(scope.get(ADDED_HEADERS, {}))
                 _add_headers(headers, scope["path"], request_id)
                 if traced:
                     headers["traceparent"] = traced.group()

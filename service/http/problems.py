@@ -24,6 +24,9 @@ TYPE_PREFIX = "urn:dynamictree:problem:"
 REQUEST_ID = "dynamictree.request_id"
 """Where the outermost middleware leaves the request's id in its scope."""
 
+ADDED_HEADERS = "dynamictree.headers"
+"""Where it finds headers that the authentication adds to the answer."""
+
 
 @dataclass(frozen=True)
 class Kind:

@@ -126,7 +126,7 @@ async def interact(
     media_type = chosen(accept, offered)
     tree = living_tree(owned, body.spectrum_id)
     if tree is not None and _is_short(body):
-        return _response(body, tree, media_type)  # 1 to 3 ms: a thread would cost as much again
+        return _response(body, tree, media_type, threading.Event())  # 1 to 3 ms: a thread would cost as much again
     if body.output == "modal":
         return await run_in_threadpool(_prepared_response, body, owned, media_type, threading.Event())
     async with AsyncExitStack() as large_slot:
@@ -201,9 +201,7 @@ def _prepared_response(body: InteractRequest, owned: Owned, media_type: str, lef
         owned.services.trees.trim()  # what the answer needs grows with the tree
 
 
-def _response(
-    body: InteractRequest, tree: ServedTree, media_type: str, left: threading.Event | None = None
-) -> Response:
+def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: threading.Event) -> Response:
     system, answer = answer_of(body, tree)
     if media_type == JSON:
         return Response(
@@ -246,7 +244,7 @@ def answer_of(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Ans
     return system, answer
 
 
-def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event | None) -> np.ndarray:
+def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event) -> np.ndarray:
     """[T, V or N, 3] in metres."""
     if body.output == "voxels":
         _refuse_costly(answer, len(tree.ready.tree.system.grid), 12)
@@ -255,14 +253,14 @@ def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left:
     return np.stack(list(_while_there(_iter_vertices(body, tree, answer), left)))
 
 
-def _while_there(frames: Iterator[np.ndarray], left: threading.Event | None) -> Iterator[np.ndarray]:
+def _while_there(frames: Iterator[np.ndarray], left: threading.Event) -> Iterator[np.ndarray]:
     """The frames, until the client has left.
 
     Raises:
         Cancelled: it has.
     """
     for frame in frames:
-        if left is not None and left.is_set():
+        if left.is_set():
             raise Cancelled("the client has left")
         yield frame
 
@@ -275,9 +273,7 @@ def _iter_vertices(body: InteractRequest, tree: ServedTree, answer: Answer) -> I
         yield from tree.with_rig().superposed(answer, tree.frames())
 
 
-def _gaussians(
-    body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event | None
-) -> dict[str, np.ndarray]:
+def _gaussians(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event) -> dict[str, np.ndarray]:
     """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
     from dynamictree.gaussian.deform import Pose  # brings numba
 

@@ -4,6 +4,7 @@ Counts of jobs come from the store, so every replica tells the same of them; req
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from fastapi import APIRouter, Response
 from prometheus_client import (
@@ -48,23 +49,18 @@ def get_metrics(owned: OwnedDep) -> Response:
     return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
 
 
+@dataclass(frozen=True)
 class StoreMetrics:
     """Metrics read from the store at each scrape."""
 
-    def __init__(self, store: Store, artifacts: ArtifactStore, queues: tuple[str, ...]) -> None:
-        self.store = store
-        self.artifacts = artifacts
-        self.queues = queues  # with a value always: an autoscaler takes a missing one for a failure
-
-    def describe(self) -> list[Metric]:
-        """Describe nothing, so that registering makes no query."""
-        return []
+    store: Store
+    artifacts: ArtifactStore
+    queues: tuple[str, ...]  # with a value always: an autoscaler takes a missing one for a failure
 
     def collect(self) -> Iterator[Metric]:
         """Collect every metric family."""
-        store = self.store
-        with store.reading() as connection:
-            counted, now = tallies(connection), census(connection, store.clock())
+        with self.store.reading() as connection:
+            counted, now = tallies(connection), census(connection, self.store.clock())
         yield from store_gauges(now, self.queues)
         yield from _since_ever(counted)
         free = self.artifacts.free_bytes()

@@ -7,16 +7,11 @@ from fastapi import APIRouter, Request, Response
 from jobs.database.counters import tallies
 from jobs.lifecycle.statistics import census
 from service.http.routing import refusals
-from service.routes.pages import answer, read_page
+from service.routes.pages import answer, content_policy, read_page
 from service.schemas.base import Payload
 from service.services import OwnedDep
 
 router = APIRouter()
-
-HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-}
 
 
 class QueuePayload(Payload):
@@ -50,10 +45,10 @@ def get_operations(owned: OwnedDep) -> OpsPayload:
 @router.get("/ops", include_in_schema=False)
 async def get_page(request: Request) -> Response:
     """The operator's page."""
-    return answer(request, await read_page("ops_page/index.html", "service"), HEADERS)
+    return answer(request, await read_page("ops_page/index.html", "service"), content_policy({}))
 
 
 @router.get("/ops/{name}", include_in_schema=False)
 async def get_part(request: Request, name: Literal["ops.js", "style.css"]) -> Response:
     """Files of the operator's page."""
-    return answer(request, await read_page(f"ops_page/{name}", "service"), HEADERS)
+    return answer(request, await read_page(f"ops_page/{name}", "service"), content_policy({}))

@@ -4,6 +4,7 @@ import base64
 import gzip
 import hashlib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 
@@ -32,12 +33,6 @@ LEVEL = 6
 
 VENDORED = "public, max-age=31536000, immutable"
 """Cache-Control of vendored libraries: their paths hold the version."""
-
-DOCS_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-"""What the page of the API may load: Swagger UI keeps its icons as data in its style sheet."""
 
 ELEMENT = "embed/dynamic-tree.js"
 ANY_SITE = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
@@ -74,7 +69,7 @@ def answer(request: Request, page: Page, headers: dict[str, str]) -> Response:
 async def get_viewer(request: Request) -> Response:
     """The viewer."""
     page = await read_page("index.html")
-    return answer(request, page, {"Content-Security-Policy": content_policy(page.content)})
+    return answer(request, page, viewer_policy(page.content))
 
 
 @router.api_route("/embed", methods=["GET", "HEAD"])
@@ -82,13 +77,14 @@ async def get_embed_page(request: Request) -> Response:
     """One tree, for a frame in the pages of `embed_origins`."""
     page = await read_page("embed.html")
     ancestors = " ".join(("'self'", *request.app.state.services.settings.embed_origins))
-    return answer(request, page, {"Content-Security-Policy": content_policy(page.content, ancestors=ancestors)})
+    return answer(request, page, viewer_policy(page.content, ancestors=ancestors))
 
 
 @router.api_route("/docs", methods=["GET", "HEAD"])
 async def get_api_page(request: Request) -> Response:
     """Every operation of the API, to read and to try."""
-    return answer(request, await read_page("docs.html"), {"Content-Security-Policy": DOCS_POLICY})
+    icons = {"img-src": "'self' data: blob:"}  # Swagger UI keeps them as data in its style sheet
+    return answer(request, await read_page("docs.html"), content_policy(icons))
 
 
 @router.api_route("/llms.txt", methods=["GET", "HEAD"])
@@ -106,25 +102,28 @@ async def get_page_file(path: str, request: Request) -> Response:
     return answer(request, await read_page(path), headers)
 
 
-def content_policy(page: bytes, *, ancestors: str = "'none'") -> str:
-    """What the page may load: its own files; blobs for textures and Spark's sorting worker, which is WebAssembly.
+def content_policy(allowed: Mapping[str, str]) -> dict[str, str]:
+    """Header by which a page loads its own scripts and styles, calls its own service, and what is allowed besides."""
+    policy = {"default-src": "'none'"} | dict.fromkeys(("script-src", "style-src", "connect-src"), "'self'")
+    policy |= dict.fromkeys(("base-uri", "form-action", "frame-ancestors"), "'none'") | dict(allowed)
+    return {"Content-Security-Policy": "; ".join(f"{name} {where}" for name, where in policy.items())}
+
+
+def viewer_policy(page: bytes, *, ancestors: str = "'none'") -> dict[str, str]:
+    """The viewer also loads blobs for textures and Spark's sorting worker, which is WebAssembly.
 
     Browsers take an import map only inline, so its hash is named.
     """
     [import_map] = _IMPORT_MAP.findall(page.decode())
     digest = base64.b64encode(hashlib.sha256(import_map.encode()).digest()).decode()
     allowed = {
-        "default-src": "'none'",
         "script-src": f"'self' 'wasm-unsafe-eval' 'sha256-{digest}'",
-        "style-src": "'self'",
         "img-src": "'self' blob: data:",
         "connect-src": "'self' blob: data:",
         "worker-src": "'self' blob:",
-        "base-uri": "'none'",
-        "form-action": "'none'",
         "frame-ancestors": ancestors,
     }
-    return "; ".join(f"{name} {sources}" for name, sources in allowed.items())
+    return content_policy(allowed)
 
 
 packed_pages: dict[str, Page] = {}

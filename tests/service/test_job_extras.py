@@ -187,7 +187,7 @@ def test_a_stream_whose_head_is_not_taken_gives_its_place_back(
     client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
     async def gone(_: object) -> None:
-        raise OSError("the connection is gone")
+        raise RuntimeError("the connection is gone")
 
     async def connected() -> dict[str, str]:  # a mock that answers at once would be asked without end
         await anyio.sleep_forever()
