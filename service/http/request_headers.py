@@ -39,6 +39,8 @@ def parse_range(header: str | None, size: int) -> range | None:
 def chosen(accept: str | None, offered: Sequence[str]) -> str:
     """The offered media type with the highest quality; the first of equals."""
     accepted = parse_accept_header(accept or "*/*", MIMEAccept)
+    if not accepted:
+        raise ProblemError("bad-request", f"Accept is {accept!r}; a quality is a number from 0 to 1")
     best = max(offered, key=accepted.quality)
     if accepted.quality(best) <= 0:
         raise ProblemError("not-acceptable", f"Accept is {accept!r}; this is offered as {', '.join(offered)}")

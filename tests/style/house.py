@@ -7,7 +7,7 @@ from pathlib import Path
 BOUNDS = {
     "lines in dynamictree": 33_922,
     "lines in lab": 6_328,
-    "lines in service, jobs and worker": 14_717,
+    "lines in service, jobs and worker": 14_180,
     "lines in tests": 40_130,
     "names bound to numbers in dynamictree": 578,
     "functions of dynamictree with more than 6 arguments": 4,
