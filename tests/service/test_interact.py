@@ -26,9 +26,11 @@ from jobs.storage.assets import delete_asset
 from service.app import create_app
 from service.http.caller import ANYONE
 from service.http.request_headers import SAFETENSORS
+from service.http.slots import FairSlots
 from service.interact.forces import MAX_FORCES
 from service.interact.tree_cache import living_tree
 from service.services import Services
+from tests.service.conftest import change_services
 from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 
 
@@ -308,15 +310,13 @@ def test_large_answers_are_made_a_few_at_a_time(
 ) -> None:
     monkeypatch.setattr("service.routes.interact.SLOT_WAIT_S", 0.1)
     with TestClient(create_app(settings), "http://localhost") as client:
-        services = client.app.state.services
         assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200
-        slots = services.large_answers
-        slots.total = 0  # all are taken
+        change_services(client, large_answers=FairSlots(0, per_owner=1))  # all are taken
         refused = post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3)
         refusal(refused, 503, "overloaded")
         assert "Retry-After" in refused.headers
         assert post(client, spectrum_id, poke, num_frames=3).status_code == 200  # modal ones are small
-        slots.total = 1
+        change_services(client, large_answers=FairSlots(1, per_owner=1))
         for _ in range(3):  # each gives its slot back
             assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200
 
