@@ -88,7 +88,7 @@ def pairs_to_match(number: int) -> list[tuple[int, int]]:
 
 
 def search_seconds(num_photos: int) -> dict[str, float]:
-    """Processor seconds that each step usually takes, in order; medians of six searches with 14 to 36 photos."""
+    """Processor seconds that each step usually takes, in order, roughly: by logs of searches with 14 to 36 photos."""
     return {
         "features": 1.0 * num_photos,
         "matches": 0.13 * len(pairs_to_match(num_photos)),
