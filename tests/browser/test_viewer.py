@@ -213,7 +213,7 @@ def two_faced(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 OF_ANOTHER = """async () => {
     const { hand } = await (await import("/web/page/early.js")).page;
-    for (const end = Date.now() + 60_000; !hand.tree?.splat; await new Promise(requestAnimationFrame))
+    for (const end = Date.now() + 300_000; !hand.tree?.splat; await new Promise(requestAnimationFrame))
         if (Date.now() > end) throw new Error("no splat came");
     return Object.create(hand.tree.splat, { renderer: { value: { activeSplats: 9, display: { mapping: [] } } } }).drawn;
 }"""
