@@ -133,7 +133,7 @@ def test_another_format_does_not_compute_the_motion_again(
 ) -> None:
     computed = []
     whole = stored_rig.rig_of
-    monkeypatch.setattr(stored_rig, "rig_of", lambda mesh, spectrum: computed.append(spectrum) or whole(mesh, spectrum))
+    monkeypatch.setattr(stored_rig, "rig_of", lambda *given: computed.append(given) or whole(*given))
     contents = {}
     for number, formats in enumerate((["ply"], ["motion"], ["ply", "motion"])):
         folder = tmp_path / str(number)
