@@ -3,12 +3,10 @@
 import numpy as np
 import torch
 from jaxtyping import Complex64, Float32, Int64
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from dynamictree.mesh import Surface
+from dynamictree.mesh import Surface, connected_parts
 from dynamictree.models.small.foliage import ARM_SCALE, NUM_PARTS
 from dynamictree.models.wind import log_wind_scale
 from dynamictree.spectrum import Wind
@@ -72,11 +70,5 @@ def _at_vertices(stored: StoredTree, mesh: Surface) -> Float32[np.ndarray, "N 10
 
 def _first_of_piece(mesh: Surface) -> Int64[np.ndarray, " N"]:
     """The first vertex of the connected piece that each vertex is in; a leaf's is its base."""
-    ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
-    count = mesh.num_vertices
-    graph = csr_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    num_pieces, piece = connected_components(graph, directed=False)
-    first = np.full(num_pieces, count)
-    np.minimum.at(first, piece, np.arange(count))
-    row_of: Int64[np.ndarray, " N"] = first[piece].astype(np.int64)
-    return row_of
+    piece = connected_parts(mesh.faces, mesh.num_vertices)
+    return np.asarray(np.unique(piece, return_index=True)[1][piece], np.int64)

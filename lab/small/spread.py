@@ -1,15 +1,18 @@
-"""Measure how far sizes lie from what the amplitude network says, on trees that it did not learn from."""
+"""Measure how motions lie about what the networks say, on trees that they did not learn from."""
 
 import math
 from collections.abc import Iterable
 
 import numpy as np
 import torch
+from jaxtyping import Complex64, Float64, Int64
+from scipy.spatial import cKDTree
 
 from dynamictree.models.small.amplitude import floor_of
 from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork
+from dynamictree.models.small.prepared import PreparedTree
 from dynamictree.models.small.spread import at_speed, log_surplus, speed_terms
 from dynamictree.models.wind import wind_axes
 from lab.dataset.shards import StoredTree
@@ -39,6 +42,39 @@ def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example
     network.spread.copy_(variance.mul(6).sqrt() / math.pi)  # variance of ln p: π² / 6 of a complex normal number
     surplus = torch.stack([log_surplus(at_speed(network.spread, one)) for one in log_speeds])
     network.log_gain.copy_(torch.einsum("ut,tjx->ujx", fit, torch.stack(ratios) - surplus) / 2)
+
+
+@torch.no_grad()
+def measure_leaves(network: SmallNetwork, trees: Iterable[StoredTree], seed: int) -> None:
+    """Set how much of its motion a leaf has for itself, by how much too alike leaves 5 to 6 voxels apart move without.
+
+    In the two lowest bins branches sway, and leaves with them: with shares as leaves apart have them there, 0.08 and
+    0.24, edges of 14 trees differed by 19 % more than true ones, and with none by 3 %.
+    """
+    network.leaf_share.zero_()
+    model, true, drawn = SmallModel(network, name="small"), [], []
+    for tree in trees:
+        voxels = voxels_of(tree)
+        pairs = leaves_apart(model.prepare(voxels, tree.wind))
+        true.append(likeness(tree.spectrum().coefficients, pairs))
+        drawn.append(likeness(model.generate(voxels, wind=tree.wind, seed=seed).coefficients, pairs))
+    share = 1 - np.mean(true, axis=0) / np.mean(drawn, axis=0)
+    network.leaf_share[2:] = torch.from_numpy(share)[2:].clamp(0, 0.9)
+
+
+def leaves_apart(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
+    """Every twentieth pair of voxels of leaves that are 5 to 6 voxels apart."""
+    coords, base = prepared.voxels.grid.coords, prepared.leaves.base.numpy()
+    pairs = cKDTree(coords).query_pairs(6.0, output_type="ndarray")
+    pairs = pairs[(base != np.arange(len(base)))[pairs].all(axis=1)]
+    return np.asarray(pairs[np.linalg.norm(np.diff(coords[pairs], axis=1)[:, 0], axis=1) >= 5.0][::20], np.int64)
+
+
+def likeness(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P 2"]) -> Float64[np.ndarray, " J"]:
+    """How much alike two voxels move in each bin k >= 1, weighted by their sizes: 1 is as one, 0 independent."""
+    one, other = motion[pairs[:, 0], 1:], motion[pairs[:, 1], 1:]
+    sizes = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
+    return np.asarray((one * other.conj()).real.sum(axis=(0, 2)) / np.maximum(sizes.sum(axis=0), 1e-30), np.float64)
 
 
 @torch.no_grad()

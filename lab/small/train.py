@@ -18,7 +18,7 @@ from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
 from lab.small.examples import example_of, gust_pair, iter_training
-from lab.small.spread import measure_field, measure_spread
+from lab.small.spread import measure_field, measure_leaves, measure_spread
 from lab.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
 from lab.small.training_steps import (
     AmplitudeRows,
@@ -186,6 +186,7 @@ def _train_denoiser(
     network.denoiser.load_state_dict(trainer.average.state_dict())
     trees = iter_training(shards, first=first, count=plan.denoiser_trees)
     measure_spread(network, map(gust_pair, trees))
+    measure_leaves(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
     measure_field(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
 
 

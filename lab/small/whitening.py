@@ -1,31 +1,25 @@
 """Whitening: divide spectra by the predicted amplitude, average on the nodes, and measure the statistics."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Complex64, Float32, Float64
 from scipy.optimize import nnls
-from scipy.sparse import csr_array
 from torch import Tensor
 
-from dynamictree.models.small.correlated_noise import NoiseBasis, field_matrices, leaf_noise, noise_basis
+from dynamictree.models.small.correlated_noise import NoiseBasis, field_matrices, noise_basis
 from dynamictree.models.small.features import TreeFeatures, coarsen_features, wind_vector
-from dynamictree.models.small.leaf_swing import bases_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.sparse.level import Pair
-from dynamictree.sparse.matrices import raise_matrix, sparse_rows
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from lab.small.examples import Example
 
 WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
-RESIDUAL_SHARE = 0.1
-"""Of the variance below the nodes: all of it makes touching voxels differ 1.8 to 2.1 times as much as they do."""
-MEASURED = ("node_scale", "residual_share", "noise_shares", "log_gain", "spread")
+MEASURED = ("leaf_share", "noise_shares", "log_gain", "spread")
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
 
@@ -53,48 +47,19 @@ def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "
 
 @torch.no_grad()
 def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> Float32[Tensor, "J 3"]:
-    """Set the network's node scale, residual share and noise shares; medians over trees.
+    """Set the network's noise shares.
 
     Returns:
         Deviation of whitened spectra on the nodes, real and imaginary part each: what the denoiser's are divided by.
     """
-    top = network.preset.top
-    nodes, trees, deviations, shares = [], [], [], []
-    for example in examples:
-        field, _ = whiten(network, example)
-        grids = example.tree.grids
-        pooled = pool_to(field, grids, top)
-        lift = sparse_rows(raise_matrix(grids, top, 0))
-        lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
-        bases = bases_of(grids.levels[0].coords.numpy(), network.foliage(example.tree))
-        residual = _variance_left(field - lifted, grids.levels[0].pairs, leaf_noise(grids, bases, top))
-        whole = _power(lifted) + residual
-        shares.append(torch.stack([_power(pooled) / 2, residual]) / whole)
-        deviations.append((_power(pooled) / 2).sqrt())
-        nodes.append(pooled)
-        trees.append(coarsen_features(example.tree, top))
-    node_power, residual_share = torch.stack(shares).median(dim=0).values
-    network.node_scale.copy_(node_power.sqrt())
-    network.residual_share.copy_(RESIDUAL_SHARE * residual_share)
-    deviation = torch.stack(deviations).median(dim=0).values
-    fitted = torch.from_numpy(fit_shares([(one / deviation).numpy() for one in nodes], trees, rng)) * (1 - WHITE_SHARE)
+    examples, top = list(examples), network.preset.top
+    nodes = [pool_to(whiten(network, one)[0], one.tree.grids, top) for one in examples]
+    deviation = torch.stack([(one.abs().square().mean(dim=0) / 2).sqrt() for one in nodes]).median(dim=0).values
+    trees, spectra = [coarsen_features(one.tree, top) for one in examples], [(one / deviation).numpy() for one in nodes]
+    fitted = torch.from_numpy(fit_shares(spectra, trees, rng)) * (1 - WHITE_SHARE)
     fitted[:, 0] += WHITE_SHARE
     network.noise_shares.copy_(fitted)
     return deviation
-
-
-def _power(field: Complex64[Tensor, "V J 3"]) -> Float32[Tensor, "J 3"]:
-    mean: Tensor = field.abs().square().mean(dim=0)
-    return mean
-
-
-def _variance_left(
-    residual: Complex64[Tensor, "V J 3"], pairs: Sequence[Pair], noise: csr_array
-) -> Float32[Tensor, "J 3"]:
-    """Variance of the noise that differs between touching voxels as much as what the nodes do not hold."""
-    first, second = (torch.cat([pair[side] for pair in pairs]) for side in (0, 1))
-    alike = noise[first.numpy()].multiply(noise[second.numpy()]).sum(axis=1).mean()
-    return _power(residual[first] - residual[second]) / (2 - 2 * float(alike))
 
 
 @torch.no_grad()

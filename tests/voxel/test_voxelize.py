@@ -163,20 +163,13 @@ def test_resolution_out_of_range_is_refused() -> None:
             voxelize(square(), resolution)
 
 
-def test_a_mesh_without_faces_is_refused() -> None:
-    with pytest.raises(MeshError, match="no faces"):
-        voxelize(TriangleMesh(vertices=np.ones((3, 3), np.float32), faces=np.zeros((0, 3), np.int32)))
-
-
-def test_faces_in_one_point_are_refused() -> None:
-    with pytest.raises(MeshError, match="one point"):
-        voxelize(TriangleMesh(vertices=np.ones((3, 3), np.float32), faces=np.array([[0, 1, 2]], np.int32)))
-
-
-def test_faces_on_a_line_are_refused() -> None:
-    line = np.array([[0, 0, 0], [1, 1, 1], [2, 2, 2]], np.float32)
-    with pytest.raises(MeshError, match="area"):
-        voxelize(TriangleMesh(vertices=line, faces=np.array([[0, 1, 2]], np.int32)))
+@pytest.mark.parametrize(
+    ("along", "faces", "message"), [(0, [], "no faces"), (0, [[0, 1, 2]], "one point"), (1, [[0, 1, 2]], "area")]
+)
+def test_a_mesh_without_a_surface_is_refused(along: int, faces: list[list[int]], message: str) -> None:
+    line = along * np.arange(3, dtype=np.float32)[:, None] * np.ones(3, np.float32)
+    with pytest.raises(MeshError, match=message):
+        voxelize(TriangleMesh(vertices=line, faces=np.array(faces, np.int32).reshape(-1, 3)))
 
 
 def test_more_surface_than_memory_allows_is_refused_before_it_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:

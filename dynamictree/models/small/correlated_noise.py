@@ -66,14 +66,3 @@ def field_matrices(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> tuple[csr_arr
     coarser = [raise_matrix(grids, depth, 0) for depth in (1, 2)]
     whole = csr_array(np.ones((size, 1), np.float32))
     return tuple(unit_rows(field) for field in (white, touching(grids.levels[0]), *along, *coarser, whole))
-
-
-def leaf_noise(grids: Pyramid, base: Int64[np.ndarray, " V"], top: int) -> csr_array:
-    """[V, L], rows of unit length: noise of cells half as large as a node, the same for all voxels of a leaf.
-
-    Args:
-        grids: of the voxels.
-        base: the voxel that each voxel's leaf grows from.
-        top: level of the nodes.
-    """
-    return csr_array(unit_rows(raise_matrix(grids, top - 1, 0))[base])

@@ -1,9 +1,9 @@
 """Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
 
-The field of a motion is lift(s u) + ρ n: u has unit variance and lives on the nodes (level `top` of the pyramid, 32³ of
-a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n noise of each leaf
-that stands for what is smaller than a node, ρ² its share. A spectrum has its phases, and sizes spread about A as its
-are (`spread.sized`); the crown as a whole is as large as shape and wind tell, so that more wind moves it further.
+The field of a motion is √(1 - ρ²) lift(u) + ρ n: u lives on the nodes (level `top` of the pyramid, 32³ of a 128³ grid),
+n is noise of each leaf that stands for what is smaller than a node, both of unit variance, and ρ² the share of it, a
+frequency, where a voxel is all leaf: wood moves as its nodes do. A spectrum has its phases, and sizes spread about A as
+its are (`spread.sized`); the crown as a whole is as large as shape and wind tell, so that more wind moves it further.
 """
 
 from dataclasses import dataclass, field
@@ -39,11 +39,10 @@ class SmallPreset:
 class SmallNetwork(StorableNetwork):
     """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "10", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "11", SmallPreset
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
-    node_scale: Tensor  # [J, 3], s
-    residual_share: Tensor  # [J, 3], ρ²
+    leaf_share: Tensor  # [J], ρ²
     spread: Tensor  # [U, J, 3], at the speeds of `speed_terms`
     log_gain: Tensor  # [U, J, 3], which gives what is drawn the typical tree's energy
 
@@ -58,7 +57,6 @@ class SmallNetwork(StorableNetwork):
         )
         self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
-        self.register_buffer("node_scale", torch.ones(moving, AXES))
-        self.register_buffer("residual_share", torch.zeros(moving, AXES))
+        self.register_buffer("leaf_share", torch.zeros(moving))
         self.register_buffer("spread", torch.zeros(*speed_terms(torch.zeros(())).shape, moving, AXES))
         self.register_buffer("log_gain", torch.zeros_like(self.spread))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dynamictree.diffusion.channels import unpack_channels
 from dynamictree.models.small.amplitude import moving
-from dynamictree.models.small.correlated_noise import NoiseBasis, leaf_noise, noise_basis
+from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
 from dynamictree.models.small.features import (
     NUM_WIND,
     ROOT_DISTANCE,
@@ -22,10 +22,10 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import at_speed, log_surplus, sized
+from dynamictree.models.small.spread import at_speed, even, log_surplus, sized
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
-from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching
+from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -52,9 +52,10 @@ class PreparedTree:
     lean: Float32[Tensor, "V 3"]  # over the height
     amplitude: Float32[Tensor, "V J 3"]  # root mean square over the height
     spread: Float32[Tensor, "J 3"]  # of sizes about it
+    own: Float32[Tensor, "V J 1"]  # share of the motion that a voxel's leaf has for itself
     leaves: Leaves
     lift: SparseRows  # [V, W]
-    local: SparseRows  # [V, L], see `leaf_noise`
+    local: SparseRows  # [V, L], to the voxels of a leaf from cells half as large as a node
     network: SmallNetwork
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up
     height_m: float
@@ -65,8 +66,8 @@ class PreparedTree:
         self, whitened: Float32[Tensor, "W J 6"], white: Float32[Tensor, "L J 6"]
     ) -> Complex64[Tensor, "V K 3"]:
         """Lean, and the network's formula, leaves swinging: over the height, in the wind's frame."""
-        scale, share = (one.repeat(1, 2) for one in (self.network.node_scale, self.network.residual_share))
-        field = unpack_channels(self.lift.apply(whitened * scale) + self.local.apply(white * share.sqrt()))
+        nodes, leaf = (even(unpack_channels(one)) for one in (self.lift.apply(whitened), self.local.apply(white)))
+        field = (1 - self.own).sqrt() * nodes + self.own.sqrt() * leaf
         moving = sized(field, self.spread) * self.amplitude
         return self.leaves.swing(torch.cat([self.lean[:, None].to(moving.dtype), moving], dim=1))
 
@@ -114,9 +115,10 @@ def prepare_tree(
         lean=smooth.apply(lean) * free[:, None],
         amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
         spread=spread,
+        own=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
         leaves=leaves,
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
-        local=sparse_rows(leaf_noise(tree.grids, leaves.base.numpy(), top)),
+        local=sparse_rows(csr_array(unit_rows(raise_matrix(tree.grids, top - 1, 0))[leaves.base.numpy()])),
         network=network,
         axes=axes,
         height_m=height_m,

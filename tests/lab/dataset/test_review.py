@@ -3,7 +3,7 @@ import io
 import pytest
 
 from dynamictree.errors import FormatError
-from lab.dataset.review import all_accepted, read_review, write_review
+from lab.dataset.review import read_review, write_review
 
 
 def test_reading_undoes_writing():
@@ -18,10 +18,6 @@ def test_reading_undoes_writing():
 def test_notes_comments_and_empty_lines_are_passed_over():
     text = b"# a comment\n\n12 reject too dense # really\n13 accept\n"
     assert read_review(io.BytesIO(text)) == {12: "reject", 13: "accept"}
-
-
-def test_a_sheet_starts_with_everything_accepted():
-    assert all_accepted(range(2, 4)) == {2: "accept", 3: "accept"}
 
 
 @pytest.mark.parametrize("line", ["12", "12 maybe", "tree accept", "-1 accept"])

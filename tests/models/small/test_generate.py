@@ -9,7 +9,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from dynamictree.diffusion.channels import pack_channels, unpack_channels
 from dynamictree.errors import Cancelled, CheckpointError, InputError
 from dynamictree.models import MotionModel, load_model
 from dynamictree.models.motion_model import Sampling
@@ -50,11 +49,6 @@ def model() -> SmallModel:
 @pytest.fixture(scope="module")
 def shipped() -> MotionModel:
     return load_model("small")
-
-
-def test_channels_round_trip() -> None:
-    spectrum = torch.randn(5, 4, 3, dtype=torch.complex64)
-    assert (unpack_channels(pack_channels(spectrum)) == spectrum).all()
 
 
 def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: SmallModel, voxels: SurfaceVoxels) -> None:
