@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 33_922,
-    "lines in lab": 6_328,
+    "lines in dynamictree": 33_916,
+    "lines in lab": 6_322,
     "lines in service, jobs and worker": 14_180,
-    "lines in tests": 40_130,
+    "lines in tests": 40_127,
     "names bound to numbers in dynamictree": 578,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
