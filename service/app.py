@@ -3,6 +3,7 @@
 import asyncio
 import ctypes
 import gc
+import logging
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -13,7 +14,7 @@ from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
 from jobs.logging_setup import set_up_logging
-from jobs.settings import Settings, read_settings
+from jobs.settings import Settings, read_settings, unknown_variables
 from service import operations
 from service.http import problem_handlers
 from service.http.authentication import Authentication
@@ -37,6 +38,8 @@ from service.routes import (
 )
 from service.services import open_services
 from service.uploads.ingest import Ingest
+
+logger = logging.getLogger(__name__)
 
 ROUTES = (
     *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream),
@@ -103,6 +106,8 @@ def serving_app() -> FastAPI:
     return_freed_memory()
     app = create_app()
     set_up_logging(app.state.settings)
+    if unknown := unknown_variables():
+        logger.warning("%s are no settings; see docs/settings.md", ", ".join(unknown))
     warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up)
     warm_up.daemon = True
     warm_up.start()

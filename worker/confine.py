@@ -2,7 +2,7 @@
 
 Landlock (kernel 5.13) leaves it Python, its libraries and one folder; seccomp (kernel 3.17) leaves it no socket, no
 `exec`, no io_uring, no look into other processes. A process that needs one program may run that one, which is
-confined alike. `dynamictree doctor` tells what of it a machine has.
+confined alike. The log names what of it a machine has not.
 """
 
 import ctypes

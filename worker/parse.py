@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
+from typing import get_args
 
 from PIL import Image, UnidentifiedImageError
 
@@ -26,7 +27,7 @@ from dynamictree.formats.suffixes import FILM_SUFFIXES, MASK_NAME, MASKS
 from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.requests import Reading
 from jobs.storage.parser_process import ParseAnswer, ParseRequest
-from worker.confine import confine
+from worker.confine import Hold, confine
 
 MAX_FILES = 512
 MAX_TRACEBACK = 4096
@@ -42,8 +43,10 @@ def main() -> None:
     answer_to = os.dup(1)
     os.dup2(2, 1)  # what a library prints is no answer
     film = request.kind == "photos" and request.names[0].lower().endswith(FILM_SUFFIXES)
+    holds: tuple[Hold, ...] = get_args(Hold)
     try:
-        confine(request.prepared.parent, request.paths, program=Path(ffmpeg_program()).resolve() if film else None)
+        program = Path(ffmpeg_program()).resolve() if film else None
+        holds = confine(request.prepared.parent, request.paths, program=program)
         answer = _film(request) if film else _photos(request) if request.kind == "photos" else _model(request)
     except DynamicTreeError as error:
         answer = ParseAnswer(code=error.code, message=str(error))
@@ -56,7 +59,8 @@ def main() -> None:
         else:
             answer = ParseAnswer(code="internal-error", message=traceback.format_exc()[-MAX_TRACEBACK:])
     with os.fdopen(answer_to, "w") as stream:
-        stream.write(answer.model_dump_json())
+        lacks = tuple(hold for hold in get_args(Hold) if hold not in holds)
+        stream.write(answer.model_copy(update={"lacks": lacks}).model_dump_json())
 
 
 def _limit(request: ParseRequest) -> None:

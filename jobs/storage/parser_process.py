@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -56,6 +57,12 @@ class ParseAnswer(BaseModel):
     summary: Mapping[str, str | float | int | list[float] | list[dict[str, str | int | float]] | None] | None = None
     code: str | None = None
     message: str = ""
+    lacks: tuple[str, ...] = ()  # of what confines the child
+
+
+@cache
+def _warn_of(lacks: tuple[str, ...]) -> None:
+    logger.warning("uploads are read without %s, which this kernel or container lacks", " and ".join(lacks))
 
 
 def child_environment() -> dict[str, str]:
@@ -129,6 +136,8 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
         answer = ParseAnswer.model_validate_json(answered)
     except ValidationError:
         return _no_answer(int(status) if status.removeprefix(b"-").isdigit() else None, settings)
+    if answer.lacks:
+        _warn_of(answer.lacks)  # once
     if answer.code == "internal-error":
         logger.error("the parser failed:\n%s", answer.message)
         return ParseAnswer(code=answer.code, message="The cause was logged.")

@@ -1,1 +1,1 @@
-"""The commands `serve`, `doctor` and `keys`: the whole service on one machine."""
+"""The commands `serve` and `keys`: the whole service on one machine."""

@@ -9,7 +9,7 @@ HEAVY = {"torch", "numba", "trimesh", "celery", "pyapriltags", "pycolmap", "skim
 HEAVY |= {"scipy.sparse", "scipy.spatial"}
 
 
-@pytest.mark.parametrize("module", ["service.app", "service.local.serve", "service.local.doctor", "jobs.store"])
+@pytest.mark.parametrize("module", ["service.app", "service.local.serve", "jobs.store"])
 def test_importing_the_service_loads_nothing_heavy(module: str) -> None:
     program = f"import sys, {module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

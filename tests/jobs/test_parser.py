@@ -9,7 +9,7 @@ import psutil
 import pytest
 
 from jobs.settings import Settings
-from jobs.storage.parser_process import ParseRequest, parse
+from jobs.storage.parser_process import ParseAnswer, ParseRequest, parse
 from service.http.problems import KINDS
 from tests.servers import wait_for
 
@@ -91,6 +91,19 @@ def test_an_upload_that_no_process_can_read_may_be_sent_again(
     assert (answer.code, KINDS["overloaded"].status) == ("overloaded", 503)
     assert "No such file" in caplog.text
     assert asyncio.run(parse(_request(settings, tree), settings)).kind == "mesh"
+
+
+def test_what_the_kernel_does_not_confine_is_logged_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def answered(_: ParseRequest) -> bytes:
+        return ParseAnswer(kind="mesh", lacks=("landlock",)).model_dump_json().encode() + b"\n0"
+
+    monkeypatch.setattr("jobs.storage.parser_process._content", answered)
+    settings = Settings(state_dir=tmp_path)
+    for _ in range(2):
+        assert asyncio.run(parse(_request(settings, tmp_path), settings)).kind == "mesh"
+    assert caplog.text.count("uploads are read without landlock") == 1
 
 
 def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:

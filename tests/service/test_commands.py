@@ -1,4 +1,4 @@
-"""`serve` and `doctor` as commands."""
+"""`serve`, `keys` and what stores and deletes a state, as commands."""
 
 import json
 import socket
@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from jobs.settings import Settings
 from jobs.storage.stage_files import HALF_DONE
-from service.local.doctor import doctor, examine
 from service.local.keys import app as keys
 from service.local.serve import clear_scratch, listen, locked, plans, redis_plan, require_keys_beyond_loopback, serve
 from service.local.stored_state import backup, erase, restore, scrub
@@ -19,35 +18,8 @@ from service.services import open_services
 
 app = typer.Typer()
 app.command("serve")(serve)
-app.command("doctor")(doctor)
 for command in (backup, restore, scrub, erase):
     app.command(command.__name__)(command)
-
-
-def test_the_doctor_tells_what_is_there(tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path / "state"), "--json"])
-    findings = {finding["name"]: finding for finding in json.loads(done.stdout)}
-    assert {findings[name]["verdict"] for name in ("python", "state", "database", "redis", "storage")} == {"ok"}
-    assert done.exit_code == 0
-    plain = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path / "state")])
-    assert len(plain.stdout.splitlines()) == len(findings)
-
-
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("redis", {"redis_url": "redis://127.0.0.1:1/0"}),
-        ("database", {"database_url": "postgresql://tree:secret@127.0.0.1:1/tree"}),
-        ("storage", {"artifacts_url": "nonsense://bucket"}),
-        ("state", {"state_dir": Path("/proc/nowhere")}),
-        ("state", {"min_free_bytes": 1 << 60}),
-    ],
-)
-def test_the_doctor_tells_what_is_not(tmp_path: Path, name: str, changes: dict[str, object]) -> None:
-    settings = Settings(**{"state_dir": tmp_path, **changes})  # type: ignore[arg-type]
-    finding = examine(settings)[name]
-    assert finding.verdict == "error"
-    assert "secret" not in finding.detail.replace("***", "")
 
 
 def test_a_state_of_an_earlier_revision_is_one_line(tmp_path: Path) -> None:
@@ -57,23 +29,12 @@ def test_a_state_of_an_earlier_revision_is_one_line(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["serve", "--state-dir", str(tmp_path)])
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert "another state folder" in done.stderr
-    examined = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path)])
-    assert examined.exit_code == 1
-    assert "another state folder" in examined.stdout
-
-
-def test_the_doctor_exits_with_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DYNAMICTREE_REDIS_URL", "redis://127.0.0.1:1/0")
-    monkeypatch.setenv("DYNAMICTREE_LEESE_S", "1")
-    done = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path)])
-    assert done.exit_code == 1
-    assert "DYNAMICTREE_LEESE_S" in done.stdout
 
 
 @pytest.mark.parametrize(
     ("command", "variable", "value", "words"),
     [
-        *((name, "LEASE_S", "-1", "DYNAMICTREE_LEASE_S") for name in ("serve", "doctor")),
+        ("serve", "LEASE_S", "-1", "DYNAMICTREE_LEASE_S"),
         *(
             (command, "DATABASE_URL", "sqlite:///FOLDER", "unable to open database file")
             for command in ("serve", "list")
@@ -128,8 +89,7 @@ def test_only_the_owner_of_the_process_reads_what_is_stored(tmp_path: Path) -> N
     redis_plan(settings)
     with open_services(settings):
         pass
-    examine(Settings(state_dir=tmp_path / "examined"))
-    for folder in ("new", "new/redis", "new/artifacts", "new/artifacts/uploads", "examined"):
+    for folder in ("new", "new/redis", "new/artifacts", "new/artifacts/uploads"):
         assert (tmp_path / folder).stat().st_mode & 0o777 == 0o700, folder
 
 
