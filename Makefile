@@ -175,7 +175,7 @@ lock-versions:
 	@mv requirements.lock.new requirements.lock
 
 lock-image: $(READY)  ## docker/requirements*.lock, with the versions of requirements.lock
-	@$(LOCK) --generate-hashes $(addprefix --extra ,photos postgres telemetry usd meshopt ktx2 crs video) --constraint requirements.lock pyproject.toml \
+	@$(LOCK) --generate-hashes $(addprefix --extra ,photos postgres usd meshopt ktx2 crs video) --constraint requirements.lock pyproject.toml \
 	  | awk '/^[a-z]/ { listed = !/^(torch|triton|nvidia-|cuda-)/ } listed' > docker/requirements.lock.new
 	@mv docker/requirements.lock.new docker/requirements.lock
 	@grep '^torch==' requirements.lock > docker/requirements-torch.lock

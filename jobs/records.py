@@ -74,7 +74,6 @@ class JobRecord:
     webhook_id: str | None = None  # notified besides endpoints that subscribed to all jobs
     webhook_events: Sequence[str] | None = None  # that this endpoint gets of this job; those of its end if unset
     request_id: str | None = None  # of the request that made it
-    traceparent: str | None = None  # W3C trace context of that request
     stages: tuple[StageRecord, ...] = field(default=())
     attempt: int = 1
     version: int = 1
@@ -247,5 +246,4 @@ class Delivery:
     state: DeliveryState
     log: tuple[Try, ...]
     next_at: float | None  # null once it is over
-    traceparent: str | None
     created_at: float

@@ -104,7 +104,6 @@ class Settings(BaseSettings):
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     log_format: Literal["text", "json"] = "text"
     ops_address: str | None = Field(default=None, pattern=r"^\S+:\d{1,5}$")
-    otlp_endpoint: str | None = Field(default=None, pattern=r"^https?://")
 
     @model_validator(mode="after")
     def _times_in_order(self) -> Self:

@@ -94,10 +94,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             expose_headers=EXPOSED,
         )
     app.add_middleware(RequestFrame)
-    if settings.otlp_endpoint is not None:
-        from service.http.tracing import trace_requests
-
-        trace_requests(app, settings.otlp_endpoint)
     return app
 
 

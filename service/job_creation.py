@@ -16,7 +16,6 @@ from jobs.states import AUTO, CPU, GPU, JobState, JobType, queue_of, stages_of
 from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.problems import ProblemError, wrong_field
-from service.http.request_headers import Origin
 from service.http.routing import is_id
 from service.job_responses import tell
 from service.routes.catalogue import require_preset
@@ -32,7 +31,9 @@ PAPER = "paper"
 """The preset that takes minutes without a GPU."""
 
 
-def accept(owned: Owned, body: JobRequest, origin: Origin, response: Response, *, key: str | None) -> JobPayload:
+def accept(
+    owned: Owned, body: JobRequest, request_id: str | None, response: Response, *, key: str | None
+) -> JobPayload:
     """Validate a request and store its job, or return the job created with the same key."""
     named = None
     if key is not None:
@@ -43,7 +44,7 @@ def accept(owned: Owned, body: JobRequest, origin: Origin, response: Response, *
     asset, stages = require_possible(owned, body)
     job = _record(
         owned,
-        origin,
+        request_id=request_id,
         asset_id=asset.id,
         params=_resolved(body, asset),
         queue=queue_of(_queue(owned, body, asset), body.priority),
@@ -54,7 +55,7 @@ def accept(owned: Owned, body: JobRequest, origin: Origin, response: Response, *
     return _keep(owned, job, stages, named, response)
 
 
-def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Response) -> JobPayload:
+def accept_again(owned: Owned, old: JobRecord, request_id: str | None, response: Response) -> JobPayload:
     """Store a new job with an old one's request."""
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
@@ -62,7 +63,7 @@ def accept_again(owned: Owned, old: JobRecord, origin: Origin, response: Respons
     require_place(owned, 0)
     asset_id = read_asset(owned.store, old.asset_id).id
     own = {name: getattr(old, name) for name in (*OF_REQUEST, "params", "queue", "webhook_id")}
-    again = _record(owned, origin, asset_id=asset_id, retry_of=old.id, **own)
+    again = _record(owned, request_id=request_id, asset_id=asset_id, retry_of=old.id, **own)
     return _keep(owned, again, tuple(stage.name for stage in old.stages), None, response)
 
 
@@ -149,8 +150,8 @@ def _require_tree(number: int, asset: AssetRecord) -> None:
         raise wrong_field("/params/tree", "out-of-range", f"asset {asset.id} holds {len(trees)} trees, not {number}")
 
 
-def _record(owned: Owned, origin: Origin, **fields: Any) -> JobRecord:
-    return JobRecord(id=new_id(), state=JobState.QUEUED, created_at=owned.store.clock(), **origin, **fields)
+def _record(owned: Owned, **fields: Any) -> JobRecord:
+    return JobRecord(id=new_id(), state=JobState.QUEUED, created_at=owned.store.clock(), **fields)
 
 
 def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:

@@ -98,8 +98,6 @@ class Courier:
                 for secret in signing_secrets(endpoint, self.store.clock(), self.box)
             ),
         }
-        if delivery.traceparent:
-            headers["traceparent"] = delivery.traceparent
         content = delivery.payload.encode()
         async with self.outbound.send(target, "POST", headers=headers, content=content) as response:
             size = 0

@@ -21,7 +21,6 @@ from jobs.records import Claim
 from jobs.settings import read_settings
 from jobs.states import GPU
 from jobs.storage.artifacts import is_full
-from jobs.tracing import traced
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
@@ -101,8 +100,7 @@ def run_job(job_id: str, attempt: int) -> None:
     if claimed is None:
         logger.info("attempt %s of job %s is not to be run", attempt, job_id)
         return
-    endpoint = resources.settings.otlp_endpoint
-    with log_ids(job_id=job_id, attempt=attempt, request_id=claimed.job.request_id), traced(claimed, endpoint):
+    with log_ids(job_id=job_id, attempt=attempt, request_id=claimed.job.request_id):
         with metered(resources, claimed), Watch(resources, claimed, stopping=stopping.is_set) as watch:
             run_stages(resources, watch)
         state = succeed(resources.store, claimed)

@@ -90,7 +90,6 @@ def announce(connection: sa.Connection, job_id: str, event: str, *, now: float) 
                 "state": "pending",
                 "log": [],
                 "next_at": now,
-                "traceparent": job.traceparent,
                 "created_at": now,
             }
             connection.execute(t.deliveries.insert().values(**row_values))

@@ -94,7 +94,10 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
     with store.writing() as connection:
         connection.execute(t.tallies.delete())
         for table in t.metadata.sorted_tables:
-            rows = [row for name, row in saved if name == table.name and _is_restored(name, row)]
+            mine = [row for name, row in saved if name == table.name and _is_restored(name, row)]
+            rows = [
+                {name: value for name, value in row.items() if name in table.c} for row in mine
+            ]  # not what has gone
             if rows:
                 connection.execute(table.insert(), rows)
         connection.execute(t.outbox.update().values(sent_at=None))  # the queue of that day is gone

@@ -14,7 +14,6 @@ from jobs.settings import Settings
 from jobs.store import new_id
 from service.http.caller import ANYONE, CALLER
 from service.http.problems import ADDED_HEADERS, REQUEST_ID, ProblemError, request_id_of
-from service.http.request_headers import TRACE_CONTEXT
 
 logger = logging.getLogger(__name__)
 audit = logging.getLogger("dynamictree.audit")
@@ -41,6 +40,7 @@ API_VERSION = "1.3"
 
 TUS_VERSION = "1.0.0"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
+_TRACE_CONTEXT = re.compile(r"[0-9a-f]{2}-[0-9a-f]{32}-[0-9a-f]{16}-[0-9a-f]{2}")
 
 
 class RequestFrame:
@@ -55,7 +55,7 @@ class RequestFrame:
             await self.app(scope, receive, send)
             return
         sent = Headers(scope=scope)
-        given, traced = sent.get("x-request-id", ""), TRACE_CONTEXT.fullmatch(sent.get("traceparent", ""))
+        given, traced = sent.get("x-request-id", ""), _TRACE_CONTEXT.fullmatch(sent.get("traceparent", ""))
         request_id = given if _REQUEST_ID.fullmatch(given) else new_id()
         scope[REQUEST_ID] = request_id
         began = time.perf_counter()

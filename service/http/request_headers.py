@@ -1,8 +1,8 @@
-"""Headers of requests: conditions, ranges, accepted types, `Prefer: wait`, and the trace that a job carries on."""
+"""Headers of requests: conditions, ranges, accepted types, `Prefer: wait`, and the request's id."""
 
 import re
 from collections.abc import Sequence
-from typing import Annotated, TypedDict
+from typing import Annotated
 
 from fastapi import Depends, Header, Request
 from werkzeug.datastructures import MIMEAccept
@@ -62,23 +62,9 @@ WaitS = Annotated[float, Depends(_preferred)]
 """How long the client would wait [s]."""
 
 
-TRACEPARENT = "dynamictree.traceparent"
-"""Where tracing may leave the context of its own span in a request's scope."""
-
-TRACE_CONTEXT = re.compile(r"[0-9a-f]{2}-[0-9a-f]{32}-[0-9a-f]{16}-[0-9a-f]{2}")
+async def _request_id(request: Request) -> str | None:
+    return request_id_of(request.scope)
 
 
-class RequestOrigin(TypedDict):
-    """Request id and trace context of a request, as the record of a job has them."""
-
-    request_id: str | None
-    traceparent: str | None
-
-
-async def _origin_of(request: Request) -> RequestOrigin:
-    given = request.scope.get(TRACEPARENT) or request.headers.get("traceparent", "")
-    match = TRACE_CONTEXT.fullmatch(given)
-    return {"request_id": request_id_of(request.scope), "traceparent": match.group() if match else None}
-
-
-Origin = Annotated[RequestOrigin, Depends(_origin_of)]
+RequestId = Annotated[str | None, Depends(_request_id)]
+"""Id of the request, which the record of its job has."""

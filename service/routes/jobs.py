@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from jobs.errors import GoneError
 from jobs.states import JobState, JobType
 from service.http.problems import ProblemError
-from service.http.request_headers import Origin, WaitS, matches
+from service.http.request_headers import RequestId, WaitS, matches
 from service.http.routing import CACHED, Cursor, Id, file_route, headers, refusals
 from service.job_creation import accept, accept_again, format_bytes, require_possible
 from service.job_responses import look, payloads, tell
@@ -50,14 +50,14 @@ def create_job(
     body: JobRequest,
     response: Response,
     owned: OwnedDep,
-    origin: Origin,
+    request_id: RequestId,
     idempotency_key: Annotated[
         str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
     ] = None,
 ) -> JobPayload:
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
     key = None if idempotency_key is None else f"post:{idempotency_key}"
-    return accept(owned, body, origin, response, key=key)
+    return accept(owned, body, request_id, response, key=key)
 
 
 @router.post("/estimate", responses=refusals(*_REFUSALS))
@@ -69,9 +69,9 @@ def estimate_job(body: JobRequest, owned: OwnedDep) -> EstimatePayload:
 
 
 @router.post("/{id}/retry", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})
-def retry_job(id: Id, response: Response, owned: OwnedDep, origin: Origin) -> JobPayload:
+def retry_job(id: Id, response: Response, owned: OwnedDep, request_id: RequestId) -> JobPayload:
     """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
-    return accept_again(owned, owned.store.job(id), origin, response)
+    return accept_again(owned, owned.store.job(id), request_id, response)
 
 
 class JobFilter(BaseModel):

@@ -154,7 +154,7 @@ def test_the_image_has_what_runs_in_it_and_nothing_else() -> None:
     assert not {"mypy", "pytest", "playwright", "swift", "ruff", "torch", "transformers"} & dict(locked).keys()
     assert (ROOT / "docker" / "requirements-torch.lock").read_text().strip() == f"torch=={dict(versions)['torch']}"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = ("photos", "postgres", "telemetry", "usd", "video")
+    extras = ("photos", "postgres", "usd", "video")
     needed = project["dependencies"] + [name for extra in extras for name in project["optional-dependencies"][extra]]
     names = {re.split(r"[\[<>=]", line)[0].lower() for line in needed}
     assert names - {"torch"} <= dict(locked).keys(), "run `make lock`"
