@@ -119,11 +119,6 @@ export class Client {
     return (await this.json("GET", `/v1/jobs/${jobId}/artifacts`)).artifacts;
   }
 
-  /** A small picture of the job's tree (WebP), once there is one. */
-  still(jobId, options) {
-    return this.bytes(`/v1/jobs/${jobId}/still`, options);
-  }
-
   /** Async iterator over the job's changes until it has ended; see client/watch.js. */
   watch(id, options) {
     return watchJob(this, id, options);

@@ -1,20 +1,16 @@
-"""/v1/jobs: create, read, list, cancel and retry jobs; list their artifacts, and show a still."""
+"""/v1/jobs: create, read, list, cancel and retry jobs; list their artifacts."""
 
-import io
 import time
 from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
-from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.concurrency import run_in_threadpool
 
-from jobs.errors import GoneError
 from jobs.states import JobState, JobType
-from service.http.problems import ProblemError
 from service.http.request_headers import RequestId, WaitS, matches
-from service.http.routing import CACHED, Cursor, Id, file_route, headers, refusals
+from service.http.routing import Cursor, Id, headers, refusals
 from service.job_creation import accept, accept_again, format_bytes, require_possible
 from service.job_responses import look, payloads, tell
 from service.schemas.jobs import (
@@ -30,12 +26,6 @@ from service.services import OwnedDep
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 MAX_PAGE = 100
-PREVIEW = "preview.png"
-SIZE_PX = (160, 232)
-"""Of the frames side by side at the preview's foot."""
-
-WEBP = "image/webp"
-QUALITY = 80
 
 _QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
 _REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
@@ -166,19 +156,3 @@ def delete_job(id: Id, owned: OwnedDep) -> None:
 def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
     return manifest_payload(owned.store.job(id), owned.store.artifacts_of(id))
-
-
-@router.get("/{id}/still", **file_route(WEBP, "160 × 232 pixels, some 10 kB", "not-found", "expired"))
-def get_still(id: Id, owned: OwnedDep) -> Response:
-    """The first frame of a job's preview, once it is written."""
-    written = {artifact.name: artifact for artifact in owned.store.artifacts_of(owned.store.job(id).id)}
-    preview = written.get(PREVIEW)
-    if preview is None:
-        raise ProblemError("not-found", f"the job {id} has no {PREVIEW}; it writes one where formats has png")
-    if not owned.services.artifacts.exists(preview.sha256):
-        raise GoneError(f"the bytes of {PREVIEW} were removed; run the job again")
-    width, height = SIZE_PX
-    still = io.BytesIO()
-    with Image.open(io.BytesIO(b"".join(owned.services.artifacts.read(preview.sha256)))) as sheet:
-        sheet.crop((0, sheet.height - height, width, sheet.height)).save(still, "WEBP", quality=QUALITY)
-    return Response(still.getvalue(), 200, CACHED, WEBP)

@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import expect
 
 from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.render.contact_sheet import STRIP_PX
 from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, web_server
 from tests.plant import stand
 
@@ -124,6 +125,8 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
     page.route("**/v1/spectra/*/modes*", lambda route: waiting.append(route) or None)
     page.goto(f"{url}/#job={job_id}")
     expect(page.locator("#poster")).to_be_visible()
+    size = page.evaluate("(({ naturalWidth, naturalHeight }) => [naturalWidth, naturalHeight])(poster)")
+    assert tuple(size) == STRIP_PX
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
     while not waiting:
         page.wait_for_timeout(100)

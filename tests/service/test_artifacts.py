@@ -1,12 +1,8 @@
-import io
 from hashlib import sha256
 
-import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from PIL import Image
 
-from dynamictree.render.contact_sheet import STRIP_PX
 from jobs.records import AssetRecord
 from service.http.request_headers import matches, parse_range
 from service.services import Services
@@ -96,19 +92,3 @@ def test_ranges_parse() -> None:
     assert matches("*", '"a"')
     assert matches('W/"a"', '"a"')
     assert not matches(None, '"a"')
-
-
-def test_a_job_has_a_small_still_of_its_preview(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    job = create(client, asset)
-    url = f"/v1/jobs/{job['id']}/still"
-    assert (client.get(url).status_code, client.get(url).json()["code"]) == (404, "not-found")
-    sheet = np.zeros((400, 1280, 3), np.uint8)
-    sheet[-232:, :160] = (40, 120, 60)  # the first frame of the row at the sheet's foot
-    png = io.BytesIO()
-    Image.fromarray(sheet).save(png, "PNG")
-    publish(services, hold(services, str(job["id"])), "voxelize", "preview.png", png.getvalue())
-    still = client.get(url)
-    assert (still.status_code, still.headers["content-type"]) == (200, "image/webp")
-    with Image.open(io.BytesIO(still.content)) as picture:
-        assert picture.size == STRIP_PX == (160, 232)
-        assert np.abs(np.asarray(picture.convert("RGB"), int) - (40, 120, 60)).max() < 8

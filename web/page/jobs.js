@@ -4,6 +4,7 @@ import { hasEnded, hasStill } from "../client.js";
 import { isBehind } from "./all_winds.js";
 import { $, button, element, fill, keyedChildren } from "./dom.js";
 import { nameOf, nameTag } from "./names.js";
+import { readStill } from "./still.js";
 import { date, duration, number, percent, speed, text } from "./texts.js";
 
 const REFRESH_MS = 2000;
@@ -125,8 +126,8 @@ export class JobList {
   async _showPicture(id, picture) {
     if (picture.dataset.of) return;
     picture.dataset.of = id;
-    const still = await this.client.still(id).catch(() => null);
-    if (still) picture.src = URL.createObjectURL(new Blob([still]));
+    const still = await readStill(this.client, id).catch(() => null);
+    if (still) picture.src = URL.createObjectURL(still);
   }
 
   /** The first press asks, the second deletes. */

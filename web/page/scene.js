@@ -6,6 +6,7 @@ import { readSurface } from "../draw/surface.js";
 import { Tree } from "../draw/tree.js";
 import { Modes } from "../motion/modes.js";
 import { $, element } from "./dom.js";
+import { readStill } from "./still.js";
 
 const MOST_PHOTOS = 24;
 const TALLEST_M = 120; // of trees
@@ -55,7 +56,7 @@ export class Scene {
   /** The still of a job that has ended, until its tree is drawn. */
   async poster(job, signal) {
     if (!hasStill(job)) return;
-    const still = new Blob([await this.client.still(job.id, { signal })]);
+    const still = await readStill(this.client, job.id, { signal });
     if (this.tree || signal.aborted) return;
     this.still = $("poster").src = URL.createObjectURL(still);
     $("poster").hidden = false;
