@@ -41,7 +41,7 @@ def accept(
         earlier = owned.store.job_of_key(named)  # first: its asset may have gone, and the queue be full
         if earlier is not None:
             return _answer(owned, earlier, response)
-    asset, stages = require_possible(owned, body)
+    asset, stages = _require_possible(owned, body)
     job = _record(
         owned,
         request_id=request_id,
@@ -92,7 +92,7 @@ def _require_frames(wanted: int, asset: AssetRecord) -> None:
         raise wrong_field("/params/video_frames", "not-allowed", detail)
 
 
-def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
+def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
     """Return the asset and stages of a request, or refuse it."""
     _require_turn(owned)
     require_room(owned)
@@ -116,7 +116,7 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     _require_frames(body.params.video_frames or PHOTOS_OF_VIDEO, asset)
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
-    size = sum(format_bytes(body, asset).values())
+    size = sum(_format_bytes(body, asset).values())
     require_place(owned, size)
     return asset, stages
 
@@ -191,7 +191,7 @@ def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
     return tuple(dict.fromkeys((*named, "png")))
 
 
-def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
+def _format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     """Products whose size is known beforehand.
 
     Raises:

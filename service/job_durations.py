@@ -39,11 +39,6 @@ class JobDurations:
         """These durations, which look no second time for what has no history."""
         return JobDurations(self.store, self._recent, set())
 
-    def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
-        """What stages take together [s]; None where one never ran here."""
-        recent = [self._remembered("seconds", stage, partial(stage_seconds, self.store, stage)) for stage in stages]
-        return sum(median(values) for values in recent) if all(recent) else None
-
     def forecast(self, job: JobRecord, position: int | None) -> Forecast:
         """Where a job stands; its end by the pace of the stage that runs and by this service's history.
 

@@ -12,12 +12,6 @@ _ANIMATE = {
     "seed": 7,
     "params": {"wind": {"speed_m_s": 6.0, "direction_deg": 90.0, "gust": 0.3}, "formats": ["glb", "png"]},
 }
-_JOB_REQUESTS = {
-    "animate": {"summary": "A tree that sways, as GLB and a picture", "value": _ANIMATE},
-    "diffuse": {"summary": "The spectrum alone", "value": {"type": "diffuse", "asset_id": _ASSET, "seed": 7}},
-    "voxelize": {"summary": "The voxels alone", "value": {"type": "voxelize", "asset_id": _ASSET}},
-    "reconstruct": {"summary": "A mesh of photos", "value": {"type": "reconstruct", "asset_id": _ASSET}},
-}
 _PUSH = {
     "spectrum_id": _SPECTRUM,
     "forces": [{"kind": "impulse", "at": {"voxel": 4711}, "impulse_n_s": [0.0, 5.0, 0.0], "duration_s": 0.1}],
@@ -36,8 +30,12 @@ _HOOK = {"url": "https://example.com/hook", "events": ["job.first-artifact", "jo
 _ENDPOINT = {"all": {"summary": "Told of every job", "value": _HOOK}}
 
 REQUESTS: dict[str, dict[str, Any]] = {
-    "createJob": _JOB_REQUESTS,
-    "estimateJob": _JOB_REQUESTS,
+    "createJob": {
+        "animate": {"summary": "A tree that sways, as GLB and a picture", "value": _ANIMATE},
+        "diffuse": {"summary": "The spectrum alone", "value": {"type": "diffuse", "asset_id": _ASSET, "seed": 7}},
+        "voxelize": {"summary": "The voxels alone", "value": {"type": "voxelize", "asset_id": _ASSET}},
+        "reconstruct": {"summary": "A mesh of photos", "value": {"type": "reconstruct", "asset_id": _ASSET}},
+    },
     "createAsset": {
         "uploads": {"summary": "Of uploads that are whole", "value": {"upload_ids": [_FILE]}},
         "address": {"summary": "From an address", "value": {"url": "https://example.com/tree.glb", "sha256": _SHA}},

@@ -11,16 +11,9 @@ from starlette.concurrency import run_in_threadpool
 from jobs.states import JobState, JobType
 from service.http.request_headers import RequestId, WaitS, matches
 from service.http.routing import Cursor, Id, headers, refusals
-from service.job_creation import accept, accept_again, format_bytes, require_possible
+from service.job_creation import accept, accept_again
 from service.job_responses import look, payloads, tell
-from service.schemas.jobs import (
-    EstimatePayload,
-    JobListPayload,
-    JobPayload,
-    JobRequest,
-    ManifestPayload,
-    manifest_payload,
-)
+from service.schemas.jobs import JobListPayload, JobPayload, JobRequest, ManifestPayload, manifest_payload
 from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -48,14 +41,6 @@ def create_job(
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
     key = None if idempotency_key is None else f"post:{idempotency_key}"
     return accept(owned, body, request_id, response, key=key)
-
-
-@router.post("/estimate", responses=refusals(*_REFUSALS))
-def estimate_job(body: JobRequest, owned: OwnedDep) -> EstimatePayload:
-    """What a job would take, where it would be accepted; nothing is created."""
-    asset, stages = require_possible(owned, body)
-    seconds = owned.services.job_durations.stage_seconds(stages)
-    return EstimatePayload(est_seconds=seconds, format_bytes=format_bytes(body, asset))
 
 
 @router.post("/{id}/retry", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})

@@ -136,13 +136,6 @@ class JobListPayload(Payload):
     next_cursor: str | None
 
 
-class EstimatePayload(Payload):
-    """Estimated duration and size of a valid request."""
-
-    est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
-    format_bytes: dict[str, int] = Field(description="of the products whose size is known before they are made")
-
-
 class ArtifactPayload(Payload):
     """A file to download."""
 

@@ -28,8 +28,6 @@ const asset = answered(await client.POST("/v1/assets", { body: { file: [] }, bod
 
 const params: components["schemas"]["AnimateParams"] = { formats: ["glb"], num_steps: 1 };
 const body: components["schemas"]["AnimateRequest"] = { type: "animate", asset_id: asset.id, seed: 12, params };
-const estimate = answered(await client.POST("/v1/jobs/estimate", { body }));
-console.log("estimate", Object.keys(estimate.format_bytes).length);
 const headers = { "idempotency-key": "typescript" };
 let job: Job = answered(await client.POST("/v1/jobs", { body, params: { header: headers } }));
 const path = { id: job.id };

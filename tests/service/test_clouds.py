@@ -180,15 +180,6 @@ def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
     assert (response.status_code, response.json()["code"]) == (409, "conflict")
 
 
-def test_the_size_of_a_sequence_is_stated_before_it_is_made(client: TestClient, cloud_id: str) -> None:
-    params = {"formats": ["splat-ply", "usd-splat"], "num_frames": 10, "loop": False, "share": 0.5, "sh_degree": 0}
-    body = {"type": "animate", "asset_id": cloud_id, "params": params}
-    estimate = client.post("/v1/jobs/estimate", json=body).json()
-    header = len(ply_of(post_cloud(200)).split(b"end_header\n")[0]) + len(b"end_header\n")
-    assert estimate["format_bytes"]["splat-ply"] == pytest.approx(10 * (200 * 68 + header), rel=0.02)
-    assert estimate["format_bytes"]["usd-splat"] == 10 * 200 * (12 + 8)
-
-
 def test_what_does_not_fit_is_refused_when_asked(
     client: TestClient, cloud_id: str, services: Services, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -199,8 +190,6 @@ def test_what_does_not_fit_is_refused_when_asked(
         assert [error["pointer"] for error in refused.json()["errors"]] == [f"/params/{next(iter(params))}"]
     params = {"wind_mode": "turbulent", "num_frames": 14_400}
     endless = {"type": "animate", "asset_id": mesh_id, "params": params}
-    estimate = client.post("/v1/jobs/estimate", json=endless).json()
-    assert estimate["format_bytes"] == {"ply": 14_400 * (3 * 12 + 13)}
     refused = client.post("/v1/jobs", json=endless | {"params": params | {"formats": ["glb"]}})
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
     assert "holds one period" in refused.json()["detail"]

@@ -277,19 +277,6 @@ def test_a_failed_job_says_why_and_runs_again(client: TestClient, asset: AssetRe
     assert (new.json()["state"], new.json()["error"], new.json()["attempt"]) == ("queued", None, 1)
 
 
-def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    body = {"type": "voxelize", "asset_id": asset.id}
-    blank = client.post("/v1/jobs/estimate", json=body)
-    unknown = {"est_seconds": None, "format_bytes": {}}
-    assert (blank.status_code, blank.json()) == (200, unknown)
-    assert client.get("/v1/jobs").json()["data"] == []
-    assert client.post("/v1/jobs/estimate", json=body | {"seed": -1}).status_code == 422
-    lease = hold(services, str(create(client, asset)["id"]))
-    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
-    payload = client.post("/v1/jobs/estimate", json=body).json()
-    assert 0 < payload["est_seconds"] < 10
-
-
 def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord, services: Services) -> None:
     job = create(client, asset)
     lease = hold(services, str(job["id"]))

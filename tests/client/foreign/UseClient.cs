@@ -38,7 +38,6 @@ public static class UseClient
         var formats = new List<AnimateParams.FormatsEnum> { AnimateParams.FormatsEnum.Glb };
         var request = new Body(new AnimateRequest(
             assetId: asset.Id, seed: 11, type: AnimateRequest.TypeEnum.Animate, varParams: new AnimateParams(numSteps: 1, formats: formats)));
-        Console.WriteLine($"estimate {jobs.EstimateJob(request).FormatBytes.Count}");
         var job = jobs.CreateJob(request, "csharp");
         if (jobs.CreateJob(request, "csharp").Id != job.Id) throw new Exception("one key, two jobs");
         while (job.State is JobState.Queued or JobState.Running) job = jobs.GetJob(job.Id, prefer: "wait=20");
