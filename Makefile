@@ -88,7 +88,7 @@ check: $(READY)  ## format, lint, banned words, types, imports, openapi drift
 	@$(BIN)/python -m tests.style
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache
-	@$(BIN)/python -m service.openapi --check openapi/openapi.json
+	@$(BIN)/python -m service.openapi | cmp - openapi/openapi.json || { echo "run \`make openapi\`"; exit 1; }
 	@$(BIN)/python client/generate.py --check
 
 TRAIN_DATA ?= data/4dtree
@@ -152,7 +152,7 @@ format: $(READY)  ## rewrite the code as `check` wants it
 	@$(BIN)/ruff check --fix .
 
 openapi: $(READY)  ## write openapi/openapi.json, and of it the client's models and operations
-	@$(BIN)/python -m service.openapi --write openapi/openapi.json
+	@$(BIN)/python -m service.openapi > openapi/openapi.json
 	@$(BIN)/python client/generate.py --write
 
 browser: $(READY)  ## the viewer in a real Chromium, its client in node

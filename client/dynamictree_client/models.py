@@ -171,15 +171,6 @@ class EndpointRequest(Model):
     ]
 
 
-class Estimate(Model):
-    """Estimated duration and size of a valid request."""
-
-    # median of this service's own history [s]; null without one
-    est_seconds: float | None
-    # of the products whose size is known before they are made
-    format_bytes: dict[str, int]
-
-
 class FieldError(Model):
     """One field that is wrong."""
 

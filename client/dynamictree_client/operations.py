@@ -13,7 +13,6 @@ from dynamictree_client.models import (
     EndpointList,
     EndpointRequest,
     EndpointWithSecret,
-    Estimate,
     Interact,
     InteractRequest,
     Job,
@@ -166,11 +165,6 @@ def list_jobs(
     )
 
 
-def estimate_job(body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest) -> Call[Estimate]:
-    """What a job would take, where it would be accepted; nothing is created."""
-    return Call(method="POST", path="/v1/jobs/estimate", answer=Estimate, body=body)
-
-
 def retry_job(id: str) -> Call[Job]:
     """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
     return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job)
@@ -201,11 +195,6 @@ def cancel_job(id: str) -> Call[Job]:
 def list_artifacts(id: str) -> Call[Manifest]:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
     return Call(method="GET", path=path_of("/v1/jobs/{id}/artifacts", {"id": id}), answer=Manifest)
-
-
-def get_still(id: str) -> Call[bytes]:
-    """The first frame of a job's preview, once it is written."""
-    return Call(method="GET", path=path_of("/v1/jobs/{id}/still", {"id": id}), answer=bytes)
 
 
 def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:

@@ -23,12 +23,9 @@ def refusals_of(codes: Sequence[str]) -> dict[int | str, dict[str, Any]]:
     """Responses by status; each names the codes that it may hold."""
     by_status: dict[int | str, dict[str, Any]] = {}
     for code in codes:
-        title = KINDS[code].title
-        entry = by_status.setdefault(
-            KINDS[code].status, {"content": {MEDIA_TYPE: {"schema": _PROBLEM, "examples": {}}}}
-        )
+        entry = by_status.setdefault(KINDS[code].status, {"content": {MEDIA_TYPE: {"schema": _PROBLEM}}})
+        title = f"`{code}`: {KINDS[code].title}"
         entry["description"] = f"{entry['description']}; {title}" if "description" in entry else title
-        entry["content"][MEDIA_TYPE]["examples"][code] = {"$ref": f"#/components/examples/{code}"}
     return by_status
 
 

@@ -1,1 +1,1 @@
-"""The OpenAPI document: additions to FastAPI's, examples, and the writer of the committed file."""
+"""The OpenAPI document: additions to FastAPI's, examples, and how the committed file is printed."""

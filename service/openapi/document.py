@@ -6,9 +6,8 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service.http.problems import KINDS, MEDIA_TYPE, problem_body
 from service.http.routing import refusals_of
-from service.openapi.examples import REQUESTS, SCHEMAS
+from service.openapi.examples import REQUESTS
 
 DESCRIPTION = """\
 Send a tree (a mesh, photos, a Gaussian splat or a scan), ask for its motion, wait, download it; then push it.
@@ -58,8 +57,6 @@ def described(app: FastAPI) -> Page:
             for operation in item.values():
                 _complete(operation, DOORS if path.startswith("/v1") else ())
         components = page["components"]
-        for name, example in SCHEMAS.items():
-            components["schemas"][name]["examples"] = [example]
         for node in _nodes(page):
             if "prefixItems" in node:  # of equal kind in all our tuples; older tools only know items
                 node["items"] = node["prefixItems"][0]
@@ -67,7 +64,6 @@ def described(app: FastAPI) -> Page:
             name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()
         }
         components["securitySchemes"] = {"key": KEY}
-        components["examples"] = _problems_named_in(page)
         page["security"] = [{}, {"key": []}]  # keys are asked for where the operator wants them
         page["tags"] = TAGS
         app.openapi_schema = page
@@ -80,7 +76,6 @@ def _complete(operation: Page, doors: Sequence[str]) -> None:
         response = operation["responses"].setdefault(str(status), entry)
         if response is not entry:
             response["description"] = f"{response['description']}; {entry['description']}"
-            response["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
     for parameter in operation.get("parameters", ()):
         parameter["schema"] = _never_null(parameter["schema"])
     for status, response in operation["responses"].items():
@@ -98,18 +93,6 @@ def _never_null(schema: Page) -> Page:
     """Drop the null of a parameter that may be left out: no header and no query can hold one."""
     kinds = [kind for kind in schema.pop("anyOf", ()) if kind.get("type") != "null"]
     return schema | (kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {})
-
-
-def _problems_named_in(page: Page) -> Page:
-    """An example of every problem that a response names."""
-    prefix = "#/components/examples/"
-    named = {node["$ref"].removeprefix(prefix) for node in _nodes(page) if str(node.get("$ref")).startswith(prefix)}
-    detail = "What was found, and what is allowed."
-    return {
-        code: {"summary": kind.title, "value": problem_body(code, detail, request_id=None)}
-        for code, kind in KINDS.items()
-        if code in named
-    }
 
 
 def _nodes(node: object) -> Iterator[Page]:

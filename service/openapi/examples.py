@@ -1,10 +1,9 @@
-"""Examples in the OpenAPI document; tests validate them against its schemas."""
+"""Examples of requests in the OpenAPI document; tests validate them against its schemas."""
 
 from typing import Any
 
-_ASSET, _JOB, _FILE, _SPECTRUM = (f"01M0TREE{what:0>18}" for what in ("ASSET", "J0B", "F11E", "SPECTR0M"))
+_ASSET, _FILE, _SPECTRUM = (f"01M0TREE{what:0>18}" for what in ("ASSET", "F11E", "SPECTR0M"))
 _SHA = "9f2c1e" + "0" * 58
-_BEGAN, _ENDED, _GONE = "2026-11-21T08:00:00Z", "2026-11-21T08:00:09Z", "2026-11-28T08:00:09Z"
 
 _ANIMATE = {
     "type": "animate",
@@ -48,33 +47,3 @@ REQUESTS: dict[str, dict[str, Any]] = {
     "createWebhookEndpoint": _ENDPOINT,
 }
 """By operation."""
-
-_STAGE = {"progress": 1.0, "cached": False, "started_at": _BEGAN, "finished_at": _ENDED, "state": "succeeded"}
-_ARTIFACT = {
-    "id": _FILE,
-    "name": "tree-8-targets.glb",
-    "stage": "animate",
-    "media_type": "model/gltf-binary",
-    "bytes": 1065824,
-    "sha256": _SHA,
-    "url": f"/v1/artifacts/{_FILE}",
-    "facts": {"num_targets": 8, "relative_error": 0.075, "rms_error_m": 0.0086, "max_error_m": 0.091},
-    "created_at": _ENDED,
-    "expires_at": _GONE,
-}
-
-SCHEMAS: dict[str, Any] = {
-    "AssetPayload": {
-        "id": _ASSET,
-        "kind": "mesh",
-        "parts": [{"name": "tree.glb", "sha256": _SHA, "bytes": 376012}],
-        "summary": {"num_vertices": 8545, "num_faces": 9846, "height_m": 10.29},
-        "metadata": {"plot": "17"},
-        "created_at": _BEGAN,
-        "expires_at": _GONE,
-    },
-    "ArtifactPayload": _ARTIFACT,
-    "ManifestPayload": {"job_id": _JOB, "complete": True, "artifacts": [_ARTIFACT]},
-    "StagePayload": {"name": "voxelize", **_STAGE},
-}
-"""By schema."""
