@@ -217,8 +217,6 @@ class Endpoint:
     url: str
     events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
     secret: str = field(repr=False)  # as stored: encrypted where there is a key for it
-    old_secret: str | None = field(default=None, repr=False)
-    old_secret_until: float | None = None  # until when the old one signs too
     disabled_reason: str | None = None
     created_at: float
 
@@ -241,7 +239,7 @@ class Delivery:
     endpoint_id: str
     job_id: str
     event: Event
-    message_id: str  # the same for a replay, so that the receiver may know it
+    message_id: str  # the same for each attempt, so that the receiver may know it
     payload: str
     state: DeliveryState
     log: tuple[Try, ...]

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from standardwebhooks import Webhook
 
 from jobs.clients.outbound import Outbound
-from jobs.clients.webhooks import claim_due, record_try, signing_secrets
+from jobs.clients.webhooks import claim_due, record_try
 from jobs.database.secret_box import SecretBox
 from jobs.errors import OutboundError, SecretKeyError
 from jobs.records import Delivery, Endpoint, Try
@@ -88,15 +88,13 @@ class Courier:
 
     async def _post(self, delivery: Delivery, endpoint: Endpoint, signed_at: datetime) -> tuple[int, str]:
         target = await self.outbound.check(endpoint.url)
+        secret = self.box.decrypt(endpoint.secret, endpoint.id)
         headers = {
             "Content-Type": "application/json",
             "User-Agent": "dynamictree-webhooks",
             "webhook-id": delivery.message_id,
             "webhook-timestamp": str(round(signed_at.timestamp())),
-            "webhook-signature": " ".join(
-                Webhook(secret).sign(delivery.message_id, signed_at, delivery.payload)
-                for secret in signing_secrets(endpoint, self.store.clock(), self.box)
-            ),
+            "webhook-signature": Webhook(secret).sign(delivery.message_id, signed_at, delivery.payload),
         }
         content = delivery.payload.encode()
         async with self.outbound.send(target, "POST", headers=headers, content=content) as response:

@@ -102,7 +102,7 @@ class Delivery(Model):
     """A message for one address."""
 
     id: str
-    # the header webhook-id; a replay has the same
+    # the header webhook-id; each attempt has the same
     message_id: str
     event: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
     job_id: str

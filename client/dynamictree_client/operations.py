@@ -7,7 +7,6 @@ from dynamictree_client.call import Call, path_of
 from dynamictree_client.models import (
     AnimateRequest,
     Asset,
-    Delivery,
     DeliveryList,
     DiffuseRequest,
     EndpointList,
@@ -311,11 +310,6 @@ def delete_webhook_endpoint(id: str) -> Call[None]:
     return Call(method="DELETE", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=None)
 
 
-def rotate_webhook_secret(id: str) -> Call[EndpointWithSecret]:
-    """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
-    return Call(method="POST", path=path_of("/v1/webhook-endpoints/{id}/secret", {"id": id}), answer=EndpointWithSecret)
-
-
 def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | None = None) -> Call[DeliveryList]:
     """Deliveries to an endpoint, newest first, with every attempt."""
     return Call(
@@ -323,17 +317,6 @@ def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | 
         path=path_of("/v1/webhook-endpoints/{id}/deliveries", {"id": id}),
         answer=DeliveryList,
         query={"cursor": cursor, "limit": limit},
-    )
-
-
-def replay_webhook_delivery(delivery_id: str, id: str) -> Call[Delivery]:
-    """Send a message again as a new delivery; the receiver recognises it by its webhook-id."""
-    return Call(
-        method="POST",
-        path=path_of(
-            "/v1/webhook-endpoints/{id}/deliveries/{delivery_id}/replay", {"delivery_id": delivery_id, "id": id}
-        ),
-        answer=Delivery,
     )
 
 

@@ -15,20 +15,6 @@ from jobs.records import FIRST_ARTIFACT, Delivery, DeliveryState, Endpoint, Even
 from jobs.store import Store
 
 MAX_ENDPOINTS = 20
-ROTATION_OVERLAP_S = 86400.0
-"""So long an old secret signs beside the new one."""
-
-
-def signing_secrets(endpoint: Endpoint, now: float, box: SecretBox) -> tuple[str, ...]:
-    """The secrets that sign at a time, the newest first.
-
-    Raises:
-        SecretKeyError: the box has not the key that they were encrypted with.
-    """
-    stored = [endpoint.secret]
-    if endpoint.old_secret is not None and endpoint.old_secret_until is not None and endpoint.old_secret_until > now:
-        stored.append(endpoint.old_secret)
-    return tuple(box.decrypt(secret, endpoint.id) for secret in stored)
 
 
 def new_secret() -> str:
@@ -75,18 +61,6 @@ def endpoint(store: Store, endpoint_id: str) -> Endpoint:
         return _read_endpoint(connection, store, endpoint_id)
 
 
-def rotate_secret(store: Store, endpoint_id: str, box: SecretBox) -> tuple[Endpoint, str]:
-    """Give an endpoint a new secret, and return both; the old one signs too for `ROTATION_OVERLAP_S`."""
-    secret = new_secret()
-    with store.writing() as connection:
-        old = _read_endpoint(connection, store, endpoint_id)
-        values = {"secret": box.encrypt(secret, endpoint_id), "old_secret": old.secret}
-        until = store.clock() + ROTATION_OVERLAP_S
-        change = t.webhook_endpoints.update().where(t.webhook_endpoints.c.id == endpoint_id)
-        change = change.values(**values, old_secret_until=until).returning(*t.webhook_endpoints.c)
-        return t.record_of(Endpoint, connection.execute(change).one()), secret
-
-
 def delete_endpoint(store: Store, endpoint_id: str) -> None:
     """Delete an endpoint and its deliveries."""
     with store.writing() as connection:
@@ -116,20 +90,6 @@ def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int
             t.record_of(Delivery, row)
             for row in connection.execute(query.order_by(t.deliveries.c.id.desc()).limit(limit))
         ]
-
-
-def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
-    """Queue a new delivery of the same message."""
-    now = store.clock()
-    with store.writing() as connection:
-        _read_endpoint(connection, store, endpoint_id)
-        this = (t.deliveries.c.id == delivery_id) & (t.deliveries.c.endpoint_id == endpoint_id)
-        row = connection.execute(sa.select(t.deliveries).where(this)).one_or_none()
-        if row is None:
-            raise NotFoundError(f"there is no delivery {delivery_id} to endpoint {endpoint_id}")
-        anew = {"id": str(ULID()), "state": "pending", "log": [], "next_at": now, "created_at": now}
-        added = t.deliveries.insert().values(**dict(row._mapping) | anew).returning(*t.deliveries.c)
-        return t.record_of(Delivery, connection.execute(added).one())
 
 
 def claim_due(

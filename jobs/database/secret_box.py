@@ -48,6 +48,6 @@ class SecretBox:
             plain = AESGCM(self._key).decrypt(content[:NONCE_BYTES], content[NONCE_BYTES:], owner_id.encode())
         except InvalidTag:
             raise SecretKeyError(
-                "the secret was encrypted with another secret_key; set that one, or make a new secret"
+                "the secret was encrypted with another secret_key; set that one, or make a new endpoint"
             ) from None
         return plain.decode()

@@ -60,7 +60,7 @@ class DeliveryPayload(Payload):
     """A message for one address."""
 
     id: str
-    message_id: str = Field(description="the header webhook-id; a replay has the same")
+    message_id: str = Field(description="the header webhook-id; each attempt has the same")
     event: Event
     job_id: str
     state: DeliveryState
@@ -145,13 +145,6 @@ def delete_webhook_endpoint(id: Id, owned: OwnedDep) -> None:
     webhooks.delete_endpoint(owned.store, id)
 
 
-@router.post("/{id}/secret", responses=refusals("not-found"))
-def rotate_webhook_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
-    """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
-    new, secret = webhooks.rotate_secret(owned.store, id, owned.services.secret_box)
-    return EndpointWithSecretPayload.of(new, secret=secret)
-
-
 @router.get("/{id}/deliveries", responses=refusals("not-found"))
 def list_webhook_deliveries(
     id: Id,
@@ -166,10 +159,3 @@ def list_webhook_deliveries(
         data=[DeliveryPayload.of(delivery, tries=delivery.log) for delivery in page],
         next_cursor=page[-1].id if len(records) > limit else None,
     )
-
-
-@router.post("/{id}/deliveries/{delivery_id}/replay", status_code=202, responses=refusals("not-found"))
-def replay_webhook_delivery(id: Id, delivery_id: str, owned: OwnedDep) -> DeliveryPayload:
-    """Send a message again as a new delivery; the receiver recognises it by its webhook-id."""
-    delivery = webhooks.replay(owned.store, id, delivery_id)
-    return DeliveryPayload.of(delivery, tries=delivery.log)
