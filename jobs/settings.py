@@ -53,7 +53,6 @@ class Settings(BaseSettings):
     job_memory_bytes: int | None = Field(default=None, ge=512 * MIB)
     progress_interval_s: float = Field(default=0.5, ge=0)
     patience_s: float = Field(default=600.0, ge=0)
-    idle_limit_s: float = Field(default=120.0, gt=0)
     worker_alive_file: Path | None = None
     shutdown_grace_s: float = Field(default=20.0, ge=0)
 

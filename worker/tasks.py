@@ -11,7 +11,6 @@ from dataclasses import replace
 from celery import Task, signals
 from celery.exceptions import SoftTimeLimitExceeded
 
-import worker.watchdog  # noqa: F401 (it listens to Celery's signals)
 from dynamictree.errors import Cancelled, DynamicTreeError
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
 from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, hand_back, report_alive, succeed
