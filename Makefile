@@ -51,8 +51,8 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)
 	@$(BIN)/python -m recipes.demo $(if $(INPUT),--input "$(INPUT)") --output "$(OUTPUT)"
 
-serve: $(READY)  ## the service, and its page in your browser (PORT=8001 where 8000 is taken)
-	@$(BIN)/dynamictree serve --open --port $(PORT)
+serve: $(READY)  ## the service, which prints the address of its page (PORT=8001 where 8000 is taken)
+	@$(BIN)/dynamictree serve --port $(PORT)
 
 test: $(READY)  ## the test suite, without the slow marks
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)

@@ -268,8 +268,3 @@ class Store:
         if artifact.expires_at <= self.clock():
             raise GoneError(f"artefact {artifact_id} has expired; run the job again")
         return artifact
-
-    def check(self) -> None:
-        """Touch the database; what is wrong with it passes through."""
-        with self.reading() as connection:
-            connection.execute(sa.select(1))

@@ -69,7 +69,6 @@ def open_services(settings: Settings) -> Iterator[Services]:
     store = Store.open(settings.resolved_database_url)
     settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:
-        store.check()
         yield Services(
             settings=settings,
             store=store,

@@ -1,6 +1,5 @@
 """`dynamictree keys`: create, list and revoke API keys, in the store that the settings name."""
 
-import json
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -11,13 +10,11 @@ import typer
 
 from jobs.clients.keys import create_key, revoke_key
 from jobs.clients.keys import keys as all_keys
-from jobs.records import LIMITS, SCOPES, KeyRecord, Limit, Scope
+from jobs.records import LIMITS, SCOPES, Limit, Scope
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
 
 app = typer.Typer(no_args_is_help=True, help="Make API keys, list them, revoke them.")
-
-_AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
 @app.command()
@@ -34,7 +31,6 @@ def create(
         float | None, typer.Option(help="days until it opens nothing; never if unset", min=0)
     ] = None,
     state_dir: StateDir = None,
-    as_json: _AsJson = False,
 ) -> None:
     """Create a key. It is printed once and not stored."""
     scopes = _scopes(scope or list(SCOPES))
@@ -42,21 +38,15 @@ def create(
     with _store(state_dir) as store:
         expires_s = None if expires_days is None else expires_days * 86400
         record, key = create_key(store, name=name, owner=owner, scopes=scopes, limits=limits, expires_s=expires_s)
-    if as_json:
-        typer.echo(json.dumps({"id": record.id, "owner": record.owner, "key": key}))
-        return
     typer.echo(key)
     typer.echo(f"key {record.id} of owner {record.owner}; keep it, it is not shown again", err=True)
 
 
 @app.command("list")
-def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
+def list_keys(state_dir: StateDir = None) -> None:
     """List the keys' ids, owners, scopes, expiry and last use (to the hour); the keys themselves are not stored."""
     with _store(state_dir) as store:
         records = all_keys(store)
-    if as_json:
-        typer.echo(json.dumps([_key_facts(key) for key in records]))
-        return
     for key in records:
         state = "valid" if key.valid(time.time()) else "revoked" if key.revoked_at is not None else "expired"
         used = "never used" if key.last_used_at is None else f"used {_time(key.last_used_at)}"
@@ -69,11 +59,6 @@ def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")
     """Let a key open nothing any more, within two seconds."""
     with _store(state_dir) as store:
         revoke_key(store, key_id)
-
-
-def _key_facts(key: KeyRecord) -> dict[str, object]:
-    fields = ("id", "owner", "name", "scopes", "limits", "expires_at", "last_used_at")
-    return {name: getattr(key, name) for name in fields} | {"valid": key.valid(time.time())}
 
 
 def _time(seconds: float) -> str:

@@ -14,10 +14,8 @@ import signal
 import socket
 import sys
 import threading
-import time
 import urllib.error
 import urllib.request
-import webbrowser
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, TextIO
@@ -59,8 +57,6 @@ def serve(
     threads: Annotated[
         int | None, typer.Option(help="threads of the worker; all cores if unset", min=1, max=256)
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print the address as one JSON object")] = False,
-    open_page: Annotated[bool, typer.Option("--open", help="open the page in a browser once it is ready")] = False,
 ) -> None:
     """Run the whole service on this machine until it is stopped; its address is also that of a page to use it from."""
     with ExitStack() as stack:
@@ -76,7 +72,7 @@ def serve(
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stopped.set())
         host_part = f"[{host}]" if ":" in host else host
-        announcer = Announcer(f"http://{host_part}:{listening.getsockname()[1]}", as_json=as_json, open_page=open_page)
+        announcer = Announcer(f"http://{host_part}:{listening.getsockname()[1]}")
         Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
 
 
@@ -203,24 +199,17 @@ def locked(path: Path) -> TextIO:
 class Announcer:
     """Prints the address once jobs are taken and run."""
 
-    def __init__(self, url: str, *, as_json: bool, open_page: bool = False) -> None:
+    def __init__(self, url: str) -> None:
         self._url = url
-        self._as_json = as_json
-        self._open_page = open_page
-        self._started_at = time.monotonic()
         self._announced = False
 
     def poll(self) -> None:
         """Announce the address once the service is ready; cheap afterwards."""
-        seconds = time.monotonic() - self._started_at
         if self._announced or not _ready(self._url):
             return
         self._announced = True
-        line = json.dumps({"status": "ready", "url": self._url, "seconds": round(seconds, 2), "pid": os.getpid()})
-        typer.echo(line if self._as_json else f"ready {self._url}\nA page to use it from: {_local(self._url)}/")
+        typer.echo(f"ready {self._url}\nA page to use it from: {_local(self._url)}/")
         sys.stdout.flush()
-        if self._open_page:
-            webbrowser.open(_local(self._url) + "/")
 
 
 def _local(url: str) -> str:

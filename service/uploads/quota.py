@@ -16,18 +16,13 @@ OWNERS_SHARE, ALL_SHARE = 4, 2
 """Uploads that were only announced reserve at most a quarter of the free room for one owner, half of it for all."""
 
 
-def require_bytes(owned: Owned, wanted: int) -> None:
-    """Refuse bytes beyond the owner's quota."""
+def require_place(owned: Owned, wanted: int) -> None:
+    """Refuse bytes for which there is no room on the disk or in the owner's quota."""
+    require_room(owned, wanted)
     allowed = owned.caller.limits.get("bytes")
     if allowed is not None:
         with owned.store.reading() as connection:
             require_bytes_in(connection, owned.store, wanted, allowed)
-
-
-def require_place(owned: Owned, wanted: int) -> None:
-    """Refuse bytes for which there is no room on the disk or in the owner's quota."""
-    require_room(owned, wanted)
-    require_bytes(owned, wanted)
 
 
 def announce(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:

@@ -1,6 +1,5 @@
 """The whole service as a user starts it, with short leases."""
 
-import json
 import os
 import signal
 import subprocess
@@ -36,7 +35,6 @@ class Service:
     process: subprocess.Popen[str]
     client: httpx.Client
     settings: Settings
-    seconds_to_ready: float
 
     def store(self) -> Store:
         return Store.open(self.settings.resolved_database_url)
@@ -71,7 +69,7 @@ class Service:
 
 
 def start(state_dir: Path, **environment: str) -> Service:
-    command = [sys.executable, "-m", "dynamictree.cli", "serve", "--port", "0", "--json", "--state-dir", str(state_dir)]
+    command = [sys.executable, "-m", "dynamictree.cli", "serve", "--port", "0", "--state-dir", str(state_dir)]
     log = (state_dir.parent / "serve.log").open("ab")
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ | SHORT | environment
@@ -80,10 +78,9 @@ def start(state_dir: Path, **environment: str) -> Service:
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line, (state_dir.parent / "serve.log").read_text()[-4000:]
-    ready = json.loads(line)
     settings = Settings(state_dir=state_dir)
-    client = httpx.Client(base_url=ready["url"], timeout=30)
-    return Service(process, client, settings, ready["seconds"])
+    client = httpx.Client(base_url=line.removeprefix("ready ").strip(), timeout=30)
+    return Service(process, client, settings)
 
 
 def stop(service: Service, wait_s: float = 60) -> int:

@@ -9,7 +9,6 @@ import json
 import re
 import shutil
 import subprocess
-import webbrowser
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from html.parser import HTMLParser
@@ -306,22 +305,14 @@ def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum:
     np.testing.assert_array_equal(tensors["lean_m"], spectrum.coefficients[:, 0].real)
 
 
-def test_serve_tells_of_the_page_and_opens_it_when_asked(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
+def test_serve_tells_of_the_page_once(capsys: pytest.CaptureFixture[str]) -> None:
     ready = b'{"workers": "ok", "housekeeper": "ok"}'
     with answering(lambda _, handler: handler.reply(200, ready)) as line:
         url = line.url.replace("127.0.0.1", "0.0.0.0")
-        Announcer(url, as_json=False).poll()
-        assert opened == []
-        announcer = Announcer(url, as_json=False, open_page=True)
+        announcer = Announcer(url)
         announcer.poll()
         announcer.poll()
-    page = f"{line.url}/"
-    assert opened == [page]
-    assert capsys.readouterr().out.splitlines()[:2] == [f"ready {url}", f"A page to use it from: {page}"]
+    assert capsys.readouterr().out.splitlines() == [f"ready {url}", f"A page to use it from: {line.url}/"]
 
 
 def test_only_sites_of_the_list_may_frame_the_embedded_tree(settings: Settings) -> None:
