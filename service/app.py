@@ -103,7 +103,7 @@ def serving_app() -> FastAPI:
     app = create_app()
     set_up_logging(app.state.settings)
     if unknown := unknown_variables():
-        logger.warning("%s are no settings; see docs/settings.md", ", ".join(unknown))
+        logger.warning("%s: no such setting; see docs/settings.md", ", ".join(unknown))
     warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up)
     warm_up.daemon = True
     warm_up.start()

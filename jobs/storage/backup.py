@@ -95,9 +95,7 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
         connection.execute(t.tallies.delete())
         for table in t.metadata.sorted_tables:
             mine = [row for name, row in saved if name == table.name and _is_restored(name, row)]
-            rows = [
-                {name: value for name, value in row.items() if name in table.c} for row in mine
-            ]  # not what has gone
+            rows = [{name: row[name] for name in row.keys() & table.c.keys()} for row in mine]  # less columns that went
             if rows:
                 connection.execute(table.insert(), rows)
         connection.execute(t.outbox.update().values(sent_at=None))  # the queue of that day is gone

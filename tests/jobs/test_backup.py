@@ -1,5 +1,7 @@
 """A backup restores into an empty store with the same rows and bytes, whichever database either has."""
 
+import gzip
+import json
 import threading
 from dataclasses import replace
 from hashlib import sha256
@@ -108,6 +110,19 @@ def test_a_restored_state_has_the_same_rows_and_bytes(
                 for table in reversed(t.metadata.sorted_tables):
                     connection.execute(table.delete())
         other.close()
+
+
+def test_a_column_that_went_is_not_restored(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    fill(store, artifacts, tmp_path / "sent", "ann")
+    back_up(store, artifacts, tmp_path / "backup")
+    path = tmp_path / "backup" / "database.jsonl.gz"
+    header, *lines = gzip.decompress(path.read_bytes()).decode().splitlines()
+    rows = [[name, row | {"gone": 1}] for name, row in map(json.loads, lines)]
+    path.write_bytes(gzip.compress("\n".join([header, *map(json.dumps, rows)]).encode()))
+    other = Store.open(f"sqlite:///{tmp_path / 'other.sqlite'}", clock=store.clock)
+    restore(other, FolderArtifacts(tmp_path / "elsewhere"), tmp_path / "backup")
+    assert [job.id for job in other.jobs()] == [job.id for job in store.jobs()] != []
+    other.close()
 
 
 def test_a_backup_is_of_one_moment_while_others_write(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 import json
 import logging
+from pathlib import Path
 
 import pytest
 
 from jobs.logging_setup import JsonLines, log_ids, set_up_logging
 from jobs.settings import Settings
+from service.app import serving_app
 
 
 def test_a_line_is_an_object_that_names_its_ids() -> None:
@@ -52,3 +54,14 @@ def test_the_setting_chooses_the_form(capsys: pytest.CaptureFixture[str], settin
     first, second = capsys.readouterr().err.splitlines()
     assert json.loads(first)["message"] == "one"
     assert second.endswith("WARNING y two")
+
+
+def test_variables_that_are_no_setting_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("service.app.set_up_logging", lambda _: None)
+    monkeypatch.setattr("service.app.WARM_UP_AFTER_S", 3600)
+    monkeypatch.setenv("DYNAMICTREE_STATE_DIR", str(tmp_path))
+    monkeypatch.setenv("DYNAMICTREE_LEESE_S", "1")
+    serving_app()
+    assert "DYNAMICTREE_LEESE_S: no such setting" in caplog.text
