@@ -1,12 +1,11 @@
 """Bytes that are sent with gzip to whoever takes it."""
 
-import gzip
 from collections.abc import Mapping
 
 import numpy as np
 from safetensors.numpy import save
-from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
@@ -23,16 +22,11 @@ def takes_gzip(headers: Headers) -> bool:
 
 
 class PackedResponse(Response):
-    """What is computed anew for each request; it is packed in a thread, beside the event loop."""
+    """What is computed anew for each request; a large one is packed in a thread, beside the event loop."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
-        self.headers["Vary"] = "Accept-Encoding"
-        if takes_gzip(Headers(scope=scope)):
-            self.body = await run_in_threadpool(gzip.compress, self.body, LEVEL, mtime=0)
-            self.headers["Content-Encoding"] = "gzip"
-            self.headers["Content-Length"] = str(len(self.body))
-        await super().__call__(scope, receive, send)
+        await GZipMiddleware(super().__call__, compresslevel=LEVEL)(scope, receive, send)
 
 
 def packed_tensors(tensors: Mapping[str, np.ndarray], metadata: dict[str, str]) -> PackedResponse:
