@@ -1,6 +1,5 @@
 """Write the secrets that docker-compose.yml names into docker/secrets, once: `python docker/make_secrets.py`."""
 
-import base64
 import json
 import secrets
 import sys
@@ -16,7 +15,6 @@ def main(folder: Path = FOLDER) -> None:
     _ensure(folder / "dynamictree_database_url", f"postgresql://tree:{password}@postgres:5432/tree")
     access_key = _ensure(folder / "dynamictree_s3_access_key_id", secrets.token_hex(10))
     secret_key = _ensure(folder / "dynamictree_s3_secret_access_key", secrets.token_urlsafe(30))
-    _ensure(folder / "dynamictree_secret_key", base64.b64encode(secrets.token_bytes(32)).decode())
     identity = {
         "name": "dynamictree",
         "credentials": [{"accessKey": access_key, "secretKey": secret_key}],

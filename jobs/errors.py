@@ -64,10 +64,6 @@ class BackupError(JobsError):
     """A backup is damaged, or of a newer version."""
 
 
-class SecretKeyError(JobsError):
-    """A stored secret cannot be decrypted: the setting `secret_key` is missing or another one."""
-
-
 class SchemaError(JobsError):
     """The database has tables of an earlier revision."""
 

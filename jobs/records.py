@@ -216,7 +216,7 @@ class Endpoint:
     owner: str
     url: str
     events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
-    secret: str = field(repr=False)  # as stored: encrypted where there is a key for it
+    secret: str = field(repr=False)
     disabled_reason: str | None = None
     created_at: float
 

@@ -1,14 +1,12 @@
 """Settings of a process, read once from the environment (`DYNAMICTREE_…`). See docs/settings.md."""
 
 import os
-from base64 import b64decode
 from hashlib import sha256
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from jobs.errors import SettingsError
@@ -21,7 +19,6 @@ DAY_S = 86400.0
 RETRY_S = (0.0, 5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
 """Seconds from one attempt to tell a webhook to the next: the schedule that Standard Webhooks proposes."""
 
-SECRET_KEY_BYTES = 32
 SOCKET_PATH_LIMIT = 100
 """Linux allows 107 bytes for a unix socket's path."""
 
@@ -37,7 +34,6 @@ class Settings(BaseSettings):
     artifacts_url: str | None = None
     s3_access_key_id: str | None = None
     s3_secret_access_key: SecretStr | None = None
-    secret_key: SecretStr | None = None
 
     queue: str = Field(default="auto", pattern=r"^[a-z][a-z0-9-]{0,25}$")
     lease_s: float = Field(default=60.0, gt=0)
@@ -118,18 +114,6 @@ class Settings(BaseSettings):
             raise ValueError("destinations go with an artifacts_url in object storage; it is a folder")
         return self
 
-    @field_validator("secret_key")
-    @classmethod
-    def _is_a_key(cls, key: SecretStr | None) -> SecretStr | None:
-        try:
-            if key is not None and len(b64decode(key.get_secret_value(), validate=True)) == SECRET_KEY_BYTES:
-                return key
-        except ValueError:
-            pass
-        if key is not None:
-            raise ValueError(f"base64 of {SECRET_KEY_BYTES} bytes is allowed; `openssl rand -base64 32` makes one")
-        return None
-
     def share_of(self, total: int) -> int:
         """Slots of `total` that one owner may hold at once: a quarter, at least one; all where there are no keys."""
         return max(1, total // 4) if self.keys == "required" else total
@@ -184,11 +168,6 @@ class Settings(BaseSettings):
         return {"access_key_id": self.s3_access_key_id, "secret_access_key": secret}
 
     @property
-    def secret_key_bytes(self) -> bytes | None:
-        """Key that encrypts secrets in the database; None without encryption."""
-        return None if self.secret_key is None else b64decode(self.secret_key.get_secret_value())
-
-    @property
     def scratch_dir(self) -> Path:
         """Half-received uploads and half-made results; `serve` deletes all but half-done reconstructions at start."""
         return self.state_dir.resolve() / "scratch"
@@ -205,16 +184,12 @@ def read_settings(**overrides: object) -> Settings:
         return Settings(_secrets_dir=secrets, **overrides)  # type: ignore[arg-type]
     except ValidationError as error:
         problems = "; ".join(
-            f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()} is {_quoted(e)}: {e['msg']}"
+            f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()} is {e['input']!r}: {e['msg']}"
             if e["loc"]
             else e["msg"].removeprefix("Value error, ")
             for e in error.errors()
         )
         raise SettingsError(f"{problems}; see docs/settings.md") from error
-
-
-def _quoted(error: ErrorDetails) -> str:
-    return "not a key" if error["loc"] == ("secret_key",) else repr(error["input"])
 
 
 def unknown_variables() -> list[str]:

@@ -11,7 +11,6 @@ from starlette.requests import HTTPConnection
 
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.clients.outbound import Outbound
-from jobs.database.secret_box import SecretBox
 from jobs.settings import Settings
 from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.storage.upload_parts import PartStore, open_parts
@@ -33,7 +32,6 @@ class Services:
     artifacts: ArtifactStore
     upload_parts: PartStore
     outbound: Outbound
-    secret_box: SecretBox
     job_durations: JobDurations
     job_notifier: JobNotifier
     spectra: LruCache[SparseVoxelSpectrum]  # by the hash of the spectrum's file
@@ -75,7 +73,6 @@ def open_services(settings: Settings) -> Iterator[Services]:
             artifacts=open_artifacts(artifacts_url, credentials=credentials),
             upload_parts=open_parts(artifacts_url, credentials=credentials),
             outbound=Outbound(private_hosts=settings.outbound_hosts),
-            secret_box=SecretBox(settings.secret_key_bytes),
             job_durations=JobDurations(store),
             job_notifier=JobNotifier(store),
             spectra=LruCache(settings.spectrum_cache_bytes, lambda spectrum: spectrum.num_bytes),

@@ -12,8 +12,7 @@ from standardwebhooks import Webhook
 
 from jobs.clients.outbound import Outbound
 from jobs.clients.webhooks import claim_due, record_try
-from jobs.database.secret_box import SecretBox
-from jobs.errors import OutboundError, SecretKeyError
+from jobs.errors import OutboundError
 from jobs.records import Delivery, Endpoint, Try
 from jobs.settings import Settings
 from jobs.store import Store
@@ -36,7 +35,6 @@ class Courier:
     def __init__(self, store: Store, settings: Settings, *, outbound: Outbound | None = None) -> None:
         self.store = store
         self.settings = settings
-        self.box = SecretBox(settings.secret_key_bytes)
         self.outbound = outbound or Outbound(private_hosts=settings.outbound_hosts)
         self.looked_at = time.monotonic()  # for whoever watches this thread
         self.running: dict[asyncio.Task[None], str] = {}  # attempts, with the owner of each
@@ -76,7 +74,7 @@ class Courier:
         try:
             async with asyncio.timeout(self.settings.webhook_timeout_s):
                 status, detail = await self._post(delivery, endpoint, datetime.fromtimestamp(round(at), UTC))
-        except (OutboundError, SecretKeyError) as error:
+        except OutboundError as error:
             status, detail = None, str(error)
         except TimeoutError:
             status, detail = None, f"no answer within {self.settings.webhook_timeout_s:g} s"
@@ -88,13 +86,12 @@ class Courier:
 
     async def _post(self, delivery: Delivery, endpoint: Endpoint, signed_at: datetime) -> tuple[int, str]:
         target = await self.outbound.check(endpoint.url)
-        secret = self.box.decrypt(endpoint.secret, endpoint.id)
         headers = {
             "Content-Type": "application/json",
             "User-Agent": "dynamictree-webhooks",
             "webhook-id": delivery.message_id,
             "webhook-timestamp": str(round(signed_at.timestamp())),
-            "webhook-signature": Webhook(secret).sign(delivery.message_id, signed_at, delivery.payload),
+            "webhook-signature": Webhook(endpoint.secret).sign(delivery.message_id, signed_at, delivery.payload),
         }
         content = delivery.payload.encode()
         async with self.outbound.send(target, "POST", headers=headers, content=content) as response:

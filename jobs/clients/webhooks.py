@@ -9,7 +9,6 @@ import sqlalchemy as sa
 from ulid import ULID
 
 from jobs.database import tables as t
-from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError
 from jobs.records import FIRST_ARTIFACT, Delivery, DeliveryState, Endpoint, Event, Try
 from jobs.store import Store
@@ -25,19 +24,18 @@ def new_secret() -> str:
 # -- endpoints
 
 
-def add_endpoint(store: Store, url: str, events: Sequence[Event], box: SecretBox) -> tuple[Endpoint, str]:
-    """Store a new endpoint; return it and its new secret.
+def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
+    """Store a new endpoint, with a new secret.
 
     Raises:
         ConflictError: there are too many.
     """
-    secret, endpoint_id = new_secret(), str(ULID())
     new = Endpoint(
-        id=endpoint_id,
+        id=str(ULID()),
         owner=store.owner or "",
         url=url,
         events=tuple(events),
-        secret=box.encrypt(secret, endpoint_id),
+        secret=new_secret(),
         created_at=store.clock(),
     )
     with store.writing() as connection:
@@ -45,7 +43,7 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event], box: SecretBox
         if connection.execute(mine).scalar_one() >= MAX_ENDPOINTS:
             raise ConflictError(f"there are {MAX_ENDPOINTS} webhook endpoints, which is the limit; delete one")
         connection.execute(t.webhook_endpoints.insert().values(**asdict(new)))
-    return new, secret
+    return new
 
 
 def endpoints(store: Store) -> list[Endpoint]:

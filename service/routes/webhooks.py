@@ -127,10 +127,9 @@ async def create_webhook_endpoint(
 ) -> EndpointWithSecretPayload:
     """Register an address that receives an event when a job ends. The signing secret is returned only here."""
     await owned.services.outbound.check(body.url)
-    box = owned.services.secret_box
-    new, secret = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events, box)
+    new = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events)
     response.headers["Location"] = f"/v1/webhook-endpoints/{new.id}"
-    return EndpointWithSecretPayload.of(new, secret=secret)
+    return EndpointWithSecretPayload.of(new)
 
 
 @router.get("", responses=refusals())

@@ -13,7 +13,6 @@ import sqlalchemy as sa
 from jobs.clients.keys import create_key
 from jobs.clients.webhooks import add_endpoint
 from jobs.database import tables as t
-from jobs.database.secret_box import SecretBox
 from jobs.errors import BackupError, ConflictError, NotFoundError
 from jobs.lifecycle.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
 from jobs.lifecycle.maintenance import hold_lease, living
@@ -48,7 +47,7 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
     folder.mkdir(exist_ok=True)
     theirs = store.for_owner(owner)
     create_key(store, name="k", owner=owner)
-    add_endpoint(theirs, "https://tree.example/", (), SecretBox())
+    add_endpoint(theirs, "https://tree.example/", ())
     add_upload(theirs, _upload(store, f"{owner}{seed}-upload"))
     part = _put(store, artifacts, folder, f"{owner}{seed} sent".encode())
     asset = add_asset(theirs, asset_row(part, now=store.clock(), fingerprint=part.sha256))[0]

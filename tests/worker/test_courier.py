@@ -11,25 +11,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-import sqlalchemy as sa
 from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from jobs.clients import webhooks
-from jobs.database import tables as t
-from jobs.database.secret_box import SecretBox
-from jobs.errors import ConflictError, SecretKeyError, SettingsError
+from jobs.errors import ConflictError
 from jobs.lifecycle.attempts import claim, fail, offer, succeed
 from jobs.records import EVENTS
-from jobs.settings import Settings, read_settings
+from jobs.settings import Settings
 from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.jobs.conftest import FILE, add_job, make_asset
 from tests.line import Handler, answering
 from tests.servers import wait_for
 from worker.courier import Courier
-
-PLAIN = SecretBox()
 
 
 @dataclass
@@ -106,7 +101,7 @@ def scene(tmp_path: Path, receiver: Receiver) -> Iterator[Scene]:
 
 
 def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     job_id = scene.end_a_job()
     assert scene.round() == 1
     headers, body = receiver.came[0]
@@ -124,7 +119,7 @@ def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiv
 
 
 def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ("job.failed",), PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ("job.failed",))
     scene.end_a_job()
     scene.end_a_job(well=False)
     receiver.answers = [500, 302, 503]
@@ -141,7 +136,7 @@ def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Recei
 
 def test_events_of_a_job_come_in_order(scene: Scene, receiver: Receiver) -> None:
     """The end is due meanwhile, and waits for the event before it."""
-    webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     receiver.answers = [503]
     scene.end_a_job(artifact=True)
     rounds = []
@@ -154,7 +149,7 @@ def test_events_of_a_job_come_in_order(scene: Scene, receiver: Receiver) -> None
 
 
 def test_an_endpoint_without_events_gets_those_that_a_job_names(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ())
     scene.end_a_job()  # names none
     scene.end_a_job(artifact=True, webhook_id=endpoint.id)
     scene.end_a_job(artifact=True, webhook_id=endpoint.id, webhook_events=["job.first-artifact"])
@@ -166,7 +161,7 @@ def test_an_endpoint_without_events_gets_those_that_a_job_names(scene: Scene, re
 
 
 def test_an_endpoint_that_answers_gone_gets_no_more(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     receiver.answers = [410]
     assert scene.round() == 1
@@ -176,40 +171,9 @@ def test_an_endpoint_that_answers_gone_gets_no_more(scene: Scene, receiver: Rece
     assert scene.round() == 0
 
 
-def test_a_secret_is_encrypted_in_the_database_and_signs(scene: Scene, receiver: Receiver) -> None:
-    box = SecretBox(bytes(range(32)))
-    endpoint, secret = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, box)
-    with scene.store.reading() as connection:
-        [row] = connection.execute(sa.select(t.webhook_endpoints)).all()
-    assert secret.removeprefix("whsec_") not in str(row)
-    assert len(row.secret) <= 128  # which databases of earlier releases have room for
-    scene.courier.box = box
-    scene.end_a_job()
-    scene.round()
-    headers, body = receiver.came[0]
-    Webhook(secret).verify(body, headers)
-    scene.courier.box = SecretBox(bytes(32))
-    scene.end_a_job()
-    scene.round()
-    [wrong, _] = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
-    assert (wrong.state, wrong.log[0].status) == ("pending", None)
-    assert "another secret_key" in wrong.log[0].detail
-    with pytest.raises(SecretKeyError, match="missing"):
-        PLAIN.decrypt(endpoint.secret, endpoint.id)
-    with pytest.raises(SecretKeyError, match="another"):
-        box.decrypt(endpoint.secret, "of-another-row")
-
-
-def test_a_wrong_secret_key_is_refused_and_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DYNAMICTREE_SECRET_KEY", "hunter2")
-    with pytest.raises(SettingsError, match="base64 of 32 bytes") as refusal:
-        read_settings()
-    assert "hunter2" not in str(refusal.value)
-
-
 def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> None:
     scene.courier.outbound = type(scene.courier.outbound)()  # as without the setting outbound_hosts
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     assert scene.round() == 1
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
@@ -217,8 +181,8 @@ def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> No
 
 
 def test_a_bad_address_does_not_stop_other_deliveries(scene: Scene, receiver: Receiver) -> None:
-    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", EVENTS, PLAIN)[0]
-    webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", EVENTS)
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     assert scene.round() == 2
     assert len(receiver.came) == 1
@@ -229,7 +193,7 @@ def test_a_bad_address_does_not_stop_other_deliveries(scene: Scene, receiver: Re
 def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> None:
     scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.2})
     receiver.wait_s = 1.0
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     scene.round()
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
@@ -237,7 +201,7 @@ def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> 
 
 
 def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) -> None:
-    webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10, per_owner=4, busy={}) for _ in range(2)]
     assert [len(deliveries) for deliveries in claimed] == [1, 0]
@@ -246,9 +210,9 @@ def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) 
 
 
 def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
-    attempt = [webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0] for _ in range(webhooks.MAX_ENDPOINTS)]
+    attempt = [webhooks.add_endpoint(scene.store, receiver.url, ()) for _ in range(webhooks.MAX_ENDPOINTS)]
     with pytest.raises(ConflictError):
-        webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0]
+        webhooks.add_endpoint(scene.store, receiver.url, ())
     webhooks.delete_endpoint(scene.store, attempt[0].id)
     assert len(webhooks.endpoints(scene.store)) == webhooks.MAX_ENDPOINTS - 1
 
@@ -256,8 +220,8 @@ def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
 def test_one_owner_s_tarpits_delay_nobody_else(scene: Scene, receiver: Receiver) -> None:
     """One owner's 60 deliveries hang; another owner's one is made after most of them."""
     tarpit = receiver.url.replace("/hook", "/tarpit")
-    endpoint = webhooks.add_endpoint(scene.store.for_owner("slow"), tarpit, EVENTS, PLAIN)[0]
-    other = webhooks.add_endpoint(scene.store.for_owner("quick"), receiver.url, EVENTS, PLAIN)[0]
+    endpoint = webhooks.add_endpoint(scene.store.for_owner("slow"), tarpit, EVENTS)
+    other = webhooks.add_endpoint(scene.store.for_owner("quick"), receiver.url, EVENTS)
     for owner, count in (("slow", 60), ("quick", 1)):
         for _ in range(count):
             scene.end_a_job(owner=owner)
