@@ -33,11 +33,6 @@ class JobDurations:
 
     store: Store
     _recent: TTLCache[tuple[str, str], Sequence[float]] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
-    _unknown: set[tuple[str, str]] | None = None
-
-    def for_one_answer(self) -> "JobDurations":
-        """These durations, which look no second time for what has no history."""
-        return JobDurations(self.store, self._recent, set())
 
     def forecast(self, job: JobRecord, position: int | None) -> Forecast:
         """Where a job stands; its end by the pace of the stage that runs and by this service's history.
@@ -88,10 +83,7 @@ class JobDurations:
         return median(longer) - took if longer else None
 
     def _remembered(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> Sequence[float]:
-        values = self._recent.get((what, of), ())
-        if not values and (self._unknown is None or (what, of) not in self._unknown):
-            if values := look():
-                self._recent[what, of] = values
-            elif self._unknown is not None:
-                self._unknown.add((what, of))
+        values = self._recent.get((what, of))
+        if values is None:
+            values = self._recent[what, of] = look()
         return values

@@ -38,14 +38,13 @@ def payloads(owned: Owned, page: Sequence[JobRecord]) -> list[JobPayload]:
     """Response bodies of jobs, with as many queries as for one of them."""
     seen = owned.store.standing_of(page)
     sources = asset_summaries(owned.store, {job.asset_id for job in page if seen[job.id][1]})
-    durations = owned.services.job_durations.for_one_answer()
     retention_s = owned.services.settings.job_retention_s
     bodies = []
     for job in page:
         position, artifacts = seen[job.id]
         body = JobPayload.of(
             job,
-            **vars(durations.forecast(job, position)),
+            **vars(owned.services.job_durations.forecast(job, position)),
             result=_result(job, artifacts, sources.get(job.asset_id)) if artifacts else None,
             error=problem_of(job.error_code, job.error_message),
             webhook=job.webhook_id,
