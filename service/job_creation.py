@@ -116,8 +116,7 @@ def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tupl
     _require_frames(body.params.video_frames or PHOTOS_OF_VIDEO, asset)
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
-    size = sum(_format_bytes(body, asset).values())
-    require_place(owned, size)
+    require_place(owned, _product_bytes(body, asset))
     return asset, stages
 
 
@@ -191,15 +190,15 @@ def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
     return tuple(dict.fromkeys((*named, "png")))
 
 
-def _format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
-    """Products whose size is known beforehand.
+def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
+    """Size of the products whose size is known beforehand [bytes].
 
     Raises:
         InputError: frames that make no loop, a format without turbulent motion, a file that would be too large, or a
             format whose library is not installed.
     """
     if not isinstance(body.params, AnimateParams):
-        return {}
+        return 0
     # numba comes with the products; loaded beside the first requests, not with this module
     from dynamictree.export.size import splat_bytes, turbulent_bytes
     from dynamictree.export.table import require_available
@@ -209,14 +208,14 @@ def _format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     period_s = _period_s(body.params) or loop_period_s(height_m if isinstance(height_m, float) else 0.0)
     formats, num_frames = _formats(body.params, asset), body.params.count_frames(period_s)
     require_available(formats)
-    if asset.kind == "mesh" and body.params.wind_mode == "turbulent":
+    if asset.kind == "cloud":
+        sizes = splat_bytes(_count(asset, "num_gaussians"), _count(asset, "sh_degree"), num_frames, body.params)
+    elif asset.kind == "mesh" and body.params.wind_mode == "turbulent":
         num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")
         sizes = turbulent_bytes(formats, num_vertices=num_vertices, num_faces=num_faces, num_frames=num_frames)
-    elif asset.kind != "cloud":
-        return {}
     else:
-        sizes = splat_bytes(_count(asset, "num_gaussians"), _count(asset, "sh_degree"), num_frames, body.params)
-    return {str(name): size for name, size in sizes.items()}
+        return 0
+    return sum(sizes.values())
 
 
 def _count(asset: AssetRecord, name: str) -> int:
