@@ -1,7 +1,6 @@
 """Application factory: routes, middleware, and the services opened in the lifespan."""
 
 import asyncio
-import ctypes
 import gc
 import logging
 import threading
@@ -99,7 +98,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 def serving_app() -> FastAPI:
     """Build the application for a server: what takes a second to load comes in once the start is over."""
-    return_freed_memory()
     app = create_app()
     set_up_logging(app.state.settings)
     if unknown := unknown_variables():
@@ -108,17 +106,6 @@ def serving_app() -> FastAPI:
     warm_up.daemon = True
     warm_up.start()
     return app
-
-
-def return_freed_memory() -> None:
-    """Return each freed array to the operating system.
-
-    glibc raises its threshold for that (`M_MMAP_THRESHOLD`, 128 KiB) to the largest array that was ever freed. After
-    that each thread retains what its largest answer needed: 6 to 10 MiB of a push of 600 frames.
-    """
-    set_option = getattr(ctypes.CDLL(None), "mallopt", None)  # of glibc alone
-    if set_option is not None:
-        set_option(-3, 128 * 1024)  # a threshold that is set does not rise
 
 
 @asynccontextmanager

@@ -10,9 +10,6 @@ from celery.worker import WorkController
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
-from worker.memory_limit import share_one_arena
-
-share_one_arena()  # Celery's threads start after this import
 
 stopping = multiprocessing.Event()
 """Set in every process of this worker when it was asked to stop; made before the pool forks."""

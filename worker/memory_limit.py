@@ -37,16 +37,6 @@ def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
     return available
 
 
-def share_one_arena() -> None:
-    """Let the threads to come allocate from one arena, the only one whose free end `return_freed_memory` can return.
-
-    Else glibc gives threads up to eight arenas a core, and each retains up to 64 MiB. To be called before the first
-    thread starts; does nothing where the C library has no `mallopt`.
-    """
-    with suppress(AttributeError):
-        ctypes.CDLL(None).mallopt(-8, 1)  # M_ARENA_MAX of glibc's malloc.h
-
-
 def return_freed_memory() -> None:
     """Return freed memory to the system: glibc retains about 400 MiB after a job, more after a large one.
 

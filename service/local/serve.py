@@ -72,8 +72,8 @@ def serve(
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stopped.set())
         host_part = f"[{host}]" if ":" in host else host
-        announcer = Announcer(f"http://{host_part}:{listening.getsockname()[1]}")
-        Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
+        url = f"http://{host_part}:{listening.getsockname()[1]}"
+        Supervisor(plans(settings, listening)).run(stopped, announce=lambda: announce(url))
 
 
 def clear_scratch(folder: Path) -> None:
@@ -110,7 +110,10 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     for name in ("DYNAMICTREE_SECRETS_DIR", "DYNAMICTREE_MODELS"):  # children have other current folders
         if folder := os.environ.get(name):
             environment[name] = str(Path(folder).resolve())
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
+    # glibc's threshold else rises to the largest array that a thread has freed, and `malloc_trim` returns one arena
+    of_api, of_worker = environment | {"MALLOC_MMAP_THRESHOLD_": "131072"}, environment | {"MALLOC_ARENA_MAX": "1"}
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        of_worker[name] = str(settings.worker_threads)
     worker_name = f"{settings.worker_queue}-{os.getpid()}@%h"
     # Celery imports the application with the current folder ahead of all others; --quiet: no banner in the log
     celery = ["-m", "celery", "--quiet", "--workdir", "/", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
@@ -122,8 +125,8 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     uvicorn += ["--http", "service.http.connections:BoundedProtocol", "--timeout-keep-alive", str(KEEP_ALIVE_S)]
     grace_s = settings.shutdown_grace_s
     started = [
-        ChildPlan(name="api", command=_python(uvicorn), environment=environment, pass_fds=(fd,), grace_s=10),
-        ChildPlan(name="worker", command=_python(celery), environment=environment | threads, grace_s=grace_s),
+        ChildPlan(name="api", command=_python(uvicorn), environment=of_api, pass_fds=(fd,), grace_s=10),
+        ChildPlan(name="worker", command=_python(celery), environment=of_worker, grace_s=grace_s),
         ChildPlan(name="housekeeper", command=_python(["-m", "worker.housekeeper"]), environment=environment),
     ]
     return started if settings.redis_url else [redis_plan(settings), *started]
@@ -196,20 +199,12 @@ def locked(path: Path) -> TextIO:
     return stream
 
 
-class Announcer:
-    """Prints the address once jobs are taken and run."""
-
-    def __init__(self, url: str) -> None:
-        self._url = url
-        self._announced = False
-
-    def poll(self) -> None:
-        """Announce the address once the service is ready; cheap afterwards."""
-        if self._announced or not _ready(self._url):
-            return
-        self._announced = True
-        typer.echo(f"ready {self._url}\nA page to use it from: {_local(self._url)}/")
+def announce(url: str) -> bool:
+    """Print the address, once jobs are taken and run; whether they are."""
+    if ready := _ready(url):
+        typer.echo(f"ready {url}\nA page to use it from: {_local(url)}/")
         sys.stdout.flush()
+    return ready
 
 
 def _local(url: str) -> str:

@@ -110,16 +110,17 @@ class Supervisor:
     def __init__(self, plans: Sequence[ChildPlan]) -> None:
         self.children = [Child(plan) for plan in plans]
 
-    def run(self, stopped: threading.Event, *, on_poll: Callable[[], None] = lambda: None, poll_s: float = 0.1) -> None:
-        """Run all until `stopped`, calling `on_poll` in between; then stop the last first."""
+    def run(self, stopped: threading.Event, *, announce: Callable[[], bool] = lambda: True) -> None:
+        """Run all until `stopped`, calling `announce` in between until it has; then stop the last first."""
+        announced = False
         try:
             for child in self.children:
                 child.start()
                 self._await(child, stopped)
-            while not stopped.wait(poll_s):
+            while not stopped.wait(0.1):
                 for child in self.children:
                     child.look_after()
-                on_poll()
+                announced = announced or announce()
         finally:
             for child in reversed(self.children):
                 child.stop()

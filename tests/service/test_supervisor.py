@@ -3,7 +3,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,10 +19,10 @@ def plan(program: str, name: str = "child", grace_s: float = 5.0) -> ChildPlan:
 
 
 @contextmanager
-def running(*plans: ChildPlan) -> Iterator[Supervisor]:
+def running(*plans: ChildPlan, announce: Callable[[], bool] = lambda: True) -> Iterator[Supervisor]:
     """A supervisor in a thread, which stops at the end."""
     supervisor, done = Supervisor([*plans]), threading.Event()
-    thread = threading.Thread(target=supervisor.run, args=(done,), kwargs={"poll_s": 0.02})
+    thread = threading.Thread(target=supervisor.run, args=(done,), kwargs={"announce": announce})
     thread.start()
     try:
         yield supervisor
@@ -46,6 +46,14 @@ def test_a_child_that_dies_starts_again(tmp_path: Path) -> None:
         assert supervisor.children[0].restarts == 1
     assert not psutil.pid_exists(first)
     assert not psutil.pid_exists(second)
+
+
+def test_it_announces_once() -> None:
+    answers, given = iter([False, False, True]), list[int]()
+    with running(plan("import time; time.sleep(100)"), announce=lambda: given.append(1) or next(answers)):
+        wait_for(lambda: len(given) == 3, "three polls", 60)
+        time.sleep(0.5)
+    assert len(given) == 3
 
 
 def test_one_that_keeps_dying_is_started_ever_more_rarely(tmp_path: Path) -> None:

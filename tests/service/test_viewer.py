@@ -28,7 +28,7 @@ from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
 from service.interact import stored_trees
-from service.local.serve import Announcer
+from service.local.serve import announce
 from service.routes import pages, surface
 from tests.line import answering
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
@@ -305,13 +305,11 @@ def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum:
     np.testing.assert_array_equal(tensors["lean_m"], spectrum.coefficients[:, 0].real)
 
 
-def test_serve_tells_of_the_page_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_serve_tells_of_the_page(capsys: pytest.CaptureFixture[str]) -> None:
     ready = b'{"workers": "ok", "housekeeper": "ok"}'
     with answering(lambda _, handler: handler.reply(200, ready)) as line:
         url = line.url.replace("127.0.0.1", "0.0.0.0")
-        announcer = Announcer(url)
-        announcer.poll()
-        announcer.poll()
+        assert announce(url)
     assert capsys.readouterr().out.splitlines() == [f"ready {url}", f"A page to use it from: {line.url}/"]
 
 

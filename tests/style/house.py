@@ -7,8 +7,8 @@ from pathlib import Path
 BOUNDS = {
     "lines in dynamictree": 33_916,
     "lines in lab": 6_322,
-    "lines in service, jobs and worker": 13_631,
-    "lines in tests": 39_951,
+    "lines in service, jobs and worker": 13_500,
+    "lines in tests": 39_930,
     "names bound to numbers in dynamictree": 578,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
