@@ -55,23 +55,19 @@ def endpoints(store: Store) -> list[Endpoint]:
 
 def endpoint(store: Store, endpoint_id: str) -> Endpoint:
     """One endpoint."""
+    this = (t.webhook_endpoints.c.id == endpoint_id) & store.mine(t.webhook_endpoints)
     with store.reading() as connection:
-        return _read_endpoint(connection, store, endpoint_id)
+        row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
+    if row is None:
+        raise NotFoundError(f"there is no webhook endpoint {endpoint_id}")
+    return t.record_of(Endpoint, row)
 
 
 def delete_endpoint(store: Store, endpoint_id: str) -> None:
     """Delete an endpoint and its deliveries."""
+    endpoint(store, endpoint_id)
     with store.writing() as connection:
-        _read_endpoint(connection, store, endpoint_id)
         connection.execute(t.webhook_endpoints.delete().where(t.webhook_endpoints.c.id == endpoint_id))
-
-
-def _read_endpoint(connection: sa.Connection, store: Store, endpoint_id: str) -> Endpoint:
-    this = (t.webhook_endpoints.c.id == endpoint_id) & store.mine(t.webhook_endpoints)
-    row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
-    if row is None:
-        raise NotFoundError(f"there is no webhook endpoint {endpoint_id}")
-    return t.record_of(Endpoint, row)
 
 
 # -- deliveries

@@ -82,6 +82,7 @@ def test_the_time_left_comes_from_what_jobs_took_here(
         connection.exec_driver_sql("UPDATE jobs SET started_at = 0, finished_at = 50")
     services.store.clock = clock
     assert hold_lease(services.store, "worker:one", owner="one", lease_s=60)
+    change_services(client, job_durations=JobDurations(services.store))  # as after ten seconds
     waiting = [create(client, asset) for _ in range(3)]
     assert [response["eta_s"] for response in waiting] == [40.0, 90.0, 140.0]
     running = hold(services, str(waiting[0]["id"]))
