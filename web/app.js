@@ -143,7 +143,7 @@ export class App {
       showProblem(facts.problem, wayOut(facts.problem, this.session));
     this.shownProblem = facts.problem;
     if (state === "moving" && facts.problem) showProblem(facts.problem, () => this.session.retry());
-    if (state !== before || state === "queued") layOut(this.stage, state);
+    layOut(this.stage, state);
     if (state === "moving" && before !== "moving") showHint();
   }
 

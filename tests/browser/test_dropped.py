@@ -99,7 +99,6 @@ def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files:
         if changed(empty, pixels(viewer)) > 0.01:
             break
         page.wait_for_timeout(500)
-    viewer.picture()
     assert changed(empty, pixels(viewer)) > 0.01, "nothing is drawn"
     page.locator("#cancel").click()
     expect(page.locator("#height-note")).to_have_text("")
@@ -162,7 +161,6 @@ def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tm
         expect(viewer.page.locator("#height-note")).to_contain_text("4.0 m high")
         viewer.wait_turns()
         viewer.wait_sharp()
-        viewer.picture()
         seen.append(pixels(viewer))
         assert viewer.page.locator("#photos img").count() == 0, "textures are no photos"
     assert changed(*seen) < 0.005
@@ -187,7 +185,6 @@ def dropped(viewer: Viewer, url: str, file: Path, *, note: str) -> Viewer:
     viewer.page.evaluate(WATCH_PERSON)
     viewer.page.set_input_files("#files", str(file))
     expect(viewer.page.locator("#height-note")).to_contain_text(note)
-    viewer.picture()
     return viewer
 
 

@@ -8,16 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import expect
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.render.contact_sheet import STRIP_PX
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, web_server
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, picture_of, web_server
 from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 Open = Callable[..., Viewer]
+COVERED = "async () => (await (await import('/web/page/early.js')).page).stage.margins.bottom"
 LONG = "a tree whose name does not end " * 7
 
 
@@ -41,7 +43,6 @@ def test_names_leave_everything_in_its_place(
         expect(page.locator("#progress-title")).to_have_attribute("dir", "auto")
         expect(page.locator("#cancel")).to_be_in_viewport(ratio=1)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-        viewer.picture()
         page.locator("#cancel").click()
     sent = "{ name: 'oak', share: 1 }"
     page.evaluate(f"async () => (await import('/web/page/progress.js')).showProgress('uploading', {sent})")
@@ -71,10 +72,24 @@ def test_what_is_no_tree_is_reported_before_it_is_sent(view: Open, url: str, tre
         expect(page.get_by_role("alert")).to_contain_text(words)
         expect(page.locator("#problem-retry")).to_be_hidden()
         expect(page.locator("body")).to_have_attribute("data-state", "welcome")
-        viewer.picture()
         page.locator("#problem-close").click()
     assert sent == []
     assert viewer.complaints == []
+
+
+def test_a_tree_that_leaves_takes_its_shadow_along(view: Open, url: str, tmp_path: Path) -> None:
+    photos = [tmp_path / f"{n}.jpg" for n in range(3)]
+    for photo in photos:
+        Image.new("RGB", (64, 48)).save(photo)
+    viewer = view(900, 620)
+    viewer.open(url)
+    viewer.page.wait_for_selector("body[data-live=true]", state="attached")
+    viewer.wait_frames(8)
+    viewer.page.set_input_files("#files", [str(photo) for photo in photos])
+    expect(viewer.page.get_by_role("alert")).to_contain_text("3 photos")
+    viewer.wait_turns()
+    ground = {"x": 0, "y": 400, "width": 900, "height": 200}
+    assert picture_of(viewer, ground).min() > 190
 
 
 def test_a_doubtful_size_is_mended_by_one_click(view: Open, url: str, tmp_path: Path) -> None:
@@ -87,7 +102,6 @@ def test_a_doubtful_size_is_mended_by_one_click(view: Open, url: str, tmp_path: 
     page.set_input_files("#files", str(tmp_path / "giant.ply"))
     chip = page.locator("#doubt-chips button", has_text="mm: 2.")
     expect(chip).to_be_visible(timeout=JOB_MS)
-    viewer.picture()
     with page.expect_response(lambda answer: answer.url.endswith("/v1/assets")) as read:
         chip.click()
     assert read.value.json()["summary"]["source_scale"] == pytest.approx(0.001)
@@ -130,6 +144,7 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
     while not waiting:
         page.wait_for_timeout(100)
+    assert page.evaluate(COVERED) >= page.locator("#progress").bounding_box()["height"], "the card lies over the tree"
     for route in waiting:
         route.continue_()  # type: ignore[attr-defined]
     page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
@@ -158,7 +173,6 @@ def test_a_kit_for_the_web_stands_on_any_server(view: Open, url: str, job_id: st
     viewer.open(f"{url}/#job={job_id}")
     page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
     page.locator("#download").click()
-    viewer.picture()
     with page.expect_download() as blender:
         page.locator("#kit-list button", has_text="Blender").click()
     with zipfile.ZipFile(blender.value.path()) as archive:

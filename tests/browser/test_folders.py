@@ -99,7 +99,6 @@ def test_a_dropped_folder_is_drawn_then_uploaded_then_moves(view: Open, url: str
         if red_pixels(viewer) > 500:
             break
         page.wait_for_timeout(500)
-    viewer.picture()
     assert red_pixels(viewer) > 500, "the tree or its texture is not drawn"
     assert len(waiting) == 1, "a byte was sent, or nothing is about to be sent"
     waiting[0].continue_()

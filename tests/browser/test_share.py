@@ -101,7 +101,6 @@ def test_a_page_of_another_origin_shows_a_tree_of_a_service_with_keys(
     page.goto(site.write(f"<h1>Our birch</h1>{code}"))
     frame = frame_of(page)
     page.wait_for_timeout(1000)
-    viewer.picture()
     before = int(frame.evaluate("document.body.dataset.frames"))
     page.wait_for_timeout(3000)
     assert int(frame.evaluate("document.body.dataset.frames")) > before, "nothing sways"
@@ -127,7 +126,6 @@ def test_the_example_stands_in_a_transparent_frame(view: Open, url: str) -> None
     page.goto(f"{url}/embed#transparent=1&theme=dark")
     page.wait_for_selector(MOVING)
     viewer.wait_frames(3)
-    viewer.picture()
     assert page.evaluate("getComputedStyle(document.body).backgroundImage") == "none"
     page.goto(f"{url}/embed#surface=/v1/keys&modes=https://elsewhere.example/")
     page.wait_for_selector(MOVING)  # other addresses than those of trees are ignored

@@ -81,7 +81,6 @@ def test_a_canceled_job_can_be_tried_again(view: Open, url: str, tree: Path) -> 
     viewer.open(f"{url}/#job={job['id']}")
     alert = viewer.page.get_by_role("alert")
     expect(alert).to_contain_text("This job was canceled")
-    viewer.picture()
     alert.get_by_role("button", name="Try again").click()
     state(viewer.page, "moving")
     assert job["id"] not in viewer.page.url
@@ -134,7 +133,6 @@ def test_the_job_list_stays_while_it_is_refreshed(view: Open, url: str, new_job:
     item.locator(".open").focus()
     page.wait_for_timeout(5000)  # two refreshes
     assert item.evaluate("(node) => node.mark && node.contains(document.activeElement)")
-    viewer.picture()
     page.locator("#job-filter").select_option("failed")
     expect(page.locator("#no-jobs")).to_be_visible()
     assert viewer.complaints == []
@@ -153,7 +151,6 @@ def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) 
     item = page.locator(f"#job-list [data-key='{job['id']}']")
     item.locator(".delete").click()
     expect(item.locator(".delete")).to_have_text("Delete it and its files?")
-    viewer.picture()
     assert httpx.get(f"{url}/v1/jobs/{job['id']}", timeout=60).status_code == 200, "one press is not enough"
     item.locator(".delete").click()
     expect(item).to_have_count(0)
@@ -190,7 +187,6 @@ def test_another_language_and_feet(view: Open, url: str, job_id: str) -> None:
     page.reload()
     state(page, "moving")
     expect(page.locator("#caption")).to_contain_text(re.compile(r"\d,\d ft"))
-    viewer.picture()
     assert viewer.complaints == []
 
 

@@ -108,7 +108,6 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
         page.wait_for_timeout(600)
         assert changed(before, pixels(viewer)) > 0.01, name
     expect(page.locator("#mode-out")).to_contain_text("0.24 Hz")
-    viewer.picture()
     page.locator("#views input[value=surface]").check(force=True)
     page.locator("#rest").check()
     page.wait_for_timeout(800)
@@ -124,7 +123,6 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
     page.locator("#play").click()
     expect(page.locator("#clock")).to_have_text(re.compile(r"^([5-9]|\d\d)\.\d s$"))  # the loop has 4.17 s
     page.locator("#play").click()
-    viewer.picture()
     assert changed(before, pixels(viewer)) > 0.005
     page.locator("#wind-modes input[value=loop]").check(force=True)
     expect(page.locator("#time")).to_be_enabled()
@@ -184,7 +182,6 @@ def test_an_error_is_shown_as_the_service_tells_it(view: Open, url: str, tmp_pat
     expect(alert).to_contain_text(problem["title"])
     expect(alert).to_contain_text(problem["detail"])
     expect(alert).to_contain_text(problem["suggestion"])
-    viewer.picture()
     viewer.page.keyboard.press("Escape")
     expect(alert).to_be_hidden()
     assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []

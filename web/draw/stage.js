@@ -189,18 +189,18 @@ export class Stage {
     return this.renderer.xr.isPresenting;
   }
 
-  /** Draw if something has changed; with `rough` never in full. Whether anything was drawn. */
-  draw(now, rough = false) {
+  /** Draw if something has changed; an `empty` scene never in full, as it has no edges. Whether anything was drawn. */
+  draw(now, empty = false) {
     if (this.immersed) {
       this._render(1, true);
       return true;
     }
-    const full = !this.stale && !rough && this.resolution.settles(now);
+    const full = !this.stale && !empty && this.resolution.settles(now);
     if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) {
       this.resolution.pause();
       return false;
     }
-    const shadow = full || this.resolution.next(now) || this.swift;
+    const shadow = full || this.resolution.next(now) || this.swift || empty; // what has left takes its shadow along
     if (full) this.resolution.sharp = true;
     this._render(full ? this.resolution.stillScale : this.resolution.scale, shadow);
     return true;
