@@ -149,6 +149,10 @@ def press(page: Page, x: float, y: float, *, touch: bool) -> tuple[Callable[[flo
     return (lambda px, py: send("touchMove", (px, py))), (lambda: send("touchEnd"))
 
 
+Open = Callable[..., Viewer]
+"""What the fixture `view` gives."""
+
+
 def picture_of(viewer: Viewer, part: dict[str, float]) -> np.ndarray:
     """A part of the window, [H, W, 3]."""
     shot = viewer.page.screenshot(clip=part)  # type: ignore[arg-type]

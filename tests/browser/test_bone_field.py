@@ -1,7 +1,5 @@
 """The page bends a tree as the library does, in wind that has turned, in several copies and one vertex alone."""
 
-from collections.abc import Callable
-
 import httpx
 import numpy as np
 import pytest
@@ -9,11 +7,10 @@ from safetensors.numpy import load
 
 from dynamictree.wind_bands import drag
 from recipes.wind_reference import feet, half_turns, turned
-from tests.browser.conftest import Viewer
+from tests.browser.conftest import Open
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-Open = Callable[..., Viewer]
 STORM_GAIN = float(drag(np.float64(20.0)) / drag(np.float64(5.0)))
 TURN_RAD = 0.7
 DISPLACED = """async ({ path, q, turn }) => {

@@ -1,7 +1,6 @@
 """What is dropped is drawn at once, from the file itself: the service has not got a byte of it."""
 
 import io
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +18,10 @@ from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from lab.dataset.sample import make_sample
-from tests.browser.conftest import Viewer, changed, pixels
+from tests.browser.conftest import Open, Viewer, changed, pixels
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 GREEN = (0.07, 0.12, 0.05, 1.0)
 """Linear."""
 

@@ -3,7 +3,6 @@
 import io
 import re
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +10,15 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
+from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.render.contact_sheet import STRIP_PX
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, picture_of, web_server
+from tests.browser.conftest import JOB_MS, MOVING, Open, animated, picture_of, web_server
 from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 COVERED = "async () => (await (await import('/web/page/early.js')).page).stage.margins.bottom"
 LONG = "a tree whose name does not end " * 7
 
@@ -92,6 +92,19 @@ def test_a_tree_that_leaves_takes_its_shadow_along(view: Open, url: str, tmp_pat
     assert picture_of(viewer, ground).min() > 190
 
 
+def test_textures_that_were_not_dropped_are_missed(view: Open, url: str, samples: Path, tmp_path: Path) -> None:
+    mesh = read_mesh(io.BytesIO((samples / "mesh/tree-lime.glb").read_bytes()), file_type="glb")
+    with (tmp_path / "lime.obj").open("wb") as stream:
+        write_obj(mesh, stream, library="lime.mtl")
+    (tmp_path / "lime.mtl").write_text(f"newmtl {mesh.look.materials[0].name}\nmap_Kd bark.png\n")
+    viewer = view(900, 620)
+    viewer.open(url)
+    viewer.page.set_input_files("#files", [str(tmp_path / "lime.obj"), str(tmp_path / "lime.mtl")])
+    expect(viewer.page.locator("#doubt-words")).to_contain_text("textures")
+    viewer.page.locator("#doubt-chips button").click()
+    expect(viewer.page.locator("#doubt")).to_be_hidden()
+
+
 def test_a_doubtful_size_is_mended_by_one_click(view: Open, url: str, tmp_path: Path) -> None:
     mesh = stand.tree(6.0, num_cards=60)
     with (tmp_path / "giant.ply").open("wb") as stream:
@@ -132,6 +145,19 @@ def test_the_model_answers_all_winds_while_the_tree_moves(view: Open, url: str, 
     assert viewer.complaints == []
 
 
+def test_the_card_of_a_job_grows_beside_the_tree(view: Open, url: str, tree: Path) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    page.route("**/v1/spectra/*/modes*", lambda route: None)  # it waits for ever
+    viewer.open(url)
+    page.set_input_files("#files", str(tree))
+    expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
+    viewer.wait_turns()
+    card = page.locator("#progress").bounding_box()
+    assert card
+    assert page.evaluate(COVERED) >= 620 - card["y"], "it lies over the tree"
+
+
 def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, url: str, job_id: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
@@ -144,7 +170,6 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
     while not waiting:
         page.wait_for_timeout(100)
-    assert page.evaluate(COVERED) >= page.locator("#progress").bounding_box()["height"], "the card lies over the tree"
     for route in waiting:
         route.continue_()  # type: ignore[attr-defined]
     page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)

@@ -1,7 +1,6 @@
 """A folder dropped from the desktop: drawn before a byte is sent, uploaded with its paths, and then it moves."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -10,12 +9,11 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, pixels
+from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, pixels
 from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-Open = Callable[..., Viewer]
 UPRIGHT = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
 """Columns: +Z up in the buffer is +Y up in the scene, as Sketchfab exports it."""
 

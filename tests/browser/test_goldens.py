@@ -4,18 +4,16 @@
 """
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, scrub, steady
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, scrub, steady
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-Open = Callable[..., Viewer]
 GOLDENS = Path(__file__).with_name("goldens")
 WIDTH = 160
 BLUR_PX = 1.0  # another machine draws an edge elsewhere by less

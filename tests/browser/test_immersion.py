@@ -1,15 +1,12 @@
 """A headset and a phone's camera, by an emulator of WebXR; files for phones that have none; the sound of leaves."""
 
-from collections.abc import Callable
-
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.conftest import AXE, JOB_MS, MOVING, Viewer
+from tests.browser.conftest import AXE, JOB_MS, MOVING, Open
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 EMULATOR = AXE.parents[1] / "iwer/build/iwer.min.js"
 HEADSET = "new IWER.XRDevice(IWER.metaQuest3).installRuntime({ polyfillLayers: false, forceInstall: true });"
 SEEN = """async () => {

@@ -1,7 +1,6 @@
 """A hand pulls a branch of ten trees, in calm and in wind: what is drawn there stays under the hand, and rings out."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,10 @@ from PIL import Image, ImageDraw
 
 from dynamictree.formats.gltf.writer import write_glb
 from lab.dataset.sample import make_sample
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, picture_of, press
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, Viewer, animated, picture_of, press
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 GROWN = {"sapling": 3, "maple": 4, "weeping": 6, "conical-conifer": 5, "palm": 12, "pine": 11}
 REAL = {
     "lime": "mesh/tree-lime.glb",

@@ -1,17 +1,14 @@
 """What stands around the tree: other trees, light and background."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, changed, scrub, steady
+from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, animated, changed, scrub, steady
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
-Open = Callable[..., Viewer]
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,10 @@ from playwright.sync_api import Browser, Page, expect
 from jobs.clients.keys import create_key
 from jobs.store import Store
 from recipes.demo import served
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, web_server
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, animated, web_server
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-Open = Callable[..., Viewer]
 FRAMES = """async ([base64, times]) => {
     const bytes = Uint8Array.from(atob(base64), (sign) => sign.charCodeAt(0));
     const video = Object.assign(document.createElement("video"), { muted: true });

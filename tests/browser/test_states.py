@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -12,12 +11,11 @@ from playwright.sync_api import Page, Route, expect
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.mesh import joined
-from tests.browser.conftest import Viewer, animated
+from tests.browser.conftest import Open, Viewer, animated
 from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-Open = Callable[..., Viewer]
 JOB_MS = 300_000.0
 LIT = """() => { const gl = document.getElementById("canvas").getContext("webgl2");
     window.loss = gl.getExtension("WEBGL_lose_context"); window.loss.loseContext(); }"""

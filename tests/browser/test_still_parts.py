@@ -1,6 +1,5 @@
 """What stands still because it is no plant, in a mesh and in a splat: it does not move."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +12,11 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material
 from lab.dataset.sample import make_sample
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, job_of, picture_of, scrub
+from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, changed, job_of, picture_of, scrub
 from tests.devoxelize.test_interpolation import merged, tube
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 POT_M = 0.5
 TERRACOTTA = (0.62, 0.17, 0.06)
 DISPLACEMENTS = """async (spectrum) => {

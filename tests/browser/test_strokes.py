@@ -8,12 +8,11 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, job_of, press
+from tests.browser.conftest import JOB_MS, MOVING, Open, job_of, press
 from tests.reconstruct.conftest import photographed
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
-Open = Callable[..., Viewer]
 LONGEST_MS = 6 * JOB_MS
 PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 100, "height_m": 1.2}
 

@@ -1,7 +1,6 @@
 """The viewer as people use it, in a real browser against a real service."""
 
 import re
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -14,12 +13,11 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.clients.keys import create_key
 from jobs.store import Store
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, changed, pixels, scrub, steady
+from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, animated, changed, pixels, scrub, steady
 from tests.servers import api
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 AHEAD_RAD, LEVEL, KEY_RAD = np.arctan2(1, 0.38), np.hypot(1, 0.38) / np.linalg.norm([1, 0.38, 0.2]), 0.12
 """Where the camera looks at first, the level part of that, and how far an arrow key turns it: web/draw/stage.js."""
 Y_1, LOPSIDED = 0.4886025, 0.8  # the harmonics of degree 1, and a coefficient

@@ -1,16 +1,13 @@
 """The tree behind the welcome: it moves before anything is uploaded, in a real browser."""
 
-from collections.abc import Callable
-
 import httpx
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.conftest import Viewer, changed, picture_of
+from tests.browser.conftest import Open, Viewer, changed, picture_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-Open = Callable[..., Viewer]
 LIVE = "body[data-live=true]"
 
 
@@ -36,7 +33,6 @@ def test_a_tree_sways_and_answers_a_pull_before_any_upload(
     page.mouse.move(x + 60, y + 6)
     expect(page.locator("#grip")).to_be_visible()
     viewer.wait_frames(6)
-    viewer.picture()
     assert changed(still, picture_of(viewer, free_part(viewer))) > 0.004, "the branch does not follow"
     page.mouse.up()
     expect(page.locator("#grip")).to_be_hidden()
@@ -73,7 +69,6 @@ def test_with_shift_a_place_stays_and_another_is_pulled(view: Open, url: str) ->
             page.keyboard.up("Shift")
     expect(page.locator(".grip:visible")).to_have_count(2)
     page.wait_for_timeout(1500)
-    viewer.picture()
     gaps = page.evaluate(GAPS)
     assert len(gaps) == 2
     assert max(gaps) < 1, "px"

@@ -28,16 +28,16 @@ export class SizeDoubt {
     Object.assign(this, { onHeight, onChange, asset: null, dismissed: null });
   }
 
-  /** Show it where the service doubts the size of `asset`; without `files` it can only be said. */
+  /** Show it where the service doubts the size of `asset`, or lacks textures; without `files` the size can only be said. */
   set({ asset, files }) {
     if (asset === this.asset) return;
     this.asset = asset;
-    const doubted = asset?.summary.warnings?.some(({ code }) => code === "size-doubtful");
-    $("doubt").hidden = !doubted || this.dismissed === asset.id;
-    if ($("doubt").hidden) return this.onChange();
+    $("doubt").hidden = true;
+    const codes = asset?.summary.warnings?.map(({ code }) => code) ?? [];
+    if (files && codes.includes("texture-missing")) this.say([text("doubt.textures")]);
+    if (!codes.includes("size-doubtful") || this.dismissed === asset.id) return;
     const { height_m, extent_m, source_scale: scale = 1 } = asset.summary;
     const high = height_m ?? extent_m[2];
-    fill($("doubt-words"), text(files ? "doubt.words" : "doubt.reread", { height: length(high) }));
     const keep = button(text("doubt.keep", { height: length(high) }), () => {
       this.dismissed = asset.id;
       this._close();
@@ -45,20 +45,17 @@ export class SizeDoubt {
     const chips = (files ? proposals(high, scale) : []).map(({ unit, height_m: other }) =>
       button(`${unit}: ${length(other)}`, () => this.onHeight(other)),
     );
-    $("doubt-chips").replaceChildren(...[...chips, keep].map((chip) => element("li", {}, chip)));
-    this.onChange();
+    this._show(text(files ? "doubt.words" : "doubt.reread", { height: length(high) }), [...chips, keep]);
   }
 
-  /** Sentences of the service on a tree from photos, until they are read. */
+  /** Sentences until they are read. */
   say(sentences) {
-    fill($("doubt-words"), sentences.join("\n"));
-    $("doubt-chips").replaceChildren(
-      element(
-        "li",
-        {},
-        button(text("doubt.read"), () => this._close()),
-      ),
-    );
+    this._show(sentences.join("\n"), [button(text("doubt.read"), () => this._close())]);
+  }
+
+  _show(words, chips) {
+    fill($("doubt-words"), words);
+    $("doubt-chips").replaceChildren(...chips.map((chip) => element("li", {}, chip)));
     $("doubt").hidden = false;
     this.onChange();
   }

@@ -38,6 +38,7 @@ export default {
   "doubt.reread":
     "So wie die Datei gelesen wurde, ist dieser Baum {height} hoch. Um das zu ändern, die Datei noch einmal ablegen.",
   "doubt.keep": "{height} stimmt",
+  "doubt.textures": "Die Datei nennt Texturen, die nicht dabei sind. Mit dem ganzen Ordner sind sie zu sehen.",
   "doubt.read": "Gelesen",
 
   "progress.title": "Fortschritt",

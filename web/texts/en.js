@@ -37,6 +37,7 @@ export default {
   "doubt.words": "As its file is read, this tree is {height} high. Is the file in another unit?",
   "doubt.reread": "As its file is read, this tree is {height} high. Drop the file again to change that.",
   "doubt.keep": "{height} is right",
+  "doubt.textures": "The file names textures that were not dropped with it. Drop its whole folder to see them.",
   "doubt.read": "I have read it",
 
   "progress.title": "Progress",
