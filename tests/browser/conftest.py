@@ -96,11 +96,6 @@ class Viewer:
     name: str
     complaints: list[str] = field(default_factory=list)
 
-    def picture(self) -> None:
-        """Keep a screenshot."""
-        PICTURES.mkdir(parents=True, exist_ok=True)
-        self.page.screenshot(path=str(PICTURES / f"{self.name}.png"))
-
     def open(self, url: str) -> None:
         """Go to the page, and wait until its script has run."""
         self.page.goto(url)

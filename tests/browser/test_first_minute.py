@@ -20,6 +20,11 @@ from tests.plant import stand
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 COVERED = "async () => (await (await import('/web/page/early.js')).page).stage.margins.bottom"
+EDGES = """async () => {
+    await Promise.all([...document.querySelectorAll("#photos img")].map((photo) => photo.decode()));
+    const parts = ["#photos img:last-child", "#progress"].map((part) => document.querySelector(part));
+    return parts.map((part) => part.getBoundingClientRect().y);
+}"""
 LONG = "a tree whose name does not end " * 7
 
 
@@ -27,6 +32,13 @@ def named(tree: Path, folder: Path, name: str) -> str:
     path = folder / f"{name}{tree.suffix}"
     path.write_bytes(tree.read_bytes())
     return str(path)
+
+
+def photos(folder: Path, count: int) -> list[str]:
+    paths = [str(folder / f"{n}.jpg") for n in range(count)]
+    for path in paths:
+        Image.new("RGB", (96, 64)).save(path)
+    return paths
 
 
 @pytest.mark.parametrize(("width", "height", "touch"), [(1280, 800, False), (390, 760, True)])
@@ -44,6 +56,10 @@ def test_names_leave_everything_in_its_place(
         expect(page.locator("#cancel")).to_be_in_viewport(ratio=1)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.locator("#cancel").click()
+    page.set_input_files("#files", photos(tmp_path, 24))
+    expect(page.locator("#photos img")).to_have_count(24)
+    lowest, card = page.evaluate(EDGES)
+    assert lowest < card - 40, "photos lie under the card"
     sent = "{ name: 'oak', share: 1 }"
     page.evaluate(f"async () => (await import('/web/page/progress.js')).showProgress('uploading', {sent})")
     expect(page.locator("#stages .running")).to_have_text("Read the files")
@@ -78,14 +94,11 @@ def test_what_is_no_tree_is_reported_before_it_is_sent(view: Open, url: str, tre
 
 
 def test_a_tree_that_leaves_takes_its_shadow_along(view: Open, url: str, tmp_path: Path) -> None:
-    photos = [tmp_path / f"{n}.jpg" for n in range(3)]
-    for photo in photos:
-        Image.new("RGB", (64, 48)).save(photo)
     viewer = view(900, 620)
     viewer.open(url)
     viewer.page.wait_for_selector("body[data-live=true]", state="attached")
     viewer.wait_frames(8)
-    viewer.page.set_input_files("#files", [str(photo) for photo in photos])
+    viewer.page.set_input_files("#files", photos(tmp_path, 3))
     expect(viewer.page.get_by_role("alert")).to_contain_text("3 photos")
     viewer.wait_turns()
     ground = {"x": 0, "y": 400, "width": 900, "height": 200}

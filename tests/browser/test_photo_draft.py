@@ -51,7 +51,6 @@ def test_the_splat_is_shown_while_it_is_learned_and_then_the_tree(
     while changed(pixels(viewer), empty) < LEAST_DRAWN:
         assert page.locator("body").get_attribute("data-state") == "running", "nothing was shown"
         page.wait_for_timeout(500)
-    viewer.picture()
     expect(page.locator("body")).to_have_attribute("data-state", "moving", timeout=LONGEST_MS)
     assert "draft.splat" not in artifacts(url, running_job)
     seen = page.evaluate(MESH_IS_SEEN)

@@ -34,7 +34,6 @@ def test_a_second_wind_and_a_forest_stand_beside_the_tree(paused: Viewer) -> Non
     assert changed(pair, steady(viewer)) > 0.002, "the other tree has the same wind"
     page.locator("#company input[value=forest]").check(force=True)
     forest = scrub(viewer, 0.0)
-    viewer.picture()
     assert changed(forest, scrub(viewer, 0.5)) > 0.004
     assert changed(forest, scrub(viewer, 1.0)) == 0, "the forest's loop does not close"
     page.locator("#company input[value=one]").check(force=True)
@@ -117,7 +116,6 @@ def test_the_sun_moves_and_the_background_goes(paused: Viewer, tmp_path: Path) -
     sent.value.save_as(tmp_path / "view.png")
     with Image.open(tmp_path / "view.png") as picture:
         assert picture.getpixel((2, 2))[3] == 0
-    viewer.picture()
     assert viewer.complaints == []
 
 

@@ -63,7 +63,6 @@ def test_a_break_of_the_connection_keeps_the_card(view: Open, url: str, tree: Pa
     if page.evaluate("document.body.dataset.state") != "moving":
         expect(page.locator("#away")).to_be_visible(timeout=3000)
         expect(page.locator("#progress-eta")).to_have_text("")
-        viewer.picture()
     page.context.set_offline(False)
     state(page, "moving")
     expect(page.locator("#away")).to_be_hidden()
@@ -225,7 +224,6 @@ def test_one_of_several_trees_is_chosen(view: Open, url: str, tmp_path: Path) ->
     page.unroute("**/v1/jobs")
     page.wait_for_url("**/#job=*")
     expect(page.locator("#which-tree")).to_have_value("2")
-    viewer.picture()
     with page.expect_request(lambda request: request.method == "POST" and request.url.endswith("/v1/jobs")) as sent:
         page.locator("#apply-tree").click()
     assert sent.value.post_data_json["params"]["tree"] == 2

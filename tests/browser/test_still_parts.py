@@ -129,7 +129,6 @@ def stands_still(viewer: Viewer) -> None:
     assert changed(whole, moved) > 0.002, "the plant does not move"
     assert changed(before, picture_of(viewer, box)) == 0, "it moves"
     assert np.median(np.ptp(before, axis=2)) > 60
-    viewer.picture()
 
 
 def test_the_pot_of_a_mesh_does_not_move(view: Open, url: str, potted: Path) -> None:

@@ -84,7 +84,6 @@ def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Pa
     expect(page.locator("#grip")).to_be_visible()
     viewer.wait_frames(8)
     assert changed(first, pixels(viewer)) > 0.004, "the branch does not follow"
-    viewer.picture()
     page.mouse.up()
     expect(page.locator("#grip")).to_be_hidden()
     page.mouse.move(5, 300)
@@ -136,7 +135,6 @@ def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None
     page.goto(job_url)  # only the hash changes: a link pasted into the open page
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     viewer.wait_frames(3)
-    viewer.picture()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     for name in ("#speed", "#damping", "#download"):
         page.locator(name).first.scroll_into_view_if_needed()
@@ -235,7 +233,6 @@ def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, ur
         ahead = np.array([np.cos(angle), np.sin(angle)]) * LEVEL
         expected = [0.5 - Y_1 * LOPSIDED * ahead[1], 0.5 - Y_1 * LOPSIDED * ahead[0], 0.5]
         np.testing.assert_allclose(middle, expected, atol=0.04)
-    viewer.picture()
     assert viewer.complaints == []
 
 
