@@ -19,14 +19,6 @@ export function nearest(points, to, isOne = (_row) => true) {
   return best;
 }
 
-const unit = (v) => scaled(v, 1 / length(v));
-
-/** Axes of a plane through two directions: along the first, across it in the plane, and the normal. */
-export function frameOf(along, other) {
-  const z = unit(cross(along, other));
-  return [unit(along), cross(z, unit(along)), z];
-}
-
 /** About the vertical axis. */
 export function turnedUpright(v, angle) {
   const [x, y, z] = v;
