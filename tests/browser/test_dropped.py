@@ -132,6 +132,9 @@ def test_a_splat_stands_as_its_file_says(
     while not (size := viewer.page.evaluate(SIZE_OF_DRAFT)):
         viewer.page.wait_for_timeout(200)
     assert size[2] > 3 * max(size[:2])
+    viewer.page.wait_for_function(
+        "() => drawn.some(([radius]) => radius !== drawn[0][0])"
+    )  # not yet where turns are slow
     drawn = viewer.page.evaluate("drawn")
     assert next(shadow for radius, shadow in drawn if radius != drawn[0][0]), "the welcome's shadow lies there"
 
