@@ -5,12 +5,14 @@ import re
 import runpy
 import stat
 import tomllib
-from importlib import resources
+from importlib import metadata, resources
 from pathlib import Path
 
 import pytest
 import yaml
 from jsonschema import Draft7Validator
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from sqlalchemy.engine import make_url
 
 from jobs.settings import GIB, Settings
@@ -156,6 +158,10 @@ def test_the_image_has_what_runs_in_it_and_nothing_else() -> None:
     needed = project["dependencies"] + [name for extra in extras for name in project["optional-dependencies"][extra]]
     names = {re.split(r"[\[<>=]", line)[0].lower() for line in needed}
     assert names - {"torch"} <= dict(locked).keys(), "run `make lock`"
+    installed = {canonicalize_name(one.name): one for one in metadata.distributions()}
+    lines = [line for name in dict(locked).keys() & installed.keys() for line in installed[name].requires or ()]
+    needs = [one for one in map(Requirement, lines) if one.marker is None or one.marker.evaluate({"extra": ""})]
+    assert {canonicalize_name(one.name) for one in needs} - {"torch"} <= dict(locked).keys(), "run `make lock-image`"
 
 
 @pytest.mark.parametrize("queue", ["cpu", "gpu"])
