@@ -34,6 +34,8 @@ def test_a_database_and_models_of_the_current_folder_are_the_same_for_the_childr
     monkeypatch.setenv("DYNAMICTREE_MODELS", "models")
     settings = Settings(state_dir=Path("state"), database_url="sqlite:///jobs.sqlite")
     with closing(socket.socket()) as listening:
-        worker = next(plan for plan in plans(settings, listening) if plan.name == "worker")
-    assert make_url(worker.environment["DYNAMICTREE_DATABASE_URL"]).database == str(tmp_path / "jobs.sqlite")
-    assert worker.environment["DYNAMICTREE_MODELS"] == str(tmp_path / "models")
+        children = {plan.name: plan.environment for plan in plans(settings, listening)}
+    assert make_url(children["worker"]["DYNAMICTREE_DATABASE_URL"]).database == str(tmp_path / "jobs.sqlite")
+    assert children["worker"]["DYNAMICTREE_MODELS"] == str(tmp_path / "models")
+    assert children["worker"]["MALLOC_ARENA_MAX"] == "1"  # as the tests of memory have it
+    assert children["api"]["MALLOC_MMAP_THRESHOLD_"] == "131072"
