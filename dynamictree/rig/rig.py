@@ -10,7 +10,8 @@ from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 from dynamictree.mesh import Surface, edges_of
 from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth, carried, poses
 from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
-from dynamictree.rig.turn_fit import Target, fit_turns
+from dynamictree.rig.turn_fit import fit_turns
+from dynamictree.rig.turn_matrices import Target
 from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, iter_motion
 from dynamictree.voxel.voxelize import surface_average, voxel_trees
 

@@ -20,21 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from jaxtyping import Complex64, Float32, Float64, Int, Int32
+from jaxtyping import Complex64, Float32
 
+from dynamictree.rig import turn_matrices as matrices
 from dynamictree.rig.pose import GROUND, Poses, Skeleton, Weights, poses
+from dynamictree.rig.turn_matrices import Target
 from dynamictree.spectrum import bin_weights, iter_motion
 
-APART = 0.2
-"""Price of a bone's turn against its parent's, as that of moving a voxel at its end by as much. Measured on six grown
-trees (docs/decisions/modal.md): 1 loses flutter, 0.05 turns what no voxel tells."""
-APART_BESIDE = 3.0
-"""Likewise, against another bone that edges join it to, as in a crown that is one surface."""
 STRETCH = 500.0
 """Price of edges that grow by their own lengths, as that of moving as many voxels by a voxel: at 5000, a shrub in a
 storm is off by 12 % and not 7 %."""
-IN_SURFACE = 10.0
-"""Times as much in a crown that is one surface: it has no cards, which turn at no price, and stretched by 22 %."""
 FROM_SIDE = 0.1
 """Of it in a wind at right angles to the motion's: sin² of how far the direction turns, 18°."""
 MEAN_ROUNDS, ROUNDS = (3, 1, 1), (3, 1, 1, 1, 1)
@@ -42,10 +37,8 @@ MEAN_ROUNDS, ROUNDS = (3, 1, 1), (3, 1, 1, 1, 1)
 LEAST_GAIN = 0.01  # of the cost: a step that gains less is the last
 MOST_STEP_RAD = 0.3
 STEP_LENGTHS = (1.0, 0.5, 0.25)  # tried in this order
-MOST_EDGES = 60_000  # of a larger mesh, evenly chosen: stretch is a mean
 FRAMES_A_FREQUENCY = 3  # two would do, were there nothing above the K frequencies
 _VOXELS_AT_ONCE = 100_000
-_SHORTEST_EDGE = 0.25  # in voxels; shorter edges cost no more
 _CHAINED = 1e6  # price of leaving the parent, as that of moving a voxel
 _FIXED = 1e10  # price of a turn of the ground
 _ANCHOR = 1e-9  # keeps the system definite where no voxel tells of a bone
@@ -54,26 +47,14 @@ _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of 
 Solution = Complex64[np.ndarray, "U K"]
 """Displacements of the B feet, turns, and feet in a side wind of the bones that bend; three numbers each."""
 Stacked = Complex64[np.ndarray, "B4 3 K"]
-"""Of each bone its foot, then the columns of its rotation, less those at rest: what `_placing` multiplies."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Target:
-    """N points that the bones carry, edges between them, and the motion of V voxels that are means of them."""
-
-    points: Float32[np.ndarray, "N 3"]
-    edges: Int32[np.ndarray, "E 2"]
-    mean: scipy.sparse.csr_array  # [V, N], rows sum to 1
-    coefficients: Complex64[np.ndarray, "V K 3"]  # [m]
-    num_frames: int  # T of the spectrum
-    voxel_m: float
+"""Of each bone its foot, then the columns of its rotation, less those at rest: what `matrices.placing` multiplies."""
 
 
 def fit_turns(
     skeleton: Skeleton, weights: Weights, target: Target, report: Callable[[float], None]
 ) -> Complex64[np.ndarray, "B K 3"]:
     """Turn modes [rad] of the bones that carry the target's points; `report` gets the share done."""
-    placing = _placing(skeleton, weights, target.points)
+    placing = matrices.placing(skeleton, weights, target.points)
     voxels = _Voxels(skeleton, weights, target, placing)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
     for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
@@ -164,9 +145,9 @@ class _Problem:
         self.skeleton, self.voxels = skeleton, voxels
         num_bones = len(skeleton)
         at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
-        ends, self.length, self.scale = _edge_ends(skeleton, weights, target)
+        ends, self.length, self.scale = matrices.edge_ends(skeleton, weights, target)
         self.vectors = (ends @ placing).tocsr()  # [E, 4B]
-        self.price = STRETCH * len(voxels.coefficients) / max(len(target.edges[:: _stride(target)]), 1)
+        self.price = STRETCH * len(voxels.coefficients) / max(len(target.fitted_edges), 1)
         self.bends = np.zeros(num_bones, np.bool_)
         self.stretches = np.unique(self.vectors.indices % num_bones)  # bones that edges can pull at
         self.bends[self.stretches] = True
@@ -175,15 +156,16 @@ class _Problem:
         for level in reversed(skeleton.levels):
             self.bends[skeleton.above[level][self.bends[level]]] = True
 
-        turning = _turning(about.astype(np.float64))
-        moves, chain = _linear(skeleton, scipy.sparse.eye_array(4 * num_bones).tocsr(), there, feet=0, swing=turning)
-        growth, _ = _linear(skeleton, self.vectors, there, feet=0, swing=turning)
+        turning = matrices.turning(about.astype(np.float64))
+        whole = scipy.sparse.eye_array(4 * num_bones).tocsr()
+        moves, chain = matrices.linear(skeleton, whole, there, feet=0, swing=turning)
+        growth, _ = matrices.linear(skeleton, self.vectors, there, feet=0, swing=turning)
         along = self._lengthening(there) @ growth
-        across = _cross(skeleton.directions.astype(np.float64))
+        across = matrices.cross(skeleton.directions.astype(np.float64))
         self.side_swing = -across @ _QUARTER @ across
-        side_growth, side_chain = _linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
+        side_growth, side_chain = matrices.linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
         aside = self._lengthening(at_rest) @ side_growth
-        apart = _apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
+        apart = matrices.apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
         prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
@@ -201,7 +183,7 @@ class _Problem:
 
     def _lengthening(self, pose: Poses) -> scipy.sparse.csr_array:
         """From displacements of edge vectors [m] to weighted growth [E, 3E]."""
-        vectors = self.vectors @ _stacked(pose)[..., 0]
+        vectors = self.vectors @ matrices.stacked(pose)[..., 0]
         along = vectors * (self.scale / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None]
         count = len(along)
         ends = 3 * np.arange(count + 1)
@@ -252,7 +234,8 @@ class _Problem:
                     self.skeleton, np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
                 )
                 theirs = Poses(rotation=now.rotation[:, self.stretches], place_m=now.place_m[:, self.stretches])
-                vectors = (self.their_vectors @ _stacked(theirs).reshape(-1, 3 * len(some))).reshape(-1, 3, len(some))
+                vectors = self.their_vectors @ matrices.stacked(theirs).reshape(-1, 3 * len(some))
+                vectors = vectors.reshape(-1, 3, len(some))
                 length = np.sqrt(np.einsum("ecf,ecf->ef", vectors, vectors)) - self.length[:, None]
                 growth += (length * self.scale[:, None]).astype(np.float32) @ wave[some]
                 off[row, :, 0] = now.place_m - self.skeleton.foot_m
@@ -275,7 +258,7 @@ class _Problem:
         """The same turns, with the feet that a side wind then moves."""
         skeleton, above = self.skeleton, self.skeleton.above
         foot = skeleton.foot_m.astype(np.float64)
-        lever = (-_cross(foot - foot[above]) @ self.side_swing[above]).astype(np.float32)
+        lever = (-matrices.cross(foot - foot[above]) @ self.side_swing[above]).astype(np.float32)
         turns = solution[3 * len(skeleton) : 6 * len(skeleton)].reshape(len(skeleton), 3, -1)
         moved = np.zeros_like(turns)
         for level in skeleton.levels:
@@ -311,121 +294,3 @@ def _weighed(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
     pair = (values.reshape(-1, len(often)).view(np.float32) for values in (one, other))
     parts = zip(*(np.array_split(values, len(values) // 512 + 1) for values in pair), strict=True)
     return float(sum(np.einsum("nk,nk->k", *some).astype(np.float64) for some in parts) @ np.repeat(often, 2))
-
-
-def _stride(target: Target) -> int:
-    return -(-max(len(target.edges), 1) // MOST_EDGES)
-
-
-def _placing(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "N 3"]) -> scipy.sparse.csr_array:
-    """Places of points as a product with `_stacked` poses [N, 4B]: the shares, then the shares times each arm."""
-    num_bones, (num_points, width) = len(skeleton), weights.rows.shape
-    arm = points[:, None].astype(np.float64) - skeleton.foot_m[weights.rows]  # [N, W, 3]
-    values = np.concatenate([np.ones((num_points, width, 1)), arm], axis=2) * weights.shares[:, :, None]
-    columns = weights.rows[:, :, None] + num_bones * np.arange(4)
-    used = np.broadcast_to(weights.shares[:, :, None] > 0, values.shape)
-    row = np.repeat(np.arange(num_points), used.sum(axis=(1, 2)))
-    return scipy.sparse.csr_array((values[used], (row, columns[used])), shape=(num_points, 4 * num_bones))
-
-
-def _stacked(pose: Poses) -> Float64[np.ndarray, "B4 3 T"]:
-    """Feet, then columns of the rotations, which `_placing` multiplies."""
-    parts = [pose.place_m, *(pose.rotation[..., column] for column in range(3))]
-    return np.concatenate([part.transpose(1, 2, 0) for part in parts])
-
-
-def _edge_ends(
-    skeleton: Skeleton, weights: Weights, target: Target
-) -> tuple[scipy.sparse.csr_array, Float64[np.ndarray, " E"], Float64[np.ndarray, " E"]]:
-    """Differences [E, N] of the edges that can grow; their lengths [m], and weights of their growth [1/m · m]."""
-    edges = target.edges[:: _stride(target)]
-    length = np.linalg.norm(target.points[edges[:, 0]].astype(np.float64) - target.points[edges[:, 1]], axis=1)
-    one, other = weights.rows[edges[:, 0]], weights.rows[edges[:, 1]]
-    single = (weights.shares[edges, 0] == 1).all(axis=1)
-    can_grow = (length > 0) & ~(single & (one[:, 0] == other[:, 0]))
-    edges, length = edges[can_grow], length[can_grow]
-    dear = np.sqrt(np.where(skeleton.in_surface[weights.rows[edges, 0]].all(axis=1), IN_SURFACE, 1))
-    scale = dear * target.voxel_m / np.maximum(length, _SHORTEST_EDGE * target.voxel_m)
-    signs = np.tile([1.0, -1.0], len(edges))
-    shape = (len(edges), len(target.points))
-    return scipy.sparse.csr_array((signs, edges.ravel(), 2 * np.arange(len(edges) + 1)), shape=shape), length, scale
-
-
-def _turning(theta: Float64[np.ndarray, "B 3"]) -> Float64[np.ndarray, "B 3 3"]:
-    """From a change of θ to the small rotation [rad] that R(θ) is turned by."""
-    cosine = (1 / np.sqrt(1 + (theta**2).sum(axis=1)))[:, None, None]
-    outer = theta[:, :, None] * theta[:, None, :]
-    return np.asarray(cosine * np.eye(3) - cosine**3 / (1 + cosine) * outer + cosine**2 / (1 + cosine) * _cross(theta))
-
-
-def _linear(
-    skeleton: Skeleton, placing: scipy.sparse.csr_array, pose: Poses, *, feet: int, swing: Float64[np.ndarray, "B 3 3"]
-) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
-    """Displacements of the rows of `placing` [m] under small turns `swing` θ, and what feet leave their parents by [m].
-
-    `feet` is the block of the unknowns that has the displacements of the feet.
-    """
-    num_bones, above = len(skeleton), skeleton.above
-    rotation = pose.rotation[0]
-    carries = placing[:, :num_bones].tocoo()
-    arms = placing[:, num_bones:].tocoo()
-    column, bone = np.divmod(arms.col, num_bones)
-    keys, pair = np.unique(arms.row * np.int64(num_bones) + bone, return_inverse=True)
-    row, bone = np.divmod(keys, num_bones)
-    turned = rotation[bone[pair], :, column] * arms.data[:, None]
-    arm = np.stack([np.bincount(pair, turned[:, i], len(keys)) for i in range(3)], axis=1)
-    one = np.eye(3)
-    moves = _blocks(
-        (placing.shape[0], num_bones),
-        (carries.row, feet * num_bones + carries.col, carries.data[:, None, None] * one),
-        (row, num_bones + bone, -_cross(arm) @ swing[bone]),
-    )
-    foot, each = skeleton.foot_m.astype(np.float64), np.arange(num_bones)
-    between = np.einsum("bij,bj->bi", rotation[above], foot - foot[above])
-    has_parent = (skeleton.parent >= 0)[:, None, None].astype(np.float64)
-    chain = _blocks(
-        (num_bones, num_bones),
-        (each, feet * num_bones + each, np.broadcast_to(one, swing.shape)),
-        (each, feet * num_bones + above, -has_parent * one),
-        (each, num_bones + above, has_parent * _cross(between) @ swing[above]),
-    )
-    return moves, chain
-
-
-def _apart(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarray) -> scipy.sparse.csr_array:
-    """What neighbours turn apart times the length of the shorter bone, weighted [m]; 9B columns."""
-    stiff = 0.004  # price for each voxel beyond: without it, edges of generated motions stretch by a sixth more
-    beyond, num_bones, parent, one_voxel = voxels.copy(), len(skeleton), skeleton.parent, target.voxel_m**2
-    for level in reversed(skeleton.levels):
-        np.add.at(beyond, skeleton.above[level], beyond[level])
-    joined = np.unique(np.sort(weights.rows[target.edges, 0], axis=1), axis=0)
-    first, second = joined[
-        (joined[:, 0] != joined[:, 1]) & (parent[joined[:, 0]] != joined[:, 1]) & (parent[joined[:, 1]] != joined[:, 0])
-    ].T
-    child = np.arange(1, num_bones)
-    one, other = np.concatenate([child, first]), np.concatenate([parent[1:], second])
-    price = np.repeat([APART, APART_BESIDE], [len(child), len(first)])
-    carried = np.append(beyond[child], np.zeros(len(first)))
-    square = (skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1)
-    square = np.minimum(square[one], square[other])
-    lever_m = np.sqrt(price * (square + one_voxel) + stiff * carried * (square + 10 * one_voxel))
-    rows, lever_m = np.arange(len(one)), lever_m[:, None, None] * np.eye(3)
-    return _blocks((len(one), num_bones), (rows, num_bones + one, lever_m), (rows, num_bones + other, -lever_m))
-
-
-def _blocks(
-    shape: tuple[int, int], *blocks: tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"], Float64[np.ndarray, "_ 3 3"]]
-) -> scipy.sparse.csr_array:
-    """Sparse matrix [3 rows, 9 bones] of 3 x 3 blocks: row, column and values of each."""
-    row, column = np.mgrid[0:3, 0:3]
-    rows = np.concatenate([(3 * r[:, None, None] + row).ravel() for r, _, _ in blocks])
-    columns = np.concatenate([(3 * c[:, None, None] + column).ravel() for _, c, _ in blocks])
-    values = np.concatenate([v.ravel() for _, _, v in blocks])
-    return scipy.sparse.csr_array((values, (rows, columns)), shape=(3 * shape[0], 9 * shape[1]))
-
-
-def _cross(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """Matrices of the cross products v x."""
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
