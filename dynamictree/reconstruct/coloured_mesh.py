@@ -14,11 +14,10 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import MeshLook, TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.cut import BESIDE
 from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
-from dynamictree.reconstruct.surface_choice import best_mesh
+from dynamictree.reconstruct.surface_choice import BESIDE, best_mesh
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 

@@ -15,7 +15,6 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import best_mesh_of
-from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.draft import Draft, OnFile
 from dynamictree.reconstruct.exposure import evenly_exposed
 from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames, write_sharp_frames
@@ -32,6 +31,7 @@ from dynamictree.reconstruct.scene import Scene, find_scene
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import cloud_of
+from dynamictree.reconstruct.surface_choice import of_the_mesh
 from dynamictree.reconstruct.views import SparseModel, read_model
 from dynamictree.reconstruct.work_folder import DEPTHS, PHOTOS, SPLAT, TIMES, alone_in_work, extend_work
 

@@ -14,11 +14,11 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
-from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import faint_floaters, plant_of
 from dynamictree.reconstruct.report import PlantQuality, plant_quality, write_report_picture
 from dynamictree.reconstruct.result import Reconstruction
+from dynamictree.reconstruct.surface_choice import of_the_mesh
 
 
 def recut(

@@ -4,15 +4,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float32
+from scipy.spatial import cKDTree
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.cut import of_the_mesh
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.report import shrunk
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
+
+BESIDE = 0.02  # of the region's radius: how far from the mesh a Gaussian of it may stand
 
 
 def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: Sequence[View], radius: float) -> str:
@@ -55,3 +57,13 @@ def _drawn(
     face = Renderer(mesh, Look(width=width, height=height, shadows=False)).buffers(view.camera).face
     of_face = mesh.look.vertex_colors[mesh.faces, :3].mean(axis=1).astype(np.float32) / 255
     return of_face[face], face >= 0
+
+
+def of_the_mesh(cloud: GaussianCloud, mesh: TriangleMesh, *, radius: float) -> Bool[np.ndarray, " G"]:
+    """Select Gaussians near the mesh that are neither wide nor faint; `radius` is that of the region."""
+    faintest = 0.02
+    largest = 0.15  # of the region's radius: what is wider belongs to the background
+    distance = cKDTree(mesh.vertices).query(cloud.means, distance_upper_bound=BESIDE * radius)[0]
+    narrow = cloud.scales.max(axis=1) < largest * radius
+    chosen: Bool[np.ndarray, " G"] = np.isfinite(distance) & narrow & (cloud.opacity > faintest)
+    return chosen

@@ -15,12 +15,11 @@ from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import joined
 from dynamictree.gaussian.rasterize import render_on_cpu
-from dynamictree.gaussian.visibility import weights_at
 from dynamictree.photo_requests import CutParams, Scribble
 from dynamictree.reconstruct.plant_cut import faint_floaters, minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
 from dynamictree.reconstruct.recut import recut
-from dynamictree.reconstruct.scribbles import marked
+from dynamictree.reconstruct.scribbles import marked, weights_at
 from tests.reconstruct.planted import Planted, coloured, on_lawn, potted, stroke_across, write_planted
 
 BENCH = 2
