@@ -15,6 +15,7 @@ from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import PreparedTree
 from dynamictree.models.small.spread import at_speed, log_surplus, speed_terms
 from dynamictree.models.wind import wind_axes
+from dynamictree.rig.rig import rig_of
 from lab.dataset.shards import StoredTree
 from lab.small.examples import Example, voxels_of
 
@@ -79,13 +80,15 @@ def likeness(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P
 
 @torch.no_grad()
 def measure_field(network: SmallNetwork, trees: Iterable[StoredTree], seed: int) -> None:
-    """Let the network's gain undo what drawing does to the energy."""
+    """Let the network's gain undo what drawing does to the energy, and what bones take more of than of the truth's."""
     model = SmallModel(network, name="small")
     changes = []
     for tree in trees:
-        voxels = voxels_of(tree)
-        drawn = model.generate(voxels, wind=tree.wind, seed=seed).coefficients[:, 1:] @ wind_axes(tree.wind).T
-        moving = torch.from_numpy(drawn / np.float32(voxels.grid.height_m))
-        sizes = [torch.linalg.vector_norm(one, dim=0) for one in (moving, model.prepare(voxels, tree.wind).amplitude)]
-        changes.append((sizes[0] / sizes[1]).log())
-    network.log_gain.sub_(torch.stack(changes).mean(dim=0))
+        voxels, true, axes = voxels_of(tree), tree.spectrum(), wind_axes(tree.wind).T
+        drawn = model.generate(voxels, wind=tree.wind, seed=seed)
+        rigs = (rig_of(tree.mesh(), one) for one in (drawn, true))
+        motions = [*(rig.loop(voxels.grid.centres_m, rig.voxels) for rig in rigs), true.coefficients]
+        of_drawn, of_true, there = (np.linalg.norm(motion[:, 1:] @ axes, axis=0) for motion in motions)
+        expected = torch.linalg.vector_norm(model.prepare(voxels, tree.wind).amplitude, dim=0).numpy()
+        changes.append(np.log(of_drawn / of_true * there / expected / np.float32(voxels.grid.height_m)))
+    network.log_gain.sub_(torch.from_numpy(np.mean(changes, axis=0)))

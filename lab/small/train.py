@@ -76,7 +76,7 @@ class SmallTraining:
 
 
 def train_small(
-    plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnStep | None = None
+    plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnStep = lambda part, done, total, loss: None
 ) -> SmallNetwork:
     """Train into a folder: `rows/`, a checkpoint a part, `small.safetensors`. What is there is not done again.
 
@@ -98,7 +98,7 @@ def train_small(
 
 
 def _train_foliage(
-    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep | None
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep
 ) -> None:
     if plan.foliage_from is not None:
         load_part(network.foliage, load_file(plan.foliage_from), "foliage")
@@ -116,13 +116,13 @@ def _train_foliage(
             return foliage_step(network.foliage, trees, rng)
 
         for step, loss in trainer.run(loss_of, checkpoint):
-            _tell(on_step, "foliage", step, plan.foliage.schedule.num_steps, loss)
+            on_step("foliage", step, plan.foliage.schedule.num_steps, loss)
     network.foliage.load_state_dict(trainer.average.state_dict())
     network.foliage.requires_grad_(False)
 
 
 def _rows(
-    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnStep | None
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnStep
 ) -> AmplitudeRows:
     """Training rows of the amplitude network: written by the first process, read by all."""
     paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
@@ -135,13 +135,13 @@ def _rows(
                 if not path.exists():
                     rng = np.random.default_rng([plan.amplitude.seed, int(path.stem)])
                     write_rows(amplitude_rows(network.foliage, map(example_of, some), rng), path)
-                _tell(on_step, "trees", int(path.stem) + len(some), plan.amplitude_trees, 0.0)
+                on_step("trees", int(path.stem) + len(some), plan.amplitude_trees, 0.0)
     wait_for_all()
     return read_rows(paths)
 
 
 def _train_amplitude(
-    network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnStep | None
+    network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnStep
 ) -> None:
     options = plan.amplitude
     if plan.amplitude_from is not None:
@@ -152,13 +152,13 @@ def _train_amplitude(
     trainer = Trainer(network.amplitude, options)
     trainer.resume(checkpoint)
     for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
-        _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
+        on_step("amplitude", step, plan.amplitude.schedule.num_steps, loss)
     network.amplitude.load_state_dict(trainer.average.state_dict())
     network.amplitude.eval().requires_grad_(False)
 
 
 def _train_denoiser(
-    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep | None
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep
 ) -> None:
     if plan.denoiser_from is not None and plan.denoiser.schedule.num_steps == 0:
         before = load_file(plan.denoiser_from)
@@ -182,14 +182,9 @@ def _train_denoiser(
         own = islice(trees, process_rank(), None, num_processes())
         white = [white_example(network, example_of(tree), deviation) for tree in own]
         for step, loss in trainer.run(lambda rng: denoising_step(network, white, rng), checkpoint):
-            _tell(on_step, "denoiser", step, plan.denoiser.schedule.num_steps, loss)
+            on_step("denoiser", step, plan.denoiser.schedule.num_steps, loss)
     network.denoiser.load_state_dict(trainer.average.state_dict())
     trees = iter_training(shards, first=first, count=plan.denoiser_trees)
     measure_spread(network, map(gust_pair, trees))
     measure_leaves(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
     measure_field(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
-
-
-def _tell(on_step: OnStep | None, part: str, done: int, total: int, loss: float) -> None:
-    if on_step is not None:
-        on_step(part, done, total, loss)

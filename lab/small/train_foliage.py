@@ -10,7 +10,6 @@ from torch import Tensor
 
 from dynamictree.models.small.features import TreeFeatures, turn_features
 from dynamictree.models.small.foliage import ARM, NUM_PARTS, FoliageNetwork, seen
-from dynamictree.models.small.quarter_turns import SIDES
 from dynamictree.sparse.level import Pyramid
 from lab.dataset.shards import StoredTree
 from lab.small.examples import example_of
@@ -22,6 +21,8 @@ MIN_DEVIATION = 0.01
 BLIND_EVERY = 11
 """Every so many trees are seen without the surface's moments, as files of voxels are that have none."""
 SIZE_WEIGHT = 0.5  # of ln sizes beside parts
+SIDES = tuple((axes, (east, north, 1)) for axes in ((0, 1, 2), (1, 0, 2)) for east in (1, -1) for north in (1, -1))
+"""Axes and signs of the turns by 90° about the vertical, and of their mirrors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 33_916,
+    "lines in dynamictree": 33_912,
     "lines in lab": 6_322,
     "lines in service, jobs and worker": 13_500,
     "lines in tests": 39_930,

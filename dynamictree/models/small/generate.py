@@ -86,7 +86,7 @@ class SmallModel(MotionModel):
     def _draw(self, prepared: PreparedTree, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Noise on the nodes, which the sampler starts from, and below them."""
         start = prepared.noise.draw(self.network.noise_shares, generator, channels=CHANNELS)
-        local = torch.randn(prepared.local.num_columns, len(prepared.spread), CHANNELS, generator=generator)
+        local = torch.randn(prepared.leaf_lift.num_columns, len(prepared.spread), CHANNELS, generator=generator)
         return start, local / math.sqrt(2)
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:

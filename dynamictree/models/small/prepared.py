@@ -22,7 +22,7 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import at_speed, even, log_surplus, sized
+from dynamictree.models.small.spread import at_speed, log_surplus, of_unit_power, sized
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
@@ -52,10 +52,10 @@ class PreparedTree:
     lean: Float32[Tensor, "V 3"]  # over the height
     amplitude: Float32[Tensor, "V J 3"]  # root mean square over the height
     spread: Float32[Tensor, "J 3"]  # of sizes about it
-    own: Float32[Tensor, "V J 1"]  # share of the motion that a voxel's leaf has for itself
+    leaf_share: Float32[Tensor, "V J 1"]  # of the motion that a voxel's leaf has for itself
     leaves: Leaves
     lift: SparseRows  # [V, W]
-    local: SparseRows  # [V, L], to the voxels of a leaf from cells half as large as a node
+    leaf_lift: SparseRows  # [V, L], from cells half as large as a node; voxels of a leaf have what its base has
     network: SmallNetwork
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up
     height_m: float
@@ -66,8 +66,9 @@ class PreparedTree:
         self, whitened: Float32[Tensor, "W J 6"], white: Float32[Tensor, "L J 6"]
     ) -> Complex64[Tensor, "V K 3"]:
         """Lean, and the network's formula, leaves swinging: over the height, in the wind's frame."""
-        nodes, leaf = (even(unpack_channels(one)) for one in (self.lift.apply(whitened), self.local.apply(white)))
-        field = (1 - self.own).sqrt() * nodes + self.own.sqrt() * leaf
+        nodes = of_unit_power(unpack_channels(self.lift.apply(whitened)))
+        leaf = of_unit_power(unpack_channels(self.leaf_lift.apply(white)))
+        field = (1 - self.leaf_share).sqrt() * nodes + self.leaf_share.sqrt() * leaf
         moving = sized(field, self.spread) * self.amplitude
         return self.leaves.swing(torch.cat([self.lean[:, None].to(moving.dtype), moving], dim=1))
 
@@ -105,6 +106,7 @@ def prepare_tree(
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / fixed_share).square()).exp()  # [V]
     leaves = leaves_of(coarse.grid, foliage_values, free, axes)
     smooth = sparse_rows(touching(tree.grids.levels[0]))
+    from_cells = unit_rows(raise_matrix(tree.grids, top - 1, 0))
     return PreparedTree(
         voxels=coarse,
         nodes=nodes,
@@ -115,10 +117,10 @@ def prepare_tree(
         lean=smooth.apply(lean) * free[:, None],
         amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
         spread=spread,
-        own=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
+        leaf_share=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
         leaves=leaves,
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
-        local=sparse_rows(csr_array(unit_rows(raise_matrix(tree.grids, top - 1, 0))[leaves.base.numpy()])),
+        leaf_lift=sparse_rows(csr_array(from_cells[leaves.base.numpy()])),
         network=network,
         axes=axes,
         height_m=height_m,

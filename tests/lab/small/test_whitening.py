@@ -12,6 +12,7 @@ from dynamictree.models.small.features import coarsen_features
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.spread import at_speed
+from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample
 from lab.dataset.shards import store
 from lab.small.examples import gust_pair, make_example, voxels_of
@@ -24,8 +25,10 @@ def test_what_is_drawn_has_the_energy_that_trees_have(tiny_network: SmallNetwork
     measure_spread(network, [gust_pair(stored)] * 4)
     measure_field(network, [stored], seed=0)
     model, voxels = SmallModel(network, name="tiny"), voxels_of(stored)
-    drawn = [model.generate(voxels, wind=stored.wind, seed=seed).coefficients for seed in range(5, 9)]
-    *energies, true = (np.log((np.abs(one[:, 7:]) ** 2).sum()) for one in (*drawn, stored.spectrum().coefficients))
+    drawn = [model.generate(voxels, wind=stored.wind, seed=seed) for seed in range(5, 9)]
+    rigs = [rig_of(stored.mesh(), spectrum) for spectrum in (*drawn, stored.spectrum())]
+    motions = [rig.loop(voxels.grid.centres_m, rig.voxels) for rig in rigs]
+    *energies, true = (np.log((np.abs(motion[:, 7:]) ** 2).sum()) for motion in motions)
     assert np.mean(energies) == pytest.approx(true, abs=0.2)
 
 

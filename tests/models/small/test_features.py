@@ -19,7 +19,6 @@ from dynamictree.models.small.features import (
     wind_vector,
 )
 from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES
-from dynamictree.models.small.quarter_turns import SIDES
 from dynamictree.models.small.surface_shape import eigenvalues
 from dynamictree.models.small.voxel_skeleton import FOOT_VOXELS, section_radius, skeleton_of
 from dynamictree.spectrum import Wind
@@ -27,6 +26,7 @@ from dynamictree.voxel.graph import voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD
 from dynamictree.voxel.voxelize import SurfaceVoxels, voxelize
+from lab.small.train_foliage import SIDES
 
 WIND = wind_vector([Wind(speed_m_s=7.0, direction_deg=37.0, gust=0.2)])
 
