@@ -25,6 +25,7 @@ from jobs.storage.object_storage import open_objects, reporting_refusals
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS
 from worker.cancellation import Watch
 from worker.half_done import alone_in, half_done_folder
+from worker.memory_limit import return_freed_memory
 from worker.runtime import Runtime
 
 logger = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
         for stage in job.stages:
             watch.check()
             attempt.take(attempt.outputs_of(stage.name))
+            return_freed_memory()  # the network leaves 400 MB, which the fit of turns would come on top of
         if job.destination is not None:
             attempt.deliver(job.destination)
     finally:

@@ -66,6 +66,7 @@ def fit_turns(
             now = _descended(problem, problem.read(*played), most)
             played = now.solution, now.stacked, now.growth
         turns = problem.turns(now.solution)
+        del problem  # its factor, hundreds of megabytes, before the next is made
     return turns
 
 
