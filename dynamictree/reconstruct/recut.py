@@ -101,6 +101,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
             own &= ~faint_floaters(scene, own)
         on_progress(0.8)
     mesh = mesh_of_plant(scene, own, finished.mesh, radius_m)
+    finished.report["mesh_by"] = "splat"
     if not (choice.scribbles or choice.only_plant):
         own &= of_the_mesh(scene, mesh, radius=radius_m)
     _require_plant(own)

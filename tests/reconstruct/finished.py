@@ -57,7 +57,7 @@ def write_finished(folder: Path) -> None:
         write_gaussian_ply(scene, stream)
     write_photos(folder, scene, [PhotoCamera(photo="a.jpg", camera=CAMERA, width=160, height=120)])
     report = {"scale": "unknown", "radius_m": 2.0, "num_photos": 1, "held_out": ["a.jpg"], "warnings": []}
-    (folder / "report.json").write_text(json.dumps(report))
+    (folder / "report.json").write_text(json.dumps(report | {"mesh_by": "stereo"}))
 
 
 def write_photos(folder: Path, scene: GaussianCloud, cameras: list[PhotoCamera]) -> None:

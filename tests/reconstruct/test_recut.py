@@ -49,6 +49,7 @@ def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: P
     np.testing.assert_allclose(mesh.vertices, capture.mesh.vertices, atol=1e-6)
     report = json.loads((target / "report.json").read_text())
     assert (report["scale"], report["num_photos"], report["num_gaussians"]) == ("given", 1, NUM_STEM)
+    assert report["mesh_by"] == "splat"  # not what the mesh of everything was made of
 
 
 def test_the_report_shows_the_mesh_that_is_delivered(finished: Path, tmp_path: Path) -> None:
