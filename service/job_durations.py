@@ -14,7 +14,7 @@ from jobs.states import JobState, JobType
 from jobs.store import Store
 
 REMEMBERED_S = 10.0
-OF_PHOTOS_S: dict[JobType, float] = {"reconstruct": 420.0, "voxelize": 5.0, "diffuse": 20.0, "animate": 40.0}
+OF_PHOTOS_S: dict[JobType, float] = {"reconstruct": 240.0, "voxelize": 1.0, "diffuse": 5.0, "animate": 15.0}
 """Seconds that the stages of a job on photos usually take on two cores."""
 
 

@@ -18,7 +18,7 @@ from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
-RIG_SHARE = 0.2
+RIG_SHARE = 0.5
 """Of the progress: the rig, before the first file."""
 OnFacts = Callable[[Format, Facts], None]
 """Gets a format that is not exact, and how far its file is from the motion."""

@@ -44,14 +44,14 @@ def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | Non
     leave out most photos, as with thin stems, everywhere.
     """
     masked = [photo.name for photo in photos if photo.masked]
-    half = 0.5 if given is None and masked else 1.0
-    search = _Search(folder=folder, photos=photos, given=given, part=(0.0, half))
+    most = 0.9 if given is None and masked else 1.0  # of the progress: a second search is seldom
+    search = _Search(folder=folder, photos=photos, given=given, part=(0.0, most))
     model = search.model()
-    if given is None and masked and (model is None or _num_registered(model) < _FEW * len(photos)):
+    if given is None and masked and (model is None or model.num_reg_images() < _FEW * len(photos)):
         unmasked = [replace(photo, masked=False) for photo in photos]
-        whole_search = replace(search, photos=unmasked, part=(half, 1.0), database_name=DATABASES[1])
+        whole_search = replace(search, photos=unmasked, part=(most, 1.0), database_name=DATABASES[1])
         whole = whole_search.model()
-        if model is None or (whole is not None and _num_registered(whole) > _num_registered(model)):
+        if model is None or (whole is not None and whole.num_reg_images() > model.num_reg_images()):
             model, search = whole, whole_search
     if model is not None:
         _write_model(search, model, masked)
@@ -169,8 +169,10 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
         models = _map_once(search, attempt, min_inliers, min_ratio)
         for model in models.values():
             leave_out_loose(model)
-        best = max([*models.values(), *([best] if best else [])], key=_num_registered, default=None)
-        if best is not None and _num_registered(best) >= _ENOUGH * len(search.photos):
+        best = max(
+            [*models.values(), *([best] if best else [])], key=pycolmap.Reconstruction.num_reg_images, default=None
+        )
+        if best is not None and best.num_reg_images() >= _ENOUGH * len(search.photos):
             break
     return best
 
@@ -217,10 +219,6 @@ def leave_out_loose(model: pycolmap.Reconstruction) -> None:
     for image, flown in zip(posed, away > _FLOWN * np.median(away), strict=True):
         if flown or image.num_points3D < least_points:
             model.deregister_frame(image.frame_id)
-
-
-def _num_registered(model: pycolmap.Reconstruction) -> int:
-    return int(model.num_reg_images())
 
 
 def _map_once(search: _Search, attempt: int, min_inliers: int, min_ratio: float) -> dict[int, pycolmap.Reconstruction]:

@@ -45,9 +45,9 @@ def expected_seconds(num_photos: int, options: ReconstructOptions) -> dict[str, 
     return {
         "photos": 0.1 * num_photos,
         "cameras": sum(search_seconds(num_photos).values()),
-        "depth": 3.0 * min(num_photos, options.max_views),
+        "depth": 1.0 * min(num_photos, options.max_views),
         "splat": schedule.num_steps * (0.01 + 0.1 * (schedule.side_px / 640) ** 2),
-        "mesh": 10.0,
+        "mesh": 5.0,
     }
 
 

@@ -57,12 +57,14 @@ def fit_turns(
     placing = matrices.placing(skeleton, weights, target.points)
     voxels = _Voxels(skeleton, weights, target, placing)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
+    done, whole = 0, len(MEAN_ROUNDS) + len(ROUNDS)
     for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
         problem = _Problem(skeleton, weights, target, placing, voxels, about=turns[:, 0].real)
         solution = problem.solution(turns, num_frequencies)
         played = solution, *problem.played(solution)
-        for number, most in enumerate(rounds):
-            report((num_frequencies > 1) * (number + 1) / (len(rounds) + 1))
+        for most in rounds:
+            done += 1
+            report(done / (whole + 1))
             now = _descended(problem, problem.read(*played), most)
             played = now.solution, now.stacked, now.growth
         turns = problem.turns(now.solution)
