@@ -55,8 +55,7 @@ def camera_circle(cameras: Mapping[str, Camera]) -> CameraCircle:
     """
     steepest = 0.5  # cosine of 60°: a camera above the plant shows no side of it
     positions = np.array([camera.position_m for camera in cameras.values()])
-    forward = np.array([camera.world_to_camera[2] for camera in cameras.values()])
-    offset = positions - nearest_to_axes(positions, forward)
+    offset = positions - nearest_to_axes(cameras.values())
     level = np.linalg.norm(offset[:, :2], axis=1) >= steepest * np.linalg.norm(offset, axis=1)
     azimuths = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) % 360
     rows = np.flatnonzero(level)

@@ -1,7 +1,7 @@
 """Cameras of a finished reconstruction, in `cameras.json`."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -86,15 +86,13 @@ def camera_of_photo(views: list[PhotoCamera], name: str) -> PhotoCamera:
 def focus_of(views: list[PhotoCamera]) -> tuple[Float64[np.ndarray, "3"], float]:
     """The point nearest to all viewing axes, and the cameras' median distance from it [m]."""
     positions = np.array([view.camera.position_m for view in views])
-    forward = np.array([view.camera.world_to_camera[2] for view in views])
-    focus = nearest_to_axes(positions, forward)
+    focus = nearest_to_axes([view.camera for view in views])
     return focus, float(np.median(np.linalg.norm(positions - focus, axis=1)))
 
 
-def nearest_to_axes(
-    positions: Float64[np.ndarray, "V 3"], forward: Float64[np.ndarray, "V 3"]
-) -> Float64[np.ndarray, "3"]:
+def nearest_to_axes(cameras: Iterable[Camera]) -> Float64[np.ndarray, "3"]:
     """The point of least squared distance to all viewing axes."""
+    positions, forward = np.array([(camera.position_m, camera.world_to_camera[2]) for camera in cameras]).swapaxes(0, 1)
     projectors = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [V, 3, 3]
     wanted = np.einsum("vij,vj->i", projectors, positions)
     return np.asarray(np.linalg.lstsq(projectors.sum(axis=0), wanted, rcond=None)[0])

@@ -39,9 +39,8 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
     """
     ground_thickness = 0.02  # of the region's radius
     positions = np.array([view.camera.position_m for view in model.views])
-    forward = np.array([view.camera.world_to_camera[2] for view in model.views])
     up, cues_agree = camera_up(positions, np.array([view.camera.world_to_camera for view in model.views]))
-    focus = nearest_to_axes(positions, forward)
+    focus = nearest_to_axes([view.camera for view in model.views])
     distance = np.linalg.norm(positions - focus, axis=1)
     half_sides = [0.5 * max(1.0, view.image.shape[1] / view.image.shape[0]) / view.camera.focal for view in model.views]
     radius = float(np.median(distance * half_sides))

@@ -56,10 +56,6 @@ def test_photos_choose_the_true_mesh(orbit: Orbit, scene: GaussianCloud, worse, 
     assert best_mesh(ordered, scene, views[2::5], radius=1.0) == "true"
 
 
-def test_a_single_mesh_is_taken(scene: GaussianCloud, orbit: Orbit) -> None:
-    assert best_mesh({"splat": orbit.stump}, scene, [], radius=1.0) == "splat"
-
-
 def test_the_first_mesh_is_taken_unless_another_is_clearly_better(orbit: Orbit, scene: GaussianCloud) -> None:
     views = views_of(orbit)
     stump = TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces)
@@ -67,3 +63,4 @@ def test_the_first_mesh_is_taken_unless_another_is_clearly_better(orbit: Orbit, 
     wider = stump.with_vertices((stump.vertices * np.float32([1.001, 1.001, 1])).astype(np.float32))
     for first, second in ((stump, wider), (wider, stump)):
         assert best_mesh({"first": first, "second": second}, scene, views[2::5], radius=1.0) == "first"
+    assert best_mesh({"only": wider}, scene, [], radius=1.0) == "only"
