@@ -111,7 +111,7 @@ def _pulled(
             "reached_m_off": np.linalg.norm(moved[vertex] - reached["reached_m"]) / pull_m,
             "long_enough": TOO_FAR not in (reached["why"] or ""),
             "says_why": reached["why"] is not None,
-            "outside": float(np.percentile(np.linalg.norm(moved[outside], axis=1), 95)) / pull_m,
+            "outside": _outermost(np.linalg.norm(moved[outside], axis=1)) / pull_m,
             "outside_own": _own_bending(rig, bone, outside, mesh.vertices, moved) / pull_m,
             "stretch": float(np.percentile(growth, 99)),
             "latency_ms": latency_ms,
@@ -150,7 +150,12 @@ def _own_bending(rig: Rig, bone: np.ndarray, outside: np.ndarray, rest: np.ndarr
         u, _, v = np.linalg.svd(at.T @ to)
         u[:, 2] *= np.sign(np.linalg.det(u @ v))
         left[own] = np.linalg.norm(at @ (u @ v) - to, axis=1)
-    return float(np.percentile(left[outside], 95)) if outside.any() else 0.0
+    return _outermost(left[outside])
+
+
+def _outermost(values: np.ndarray) -> float:
+    """95th percentile; 0 where everything carries the place or hangs on it."""
+    return float(np.percentile(values, 95)) if len(values) else 0.0
 
 
 def _figures(rows: dict[str, np.ndarray]) -> dict[str, object]:

@@ -76,19 +76,13 @@ def _local(above, foot, end, weights, kind, own):
     turns, shift = np.zeros_like(own), np.zeros_like(own)
     for b in range(1, len(own)):
         a = above[b]
-        shift[b] = shift[a] + _crossed(own[a], foot[b] - foot[a])  # of the foot, in the plain answer
+        shift[b] = shift[a] + np.cross(own[a], foot[b] - foot[a])  # of the foot, in the plain answer
         if kind[b] == HANGS:
             turns[b] = own[b]
         elif kind[b] == CARRIES:
             arm = end[b] - foot[b]
             gain = (weights[b] - weights[a]) / max((arm**2).sum(), 1e-12)
-            turns[b] = weights[b] * own[b] + gain * _crossed(arm, shift[b])
+            turns[b] = weights[b] * own[b] + gain * np.cross(arm, shift[b])
         else:
             turns[b] = turns[a] + weights[b] * (own[b] - own[a])
     return turns
-
-
-@compiled
-@no_type_check
-def _crossed(a, b):
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

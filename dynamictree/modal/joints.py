@@ -51,8 +51,8 @@ class Joints:
 
     @cached_property
     def give(self) -> Float64[np.ndarray, " J"]:
-        """How far each joint bends under a moment, per metre to the next: so a pole bends evenly all along."""
-        return np.where(np.arange(len(self.parent)) > 0, 1 / np.maximum(self.num_carried, 1.0), 0.0)
+        """How far each joint bends under a moment, per metre to the next: see `pull.py`."""
+        return np.where(np.arange(len(self.parent)) > 0, 1 / np.maximum(self.num_carried, 1.0) ** 2, 0.0)
 
     def bent(self, stance: Poses, bends: Float64[np.ndarray, "J 3"]) -> Poses:
         """Poses of the bones of one moment, bent."""
@@ -147,25 +147,21 @@ def _frames(above, joint, bends):
     frame[0] = np.eye(3)
     for j in range(1, len(joint)):
         i = above[j]
-        place[j] = place[i] + turned(frame[i], joint[j] - joint[i])
+        place[j] = place[i] + frame[i] @ (joint[j] - joint[i])
         frame[j] = frame[i]
         if bends[j].any():
-            frame[j] = product(frame[i], exponential(bends[j])[0])
+            frame[j] = frame[i] @ exponential(bends[j])
     return frame, place
 
 
 @compiled
 @no_type_check
 def exponential(v):
-    """exp[v]× by Rodrigues' formula, and its left Jacobian."""
+    """exp[v]× by Rodrigues' formula."""
     angle = np.sqrt((v**2).sum())
-    if angle > 1e-3:
-        s, d, e = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    else:
-        s, d, e = 1 - angle**2 / 6, 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    s, d = (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2) if angle > 1e-3 else (1 - angle**2 / 6, 0.5)
     cross = cross_matrix(v)
-    square = product(cross, cross)
-    return np.eye(3) + s * cross + d * square, np.eye(3) + d * cross + e * square
+    return np.eye(3) + s * cross + d * (cross @ cross)
 
 
 @compiled
@@ -173,21 +169,3 @@ def exponential(v):
 def cross_matrix(v):
     """The matrix of v x."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-@compiled
-@no_type_check
-def product(a, b):
-    """Product of two matrices, 3 x 3."""
-    c = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            c[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-    return c
-
-
-@compiled
-@no_type_check
-def turned(a, v):
-    """A matrix times a vector."""
-    return np.array([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])

@@ -1,19 +1,24 @@
 """Solve for the bends of the joints that hold a drawn point where a drag wants it.
 
 Unknown are κ_i of the joints (`joints.py`) from the pulled one towards the root. Of all that bring the point to its
-target x*, the solution has the least energy:
+target x*, the solution has the least energy
 
-    |x* − x(κ)|² / ε  +  Σ_i |κ_i|² (1 + ½ |κ_i|² / κ_max²) / g_i
+    E(κ) = ½ Σ_i |κ_i|² (1 + ⅓ (|κ_i| / κ_max)⁴) / g_i
 
-with x the point that is drawn, which its own bones carry, g_i = |r_i| / carried_i, |r_i| the length to the next
-joint and carried_i the number of voxels beyond. So a branch bends at its thin end more than at its thick one, as a
-cantilever, and no joint folds. ε only matters for a target that cannot be reached, such as one along a stem.
+with g_i = |r_i| / carried_i², |r_i| the length to the next joint and carried_i the number of voxels beyond: the
+stiffness of a beam whose cross-section is that of all that it carries. So a branch bends at its thin end more than at
+its thick one, a trunk stands while its twig is pulled, and no joint folds. The point that is drawn is at
 
-    x = x_0 + Σ_i A_i s_i,        A_i = A_{i+1} exp[κ_i]×,        i counts from the tip, and A is 1 beyond the last
+    x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
 
-s_i leads from joint i to the next one, or to the point, times the share that is carried beyond. Levenberg-Marquardt;
-since the point has three coordinates, each step solves a 3 × 3 system. `equilibrium` is also in JavaScript,
-`web/motion/pin.js`.
+s_i leads from joint i to the next one, or to the point, times the share that is carried beyond. Newton's step turns the
+segments a_i = A_i s_i in space by θ_i, as a rod under the force λ that its end is pulled with:
+
+    k_i (θ_i - θ_{i+1}) - k_{i-1} (θ_{i-1} - θ_i) + max(a_i · λ, 0) θ_i  =  a_i × λ - (m_i - m_{i-1})
+
+with m_i and k_i the moment and the stiffness of joint i, and Σ_i θ_i × a_i + ε λ = x* - x. ε only matters for a target
+that cannot be reached, such as one along a stem. A step that neither brings the point nearer nor lessens E is taken
+again, shorter. `equilibrium` is also in JavaScript, `web/motion/pin.js`.
 """
 
 from dataclasses import dataclass, replace
@@ -23,15 +28,13 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from dynamictree.modal.force import CarriedPoint
-from dynamictree.modal.joints import Joints, cross_matrix, exponential, product, turned
+from dynamictree.modal.joints import Joints, cross_matrix, exponential
 from dynamictree.parallel import compiled
 
-TOLERANCE = 1e-8  # ε over the compliance at rest: a direction in which nothing gives way is not followed
-ROUNDS = 120
-SETTLED = 3e-4  # of the target: a step that changes the point by less is the last
-STEP_RAD = 0.5  # that a joint turns in a round
-SLACK = 0.03  # of the pull: a drag ends so far within the length of the branches
-DRAWN = 0.7  # of how much longer a crooked branch is than straight: so far it can be drawn
+RIGID = 1e-14  # of the sum of all g: a joint without length gives way as little
+STEP_RAD = 0.5  # that a joint turns in a round, at most
+SETTLED_RAD, STUCK_RAD = 1e-3, 1e-6  # a whole step as small is the last; none as short is tried
+LARGEST_BEND_RAD = 0.4  # κ_max
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +77,9 @@ def grip_at(joints: Joints, chain: Int64[np.ndarray, " n"], point: CarriedPoint)
 
 def grip_of(segments_m: Float64[np.ndarray, "n 3"], give: Float64[np.ndarray, " n"]) -> Grip:
     """A chain whose segments are these at rest."""
+    tolerance = 1e-10  # ε over the compliance at rest: a direction in which nothing gives way is not followed
     arms = np.cumsum(segments_m, axis=0)
-    return Grip(segments_m=segments_m, give=give, tolerance=TOLERANCE * float(2 * give @ (arms**2).sum(axis=1)))
+    return Grip(segments_m=segments_m, give=give, tolerance=tolerance * float(2 * give @ (arms**2).sum(axis=1)))
 
 
 def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np.ndarray, "n 3"] | None = None) -> Pull:
@@ -89,24 +93,9 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np
 
 def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
     """The bend of least energy that holds the point at a target within reach, from a first guess on."""
-    sure_damping = 1e-2  # a small step under more is not the last
-    accept, refuse = 0.25, 6.0  # factors of Levenberg's damping
-    first_damping, least_damping, most_damping = 0.1, 1e-9, 1e8
-    damping, now = first_damping, _Linear(grip, bend, target_m)
-    settled = SETTLED * float(np.linalg.norm(target_m))
-    for _ in range(ROUNDS):
-        tried = _Linear(grip, now.bend + now.step(damping), target_m)
-        if not tried.cost < now.cost:
-            damping *= refuse
-            if damping > most_damping:
-                break
-            continue
-        moved = float(np.linalg.norm(tried.reached - now.reached))
-        now, last = tried, damping
-        damping = max(damping * accept, least_damping)
-        if moved < settled and last < sure_damping:
-            break
-    return Pull(bend=now.bend, reached_m=now.reached, beyond_m=0.0)
+    give = np.maximum(grip.give, RIGID * grip.give.sum())
+    bend, reached = _settled(grip.segments_m, give, grip.tolerance, target_m, bend)
+    return Pull(bend=bend, reached_m=reached, beyond_m=0.0)
 
 
 def _within_length(
@@ -118,60 +107,99 @@ def _within_length(
     straight chain that bends evenly until its chord has turned by φ is as short as sin φ / φ of its length. Nearer to
     the root than its longest segment leaves room for, no chain folds.
     """
+    slack_share = 0.03  # of the pull: a drag ends so far within the length of the branches
+    drawn = 0.7  # of how much longer a crooked branch is than straight: so far it can be drawn
     chord, sizes = segments.sum(axis=0), np.linalg.norm(segments, axis=1)
     arm = chord + target_m  # from the root to the target
     distance, straight = float(np.linalg.norm(arm)), float(np.linalg.norm(chord))
-    length = straight + DRAWN * (float(sizes.sum()) - straight)
+    length = straight + drawn * (float(sizes.sum()) - straight)
     turned = float(np.arctan2(np.linalg.norm(np.cross(chord, arm)), chord @ arm))  # φ
-    slack = SLACK * float(np.linalg.norm(target_m))
+    slack = slack_share * float(np.linalg.norm(target_m))
     longest = max(length - slack, straight * float(np.sinc(turned / np.pi)))
     shortest = min(2 * float(sizes.max()) - float(sizes.sum()) + slack, straight)
     within = target_m + (np.clip(distance, shortest, longest) / max(distance, 1e-12) - 1) * arm
     return within, max(0.0, distance - length)
 
 
-class _Linear:
-    """The problem around one guess: value, Jacobian and weights of the energy."""
-
-    def __init__(self, grip: Grip, bend: Float64[np.ndarray, "n 3"], target_m: Float64[np.ndarray, " 3"]) -> None:
-        largest_bend = 0.5  # κ_max, of one joint [rad]
-        self.bend, self.tolerance = bend, grip.tolerance
-        self.reached, jacobian = _reach(grip.segments_m, bend)
-        self.jacobian = jacobian.reshape(3, -1)
-        self.gap = target_m - self.reached
-        size = (bend**2).sum(axis=1)
-        folded = size / largest_bend**2
-        self.soft = np.repeat(grip.give / (1 + folded), 3)
-        free = grip.give > 0
-        energy = (size * (1 + folded / 2))[free] / grip.give[free]
-        self.cost = float(self.gap @ self.gap) / self.tolerance + float(energy.sum())
-
-    def step(self, damping: float) -> Float64[np.ndarray, "n 3"]:
-        """Minimise the linearised cost plus `damping` times the energy of the step; shortened to `STEP_RAD`."""
-        share = 1 / (1 + damping)
-        soft, bend = share * self.soft, self.bend.ravel()
-        aim = self.gap + share * (self.jacobian @ bend)
-        dual = np.linalg.solve((self.jacobian * soft) @ self.jacobian.T + self.tolerance * np.eye(3), aim)
-        step = (soft * (self.jacobian.T @ dual) - share * bend).reshape(-1, 3)
-        return np.asarray(step * min(1.0, STEP_RAD / max(float(np.linalg.norm(step, axis=1).max()), 1e-12)))
+@compiled
+@no_type_check  # numba compiles no checked function
+def _settled(segments, give, tolerance, target, bends):
+    """The bends, and how far they bring the point."""
+    rounds, force, price, longest = 120, np.zeros(3), 0.0, STEP_RAD
+    before, arms, reached = _stance(segments, bends)
+    cost = _energy(bends, give)
+    for _ in range(rounds):
+        gap = target - reached
+        force, step = _newton(before, arms, bends, give, gap, force, tolerance)
+        price = max(price, 1.5 * np.sqrt((force**2).sum()))  # of the gap, above that of the constraint
+        size = np.sqrt((step**2).sum(axis=1).max())
+        tried = bends + min(1.0, longest / max(size, STUCK_RAD)) * step
+        tried_before, tried_arms, tried_reached = _stance(segments, tried)
+        tried_cost, left = _energy(tried, give), target - tried_reached
+        if tried_cost - cost > price * (np.sqrt((gap**2).sum()) - np.sqrt((left**2).sum())):
+            longest = 0.3 * min(longest, size)
+            if longest < STUCK_RAD:
+                break
+            continue
+        bends, before, arms, reached, cost = tried, tried_before, tried_arms, tried_reached, tried_cost
+        if size <= min(longest, SETTLED_RAD):
+            break
+        longest = min(STEP_RAD, 2 * longest)
+    return bends, reached
 
 
 @compiled
-@no_type_check  # numba compiles no checked function
-def _reach(segments, bends):
-    """Displacement of the point, and its derivatives by the bends [3, n, 3]."""
-    n = len(segments)
-    before, frame = np.empty((n, 3, 3)), np.eye(3)
-    arms, jacobian, moved = np.empty((n, 3)), np.empty((3, n, 3)), np.zeros(3)
-    by_turn = np.empty((n, 3, 3))
-    for i in range(n - 1, -1, -1):  # from the root
+@no_type_check
+def _stance(segments, bends):
+    """What carries each segment [n, 3, 3], the turned segments, and how far they bring the point."""
+    before, arms = np.empty((len(bends), 3, 3)), np.empty_like(segments)
+    frame, moved = np.eye(3), np.zeros(3)
+    for i in range(len(bends) - 1, -1, -1):  # from the root
         before[i] = frame
-        turn, by_turn[i] = exponential(bends[i])
-        frame = product(frame, turn)
-        arms[i] = turned(frame, segments[i])
+        frame = frame @ exponential(bends[i])
+        arms[i] = frame @ segments[i]
         moved += arms[i] - segments[i]
-    arm = np.zeros(3)
+    return before, arms, moved
+
+
+@compiled
+@no_type_check
+def _energy(bends, give):
+    square = (bends**2).sum(axis=1)
+    return 0.5 * (square * (1 + (square / LARGEST_BEND_RAD**2) ** 2 / 3) / give).sum()
+
+
+@compiled
+@no_type_check
+def _newton(before, arms, bends, give, gap, force, tolerance):
+    """λ, and the step of each κ; `force` is λ of the round before."""
+    n = len(arms)
+    folded = ((bends**2).sum(axis=1) / LARGEST_BEND_RAD**2) ** 2
+    stiffness = (1 + 5 * folded) / give
+    turns = np.empty((n, 3, 4))  # θ for a force along each axis, and for the moments; at first their right sides
+    tension = np.empty(n)  # what stiffens the segments up to this one in space
+    below = np.zeros(3)
     for i in range(n):
-        arm += arms[i]
-        jacobian[:, i] = -product(cross_matrix(arm), product(before[i], by_turn[i]))
-    return moved, jacobian
+        moment = before[i] @ bends[i] * (1 + folded[i]) / give[i]
+        turns[i, :, :3] = cross_matrix(arms[i])
+        turns[i, :, 3] = moment - below
+        below = moment
+        tension[i] = max((arms[i] * force).sum(), 0.0)
+        if i:
+            share = stiffness[i - 1] / (stiffness[i - 1] + tension[i - 1])
+            tension[i] += share * tension[i - 1]
+            turns[i] += share * turns[i - 1]
+    above, by_force = np.zeros((3, 4)), np.zeros((3, 4))
+    for i in range(n - 1, -1, -1):
+        turns[i] = (turns[i] + stiffness[i] * above) / (stiffness[i] + tension[i])
+        above = turns[i]
+        by_force -= cross_matrix(arms[i]) @ above
+    force = np.linalg.solve(by_force[:, :3] + tolerance * np.eye(3), gap + by_force[:, 3])
+    step, below = np.empty_like(bends), np.zeros(3)
+    for i in range(n - 1, -1, -1):
+        turn = turns[i] @ np.append(force, -1.0)
+        own = before[i].T @ (turn - below)
+        again = np.cross(bends[i], own)
+        step[i] = own - again / 2 + np.cross(bends[i], again) / 12  # of κ, for a turn in its frame
+        below = turn
+    return force, step

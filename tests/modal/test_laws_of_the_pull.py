@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.pull import _reach, equilibrium, grip_of
+from dynamictree.modal.pull import _energy, _stance, equilibrium, grip_of
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.pose import carried, poses
@@ -83,14 +84,13 @@ def test_the_other_branch_only_rides_on_the_stem(forked):
     assert size[parts["left"][-1]] < 0.3 * size[parts["right"][-1]]
 
 
-def test_the_derivatives_of_a_place_are_those_of_its_reach(rng):
-    segments, bends = rng.normal(size=(2, 5, 3))
-    _, derivative = _reach(segments, bends)
-    for column in range(15):
-        step = np.zeros((5, 3))
-        step.flat[column] = 1e-6
-        ahead, behind = _reach(segments, bends + step)[0], _reach(segments, bends - step)[0]
-        np.testing.assert_allclose(derivative.reshape(3, -1)[:, column], (ahead - behind) / 2e-6, atol=1e-6)
+def test_of_all_bends_that_bring_the_point_there_the_answer_has_the_least_energy(rng):
+    grip, target = grip_of(rng.normal(size=(6, 3)) + np.array([0, 0, 2]), np.geomspace(1, 0.05, 6)), [2.0, -1.0, -1.5]
+    there = {"type": "eq", "fun": lambda bend: _stance(grip.segments_m, bend.reshape(6, 3))[2] - target}
+    least = minimize(lambda bend: _energy(bend.reshape(6, 3), grip.give), np.full(18, 0.1), constraints=there)
+    pull = equilibrium(grip, np.array(target), np.zeros((6, 3)))
+    np.testing.assert_allclose(pull.reached_m, target, atol=1e-4)
+    np.testing.assert_allclose(pull.bend.ravel(), least.x, atol=0.01)
 
 
 @pytest.mark.parametrize("case", json.loads(ANSWERS.read_text()), ids=lambda case: case["name"])

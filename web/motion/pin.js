@@ -8,11 +8,9 @@ import { turned } from "./modes.js";
 import { cross, dot, length, minus, plus, rowOf, scaled } from "./vectors.js";
 
 const ROUNDS = 12; // a frame; the next frame goes on from there
-const LARGEST_BEND = 0.5;
-const TOLERANCE = 1e-8;
-const [STEP_RAD, SETTLED] = [0.5, 3e-4];
-const DAMPING = { first: 0.1, least: 1e-9, most: 1e8, sure: 1e-2 };
-const [ACCEPT, REFUSE] = [0.25, 6]; // factors of the damping
+const LARGEST_BEND_RAD = 0.4;
+const [TOLERANCE, RIGID] = [1e-10, 1e-14];
+const [STEP_RAD, SETTLED_RAD, STUCK_RAD] = [0.5, 1e-3, 1e-6];
 const LET_GO_S = 0.08; // once nothing is pinned, the place goes like a critically damped spring of this time
 const GONE = 3e-3; // of the way
 
@@ -71,83 +69,89 @@ export function segmentsOf(modes, { joints, weights }, chain, point) {
 /** `{ bend, reached }` of least energy that hold the point at `target` [m from rest]; `base` are bends under them. */
 export function equilibrium({ segments, give }, target, { bend, base = null, rounds = ROUNDS }) {
   let arm = [0, 0, 0];
-  const size = segments.reduce((sum, s, i) => {
+  const compliance = segments.reduce((sum, s, i) => {
     arm = plus(arm, s);
     return sum + 2 * give[i] * dot(arm, arm);
   }, 0);
-  const problem = { segments, give, base, tolerance: TOLERANCE * size, target };
-  let now = linear(problem, bend);
-  if (!(problem.tolerance > 0)) return now;
-  let damping = DAMPING.first;
-  for (let round = 0; round < rounds && damping <= DAMPING.most; round++) {
-    const tried = linear(problem, stepped(problem, now, damping));
-    if (tried.cost < now.cost) {
-      const last = length(minus(tried.reached, now.reached)) < SETTLED * length(target) && damping < DAMPING.sure;
-      now = tried;
-      damping = Math.max(damping * ACCEPT, DAMPING.least);
-      if (last) break;
-    } else damping *= REFUSE;
+  const least = RIGID * give.reduce((sum, g) => sum + g, 0);
+  const rod = { segments, give: give.map((g) => Math.max(g, least)), base, target, tolerance: TOLERANCE * compliance };
+  let now = stance(rod, bend);
+  if (!(compliance > 0)) return now;
+  let [force, price, longest] = [[0, 0, 0], 0, STEP_RAD];
+  for (let round = 0; round < rounds && longest >= STUCK_RAD; round++) {
+    const { force: next, step } = newtonStep(rod, now, force);
+    [force, price] = [next, Math.max(price, 1.5 * length(next))];
+    const size = Math.max(...step.map(length));
+    const share = Math.min(1, longest / Math.max(size, STUCK_RAD));
+    const bends = now.bend.map((k, n) => plus(k, scaled(step[n], share)));
+    const tried = stance(rod, bends);
+    if (tried.energy - now.energy > price * (length(now.gap) - length(tried.gap))) {
+      longest = 0.3 * Math.min(longest, size);
+      continue;
+    }
+    now = tried;
+    if (size <= Math.min(longest, SETTLED_RAD)) break;
+    longest = Math.min(STEP_RAD, 2 * longest);
   }
   return now;
 }
 
-/** The problem around a bend: where the point is, how it moves with each bend, and what it costs. */
-function linear({ segments, give, base, tolerance, target }, bend) {
-  const frames = [IDENTITY]; // of what carries each joint, from the root
-  const arms = [];
-  let reached = [0, 0, 0];
+/** A bend: where it brings the point, the turned segments, what carries each, the moment in each joint, the energy. */
+function stance({ segments, give, base, target }, bend) {
+  let [frame, reached, energy] = [IDENTITY, [0, 0, 0], 0];
+  const [arms, before, moments, stiffness] = [[], [], [], []];
+  const total = bend.map((k, n) => (base ? plus(k, base[n]) : k));
   for (let n = segments.length - 1; n >= 0; n--) {
-    const frame = product(frames[0], turned(base ? plus(bend[n], base[n]) : bend[n]));
-    arms.unshift(applied(frame, segments[n]));
-    reached = plus(reached, minus(arms[0], segments[n]));
-    frames.unshift(frame);
+    const square = dot(bend[n], bend[n]);
+    const folded = (square / LARGEST_BEND_RAD ** 2) ** 2;
+    energy += (square * (1 + folded / 3)) / give[n] / 2;
+    stiffness[n] = (1 + 5 * folded) / give[n];
+    moments[n] = applied(frame, ofTurn(scaled(total[n], -1), scaled(bend[n], (1 + folded) / give[n])));
+    before[n] = frame;
+    frame = product(frame, turned(total[n]));
+    arms[n] = applied(frame, segments[n]);
+    reached = plus(reached, minus(arms[n], segments[n]));
   }
-  let arm = [0, 0, 0];
-  const rows = bend.map((k, n) => {
-    arm = plus(arm, arms[n]);
-    const total = base ? plus(k, base[n]) : k;
-    return IDENTITY.map((axis) => leftJacobianOf(total, appliedInverse(frames[n + 1], cross(arm, axis))));
-  });
-  const gap = minus(target, reached);
-  const folded = bend.map((k) => dot(k, k) / LARGEST_BEND ** 2);
-  const energy = bend.reduce((sum, k, n) => (give[n] > 0 ? sum + (dot(k, k) * (1 + folded[n] / 2)) / give[n] : sum), 0);
-  const soft = give.map((g, n) => g / (1 + folded[n]));
-  return { bend, reached, rows, gap, soft, cost: dot(gap, gap) / tolerance + energy };
+  return { bend, total, reached, gap: minus(target, reached), arms, before, moments, stiffness, energy };
 }
 
-/** The bend after a step to the least cost of the linear problem plus `damping` times the energy of the step. */
-function stepped({ tolerance }, { bend, rows, gap, soft }, damping) {
-  const share = 1 / (1 + damping);
-  const give = soft.map((g) => share * g);
-  const aim = rows.reduce((sum, three, n) => plus(sum, scaled(applied(three, bend[n]), share)), gap);
-  const force = solved(compliance(rows, give, tolerance), aim);
-  const steps = rows.map((three, n) =>
-    plus(scaled(applied(transposed(three), force), give[n]), scaled(bend[n], -share)),
-  );
-  const taken = Math.min(1, STEP_RAD / Math.max(...steps.map(length), 1e-12));
-  return bend.map((k, n) => plus(k, scaled(steps[n], taken)));
+/** The force at the point, and the step of each bend; `force` is that of the round before. */
+function newtonStep({ tolerance }, { total, gap, arms, before, moments, stiffness }, force) {
+  const tension = []; // what stiffens the segments up to this one in space
+  const turns = arms.map((arm, n) => [
+    ...IDENTITY.map((axis) => cross(arm, axis)), // for a force along each axis
+    minus(moments[n], moments[n - 1] ?? [0, 0, 0]),
+  ]);
+  for (const [n, arm] of arms.entries()) {
+    tension[n] = Math.max(dot(arm, force), 0);
+    if (!n) continue;
+    const share = stiffness[n - 1] / (stiffness[n - 1] + tension[n - 1]);
+    tension[n] += share * tension[n - 1];
+    turns[n] = turns[n].map((turn, i) => plus(turn, scaled(turns[n - 1][i], share)));
+  }
+  let above = [0, 1, 2, 3].map(() => [0, 0, 0]);
+  let moved = IDENTITY.map((axis) => scaled(axis, tolerance)).concat([gap]);
+  for (let n = arms.length - 1; n >= 0; n--) {
+    const share = 1 / (stiffness[n] + tension[n]);
+    above = turns[n] = turns[n].map((turn, i) => scaled(plus(turn, scaled(above[i], stiffness[n])), share));
+    moved = moved.map((sum, i) => plus(sum, cross(above[i], arms[n])));
+  }
+  const next = solved(moved.slice(0, 3), moved[3]);
+  const turn = turns.map((four) => minus(applied(transposed(four.slice(0, 3)), next), four[3]));
+  const apart = turn.map((own, n) => minus(own, turn[n + 1] ?? [0, 0, 0]));
+  return { force: next, step: apart.map((own, n) => ofTurn(total[n], applied(transposed(before[n]), own))) };
 }
 
 const IDENTITY = [0, 1, 2].map((i) => [0, 1, 2].map((j) => Number(i === j)));
 
 const applied = (rows, v) => rows.map((row) => dot(row, v));
-const transposed = (rows) => rows.map((_, j) => rows.map((row) => row[j]));
-const appliedInverse = (rows, v) => applied(transposed(rows), v);
+const transposed = (rows) => rows[0].map((_, j) => rows.map((row) => row[j]));
 const product = (a, b) => a.map((row) => applied(transposed(b), row));
 
-/** A row times the left Jacobian of exp[v]×. */
-function leftJacobianOf(v, row) {
-  const a = length(v);
-  const [d, e] =
-    a > 1e-3 ? [(1 - Math.cos(a)) / a ** 2, (a - Math.sin(a)) / a ** 3] : [0.5 - a ** 2 / 24, 1 / 6 - a ** 2 / 120];
-  return plus(row, plus(scaled(cross(row, v), d), scaled(cross(cross(row, v), v), e)));
-}
-
-/** Σ g J Jᵀ + ε I: displacement of the place over the force there. */
-function compliance(arms, give, tolerance) {
-  return [0, 1, 2].map((i) =>
-    [0, 1, 2].map((j) => arms.reduce((sum, rows, n) => sum + give[n] * dot(rows[i], rows[j]), i === j ? tolerance : 0)),
-  );
+/** How a bend grows under a small turn in its frame: the inverse of the left Jacobian of exp[v]×. */
+function ofTurn(v, turn) {
+  const again = cross(v, turn);
+  return plus(minus(turn, scaled(again, 1 / 2)), scaled(cross(v, again), 1 / 12));
 }
 
 /** Cramer's rule for a symmetric matrix. */
