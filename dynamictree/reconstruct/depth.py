@@ -68,10 +68,10 @@ def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, Box | None]:
 
 def outside_sky(maps: DepthMaps, sky: Sequence[Foreground]) -> DepthMaps:
     """The same maps, unknown where more than half of a pixel is sky."""
-    mostly = 0.5
+    mostly = 127
     depths = []
     for depth, view in zip(maps.depths, sky, strict=True):
-        cover = Image.fromarray(view.cover).resize(depth.shape[::-1], Image.Resampling.BOX)
+        cover = Image.fromarray(view.alpha).resize(depth.shape[::-1], Image.Resampling.BOX)
         depths.append(np.where(np.asarray(cover) > mostly, depth, 0).astype(np.float32))
     return DepthMaps(views=maps.views, depths=depths)
 

@@ -3,7 +3,7 @@
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +131,7 @@ def reconstruct(
             fit = fit_splat(
                 scene.matched, scene.depths, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
             )
+        scene = replace(scene, sky=None)  # hundreds of megabytes, which a mesh does without
         with clock.stage("mesh"):
             cloud = cloud_of(fit.table)
             mesh, mesh_by = best_mesh_of(fit.table, scene, fit.figures["held_out"])

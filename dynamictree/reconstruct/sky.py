@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 from PIL import Image
 from scipy.ndimage import binary_dilation, gaussian_filter, label
 
@@ -26,10 +26,10 @@ _REACH = 1 / 16  # of the longer side, standard deviation of the window in which
 
 @dataclass(frozen=True, kw_only=True)
 class Foreground:
-    """A photo without its sky."""
+    """A photo without its sky, in bytes: of 60 photos of 12 megapixels, four times as many were a gigabyte."""
 
-    cover: Float32[np.ndarray, "H W"]  # share of each pixel that is not sky
-    color: Picture  # of that share, in [0, 1]
+    image: UInt8[np.ndarray, "H W 3"]  # of the share that is not sky
+    alpha: UInt8[np.ndarray, "H W"]  # that share, 255 for all of a pixel
 
 
 def without_sky(views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]) -> list[Foreground] | None:
@@ -39,13 +39,12 @@ def without_sky(views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _
         views: in a frame with +Z up.
         depths: of each view, of any size, 0 where unknown.
     """
-    elevations = [_elevation(view) for view in views]
-    plain = [_plain_sky(view, up, depth) for view, up, depth in zip(views, elevations, depths, strict=True)]
-    num_looking_up = sum(float(up.max()) > 0 for up in elevations)
+    plain = [_plain_sky(view, _elevation(view), depth) for view, depth in zip(views, depths, strict=True)]
+    num_looking_up = sum(float(_elevation(view).max()) > 0 for view in views)
     num_sky = sum(float(sky.mean()) >= _LEAST_SKY for sky in plain)
     if num_sky < max(1, 0.5 * num_looking_up):
         return None
-    return [_foreground(view, up, sky) for view, up, sky in zip(views, elevations, plain, strict=True)]
+    return [_foreground(view, _elevation(view), sky) for view, sky in zip(views, plain, strict=True)]
 
 
 def _elevation(view: View) -> Float32[np.ndarray, "H W"]:
@@ -84,9 +83,9 @@ def _foreground(view: View, elevation: Float32[np.ndarray, "H W"], sky: Mask) ->
     rim = 4 / 320  # of the longer side: so near to trees and roofs sky looks textured
     noise = 0.15  # of a cover, nearer to 0 or 1
     unlike = 0.3  # distance of colours in [0, 1]³: what differs so much from the sky is none
-    photo = view.image.astype(np.float32) / 255
     if not sky.any():
-        return Foreground(cover=np.ones(sky.shape, np.float32), color=photo)
+        return Foreground(image=view.image, alpha=np.full(sky.shape, 255, np.uint8))
+    photo = view.image.astype(np.float32) / 255
     sky_color = _mean_nearby(photo, sky)
     own_color = _mean_nearby(photo, ~sky & (np.linalg.norm(photo - sky_color, axis=2) > unlike))
     way = own_color - sky_color
@@ -95,10 +94,11 @@ def _foreground(view: View, elevation: Float32[np.ndarray, "H W"], sky: Mask) ->
     cover = np.clip((place - noise) / (1 - 2 * noise), 0, 1)
     lowest = elevation[binary_dilation(sky, iterations=max(4, round(rim * max(sky.shape))))].min()
     cover = np.where((elevation >= lowest) & (length2 > _LEAST_CONTRAST**2), cover, 1)
-    cover = np.where(sky, 0, cover).astype(np.float32)
+    cover = np.where(sky, 0, cover)
     share = np.where(cover < 1, np.clip(place, 0, 1), 1)[..., None]
     color = np.where(share > noise, (photo - (1 - share) * sky_color) / np.maximum(share, noise), own_color)
-    return Foreground(cover=cover, color=np.clip(color, 0, 1).astype(np.float32))
+    image, alpha = (np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8) for values in (color, cover))
+    return Foreground(image=image, alpha=alpha)
 
 
 def _mean_nearby(photo: Picture, chosen: Mask) -> Picture:

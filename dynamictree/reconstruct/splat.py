@@ -151,11 +151,9 @@ def _figures(
 
 
 def _target(view: View, depth: Float32[np.ndarray, "h w"] | None, sky: Foreground | None) -> Target:
-    if sky is None:
-        photo = view.image.astype(np.float32) / 255
-        alpha = None if view.alpha is None else view.alpha.astype(np.float32) / 255
-    else:
-        photo, alpha = sky.color, sky.cover
+    source = view if sky is None else sky
+    photo = source.image.astype(np.float32) / 255
+    alpha = None if source.alpha is None else source.alpha.astype(np.float32) / 255
     depth = None if depth is None else nearest_pixels(depth, *photo.shape[:2])
     return Target(camera=view.camera, photo=photo, alpha=alpha, depth=depth)
 

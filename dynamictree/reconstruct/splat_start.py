@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from dynamictree.reconstruct.depth import DepthMaps
@@ -15,9 +15,9 @@ from dynamictree.reconstruct.visual_hull import hull_points, texture_points
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
 _LEAST_SOLID, _LEAST_SKY = 0.8, 0.02  # of the photos that see a place of the dome
-_COVERED = 0.9  # of a pixel whose colour counts
+_COVERED = 230  # of 255, of a pixel whose colour counts
 _GOLDEN = np.pi * (3 - np.sqrt(5))
-Cover = Float32[np.ndarray, "H W"]
+Cover = UInt8[np.ndarray, "H W"]
 
 
 def first_table(
@@ -34,7 +34,7 @@ def first_table(
     The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
     """
     crown_share = 0.4  # of the other points: in a thin crown there are none of them
-    covers = None if sky is None else [view.cover for view in sky]
+    covers = None if sky is None else [view.alpha for view in sky]
     points, colors = model.points, model.colors / np.float32(255)
     if depths is not None:
         dense, dense_colors = points_of_depths(model, depths, sky)
@@ -60,7 +60,7 @@ def sky_table(views: Sequence[View], sky: Sequence[Foreground], sh_degree: int) 
     """Opaque Gaussians behind all else, where photos show sky and a little beyond; they are not learned."""
     sky_distance, beside_sky = 100.0, 0.15  # of the region's radius; of that distance, how far it goes on unseen
     sky_points, sky_width = 12_000, 1.5  # on a whole sphere; of the dome's Gaussians
-    points, colors, share = dome_points(views, [1 - view.cover for view in sky], sky_points, sky_distance)
+    points, colors, share = dome_points(views, [255 - view.alpha for view in sky], sky_points, sky_distance)
     clear = np.flatnonzero(share >= _LEAST_SKY)
     away, nearest = (np.asarray(part) for part in cKDTree(points[clear]).query(points))
     beside = away < beside_sky * sky_distance
@@ -81,13 +81,14 @@ def points_of_depths(
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
     """Back-project every pixel that has a depth, with the photo's colour, of which sky is no part."""
     points, colors = [], []
-    whole = [view.image / np.float32(255) for view in model.views] if sky is None else [view.color for view in sky]
-    for photo, stereo, depth in zip(whole, depths.views, depths.depths, strict=True):
+    images = [view.image for view in model.views] if sky is None else [view.image for view in sky]
+    for image, stereo, depth in zip(images, depths.views, depths.depths, strict=True):
         row, column = np.nonzero(depth > 0)
         pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=1)
         points.append(stereo.position + depth[row, column, None] * (pixels @ stereo.to_ray.T))
-        height, width = photo.shape[:2]
-        colors.append(photo[row * height // depth.shape[0], column * width // depth.shape[1]])
+        height, width = image.shape[:2]
+        at = row * height // depth.shape[0], column * width // depth.shape[1]
+        colors.append(image[at] / np.float32(255))
     return np.concatenate(points), np.concatenate(colors)
 
 

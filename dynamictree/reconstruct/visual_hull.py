@@ -140,17 +140,17 @@ def texture_points(
     views: Sequence[View],
     number: int,
     rng: np.random.Generator,
-    covers: Sequence[Float32[np.ndarray, "H W"]] | None = None,
+    covers: Sequence[UInt8[np.ndarray, "H W"]] | None = None,
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
     """Up to `number` random points of the region that photos show as textured, with the photos' mean colours.
 
     `covers` are the shares of pixels that are not sky.
     """
     low, high, radius = 0.02, 2.0, 1.0  # of the stage's region, in whose middle the plant stands
-    textured = [replace(view, alpha=textured_mask(view.image)) for view in views]
+    masks = [textured_mask(view.image) for view in views]
     if covers is not None:
-        pairs = zip(textured, covers, strict=True)
-        textured = [replace(view, alpha=(view.alpha * cover).astype(np.uint8)) for view, cover in pairs]
+        masks = [np.minimum(mask, cover) for mask, cover in zip(masks, covers, strict=True)]
+    textured = [replace(view, alpha=mask) for view, mask in zip(views, masks, strict=True)]
     points, colors = points_in_masks(textured, 4 * number, rng)
     height, away = points[:, 2], np.linalg.norm(points[:, :2], axis=1)
     rows = np.flatnonzero((away < radius) & (height > low) & (height < high))

@@ -57,10 +57,10 @@ def test_a_pixel_is_as_much_leaf_as_was_drawn(sky: tuple[int, int, int]) -> None
     assert split is not None
     for view, cover in zip(split, covers, strict=True):
         upper = slice(0, SIDE // 2)
-        assert np.abs(view.cover[upper] - cover[upper]).mean() < 0.01
-        assert (view.cover[SIDE // 2 + 5 :] == 1).all()
+        assert np.abs(view.alpha[upper] / 255 - cover[upper]).mean() < 0.01
+        assert (view.alpha[SIDE // 2 + 5 :] == 255).all()
         edge = (cover[upper] > 0.3) & (cover[upper] < 0.7)
-        assert np.abs(view.color[upper][edge] - np.array(LEAF) / 255).mean() < 0.08
+        assert np.abs(view.image[upper][edge] - np.array(LEAF)).mean() < 0.08 * 255
 
 
 def test_what_is_not_blue_grey_or_white_is_no_sky() -> None:
