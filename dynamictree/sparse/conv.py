@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from dynamictree.sparse.level import CENTRE, SparseLevel
+from dynamictree.sparse.level import SparseLevel
+from dynamictree.voxel.graph import CENTRE
 
 
 class SubmanifoldConv(nn.Module):

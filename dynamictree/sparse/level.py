@@ -6,15 +6,13 @@ The rows of a batch are its samples one after another. A level holds, for 13 of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import accumulate
 
 import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-OFFSETS: tuple[tuple[int, int, int], ...] = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
-"""The 27 taps of a 3³ kernel, in the order of a dense kernel's memory; tap 26 - i is the opposite of tap i."""
-CENTRE = 13
+from dynamictree.voxel.graph import CENTRE, OFFSETS, neighbour_pairs
 
 Pair = tuple[Int64[Tensor, " _"], Int64[Tensor, " _"]]
 
@@ -25,7 +23,7 @@ class SparseLevel:
 
     coords: Int64[Tensor, "V 3"]
     sizes: tuple[int, ...]  # voxels of each sample
-    pairs: tuple[Pair, ...]  # one for each of OFFSETS[:13]
+    pairs: tuple[Pair, ...]  # one for each of OFFSETS[:CENTRE]
 
     def __len__(self) -> int:
         return len(self.coords)
@@ -51,10 +49,19 @@ class Pyramid:
     levels: tuple[SparseLevel, ...]
     parents: tuple[Int64[Tensor, " _"], ...]  # row in level l + 1 of each voxel of level l
 
+    def rows_above(self, top: int, bottom: int = 0) -> Int64[Tensor, " _"]:
+        """Row in level `top` of each voxel of level `bottom`."""
+        rows = torch.arange(len(self.levels[bottom]), device=self.levels[bottom].coords.device)
+        for parents in self.parents[bottom:top]:
+            rows = parents[rows]
+        return rows
+
 
 def sparse_level(coords: Int64[Tensor, "V 3"]) -> SparseLevel:
     """The neighbour pairs of one sample's voxels, which may come in any order."""
-    return SparseLevel(coords=coords, sizes=(len(coords),), pairs=_neighbour_pairs(coords))
+    rows = neighbour_pairs(coords.numpy())
+    pairs = tuple((torch.from_numpy(first), torch.from_numpy(second)) for first, second in rows)
+    return SparseLevel(coords=coords, sizes=(len(coords),), pairs=pairs)
 
 
 def pyramid(coords: Int64[Tensor, "V 3"], num_levels: int) -> Pyramid:
@@ -118,20 +125,5 @@ def _unique_rows(coords: Int64[Tensor, "V 3"]) -> tuple[Int64[Tensor, "W 3"], In
     return rows + low, inverse
 
 
-def _neighbour_pairs(coords: Int64[Tensor, "V 3"]) -> tuple[Pair, ...]:
-    shifted = coords - coords.amin(dim=0) + 1  # a border of one, so that no neighbour's key wraps around
-    span = int(shifted.amax()) + 2
-    strides = torch.tensor([span * span, span, 1], device=coords.device)
-    keys, order = (shifted * strides).sum(dim=1).sort()
-    rows = torch.arange(len(coords), device=coords.device)
-    pairs = []
-    for offset in OFFSETS[:CENTRE]:
-        wanted = (shifted * strides).sum(dim=1) + int((torch.tensor(offset, device=coords.device) * strides).sum())
-        position = torch.searchsorted(keys, wanted).clamp_max(len(keys) - 1)
-        hit = keys[position] == wanted
-        pairs.append((rows[hit], order[position[hit]]))
-    return tuple(pairs)
-
-
 def _starts(sizes: Sequence[int]) -> list[int]:
-    return [sum(sizes[:index]) for index in range(len(sizes))]
+    return list(accumulate(sizes[:-1], initial=0))

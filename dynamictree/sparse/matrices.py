@@ -49,12 +49,11 @@ def sparse_rows(matrix: csr_array) -> SparseRows:
 
 def touching(level: SparseLevel) -> csr_array:
     """Adjacency of the 26 neighbours with the voxel itself, rows summing to one."""
-    first = torch.cat([pair[0] for pair in level.pairs]).numpy()
-    second = torch.cat([pair[1] for pair in level.pairs]).numpy()
-    ones = np.ones(2 * len(first), np.float32)
-    shape = (len(level), len(level))
-    ends = (np.concatenate([first, second]), np.concatenate([second, first]))
-    return _row_normalised(csr_array(csr_array((ones, ends), shape=shape) + eye_array(len(level), format="csr")))
+    first, second = (torch.cat([pair[side] for pair in level.pairs]).numpy() for side in (0, 1))
+    own, shape = np.arange(len(level)), (len(level), len(level))
+    rows, columns = np.concatenate([first, second, own]), np.concatenate([second, first, own])
+    share = (1 / np.bincount(rows, minlength=len(level))).astype(np.float32)
+    return csr_array((share[rows], (rows, columns)), shape=shape)
 
 
 def link_matrices(links: Int64[Tensor, "L 2"], size: int) -> tuple[csr_array, csr_array]:
@@ -77,9 +76,7 @@ def raise_matrix(grids: Pyramid, coarse: int, fine: int, *, steps: int = LIFT_ST
 
 def pool_matrix(grids: Pyramid, coarse: int, fine: int) -> csr_array:
     """[V_coarse, V_fine]: mean over the fine voxels of each coarse one."""
-    ancestor = torch.arange(len(grids.levels[fine]))
-    for depth in range(fine, coarse):
-        ancestor = grids.parents[depth][ancestor]
+    ancestor = grids.rows_above(coarse, fine)
     ones = np.ones(len(ancestor), np.float32)
     shape = (len(grids.levels[coarse]), len(ancestor))
     return _row_normalised(csr_array((ones, (ancestor.numpy(), np.arange(len(ancestor)))), shape=shape))

@@ -1,40 +1,56 @@
 """Graph of touching voxels, and those where the tree stands."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
-from jaxtyping import Int32, Int64, Shaped
+from jaxtyping import Int, Int32, Int64, Shaped
 
-from dynamictree.voxel.grid import VoxelGrid, distinct
+from dynamictree.voxel.grid import VoxelGrid
 
 ROOT_SHARE = 0.02
 """Of the tree's height: voxels this near to the lowest may stand in the ground, see `root_rows`."""
 
 
-_STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
+OFFSETS = tuple((x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1))
+"""The 27 taps of a 3³ kernel, in the order of a dense kernel's memory; tap 26 - i is the opposite of tap i."""
+CENTRE = 13
+
+Pair = tuple[Int64[np.ndarray, " _"], Int64[np.ndarray, " _"]]
 
 
-def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
+def neighbour_pairs(coords: Int[np.ndarray, "V 3"]) -> list[Pair]:
+    """Rows a and b of voxels with coords[b] = coords[a] + offset, for each of OFFSETS[:CENTRE]."""
+    shifted = coords.astype(np.int64) - coords.min(axis=0) + 1  # a border of one: no neighbour's key wraps around
+    span = int(shifted.max()) + 2
+    strides = np.array([span * span, span, 1])
+    own = shifted @ strides
+    order = np.argsort(own, kind="stable")
+    keys, pairs = own[order], []
+    for step in np.array(OFFSETS[:CENTRE]) @ strides:
+        place = np.minimum(np.searchsorted(keys, own + step), len(keys) - 1)
+        rows = np.flatnonzero(keys[place] == own + step)
+        pairs.append((rows, order[place[rows]]))
+    return pairs
+
+
+def voxel_graph(grid: VoxelGrid, pairs: Sequence[Pair] | None = None) -> "scipy.sparse.csr_array":
     """Distances [V, V] between voxels that touch by face, edge or corner, made connected [m].
 
     Parts that touch no other are joined to their nearest neighbour part by the shortest gap, until all is one.
+    `pairs` are those of `neighbour_pairs`, where someone has them.
     """
-    half_of_steps = _STEPS[14:]  # one of each pair of opposite directions
     from scipy.sparse.csgraph import connected_components
 
-    starts, ends = [], []
-    for step in half_of_steps:
-        neighbours = grid.rows_of(grid.coords + step)
-        occupied = np.flatnonzero(neighbours >= 0)
-        starts.append(occupied)
-        ends.append(neighbours[occupied].astype(np.int64))
-    graph = _graph(grid, np.concatenate(starts), np.concatenate(ends))
+    pairs = pairs or neighbour_pairs(grid.coords)
+    starts, ends = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     while True:
+        graph = _graph(grid, starts, ends)
         num_parts, part = connected_components(graph, directed=False)
         if num_parts == 1:
             return graph
-        bridge_starts, bridge_ends = shortest_gaps(grid.coords, part.astype(np.int64))
-        coo = graph.tocoo()
-        graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
+        bridges = np.unique(np.sort(shortest_gaps(grid.coords, part.astype(np.int64)), axis=0), axis=1)
+        starts, ends = np.concatenate([starts, bridges[0]]), np.concatenate([ends, bridges[1]])
 
 
 def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndarray, " R"]:
@@ -59,12 +75,9 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
 
 
 def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> "scipy.sparse.csr_array":
-    """Both directions of every edge, each once, in a fixed order."""
-    low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends).astype(np.int64)
-    keys = distinct(low * len(grid) + high)
-    low, high = keys // len(grid), keys % len(grid)
-    lengths = np.linalg.norm((grid.coords[low] - grid.coords[high]) * grid.voxel_size_m, axis=1).astype(np.float32)
-    rows, columns = np.concatenate([low, high]), np.concatenate([high, low])
+    """Both directions of every edge."""
+    lengths = np.linalg.norm((grid.coords[starts] - grid.coords[ends]) * grid.voxel_size_m, axis=1).astype(np.float32)
+    rows, columns = np.concatenate([starts, ends]), np.concatenate([ends, starts])
     both = scipy.sparse.coo_array((np.tile(lengths, 2), (rows, columns)), shape=(len(grid), len(grid)))
     return both.tocsr()
 

@@ -6,18 +6,17 @@ come from anywhere; two channels give the wind's direction on the grid, so that 
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float32, Int32, Int64
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from dynamictree.models.small.surface_shape import surface_features
 from dynamictree.models.small.voxel_skeleton import Skeleton, section_radius, skeleton_of, skip_short
-from dynamictree.sparse.level import Pyramid, SparseLevel, batch_pyramids, pyramid, turn_pyramid
+from dynamictree.sparse.level import Pyramid, batch_pyramids, pyramid, turn_pyramid
 from dynamictree.sparse.matrices import touching
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
@@ -55,19 +54,22 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     """Compute the features of a voxelized tree."""
     grid, normals = voxels.grid, voxels.normals
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
-    graph = _graph(grid, grids.levels[0])
-    skeleton = skeleton_of(grid, graph)
-    height_m = grid.height_m
-    chain = _chain(grid, skeleton)
-    chain_scalars, chain_vectors = _along_chain(grid, skeleton, chain, height_m)
-    scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
-    vectors = np.concatenate([np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1), chain_vectors], axis=1)
-    chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
     has_moments = voxels.moments is not None
     moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
     area_m2 = moments[:, AREA][:, 0].astype(np.float64) * grid.voxel_size_m**2 if has_moments else None
-    girth = np.log(section_radius(grid, graph, skeleton.distance_m, area_m2))[chain]
-    surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), has_moments=has_moments)
+    height_m = grid.height_m
+    with ThreadPoolExecutor(1) as pool:  # the surface beside the skeleton
+        seen = pool.submit(surface_features, grid, moments, touching(grids.levels[0]), has_moments=has_moments)
+        graph = voxel_graph(grid, [(first.numpy(), second.numpy()) for first, second in grids.levels[0].pairs])
+        skeleton = skeleton_of(grid, graph)
+        chain = _chain(grid, skeleton)
+        chain_scalars, chain_vectors = _along_chain(grid, skeleton, chain, height_m)
+        scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
+        own_vectors = np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1)
+        vectors = np.concatenate([own_vectors, chain_vectors], axis=1)
+        chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
+        girth = np.log(section_radius(grid, graph, skeleton.distance_m, area_m2))[chain]
+        surface, tensors = seen.result()
     return TreeFeatures(
         grids=grids,
         scalars=torch.from_numpy(scalars.astype(np.float32)),
@@ -109,9 +111,7 @@ def coarsen_features(tree: TreeFeatures, top: int) -> TreeFeatures:
     """The same trees on level `top` and above, features averaged over the voxels of each node."""
     grids = Pyramid(levels=tree.grids.levels[top:], parents=tree.grids.parents[top:])
     scalars, vectors = (pool_to(rows, tree.grids, top) for rows in (tree.scalars, tree.vectors))
-    links = tree.links
-    for parents in tree.grids.parents[:top]:
-        links = parents[links]
+    links = tree.grids.rows_above(top)[tree.links]
     links = links[links[:, 0] != links[:, 1]]
     count = len(grids.levels[0])
     return TreeFeatures(
@@ -144,16 +144,6 @@ def node_features(tree: TreeFeatures, wind: Float32[Tensor, "B 4"]) -> Float32[T
     east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]
     downwind, crosswind = cosine * east + sine * north, cosine * north - sine * east
     return torch.cat([tree.scalars, downwind, crosswind, tree.vectors[..., 2]], dim=1)
-
-
-def _graph(grid: VoxelGrid, level: SparseLevel) -> csr_array:
-    """`voxel_graph`, from the pairs that the level has already where they connect all voxels."""
-    starts, ends = (torch.cat([pair[side] for pair in level.pairs]).numpy() for side in (0, 1))
-    lengths = np.linalg.norm((grid.coords[starts] - grid.coords[ends]) * grid.voxel_size_m, axis=1)
-    places = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
-    graph = csr_array((np.tile(lengths.astype(np.float32), 2), places), shape=(len(grid), len(grid)))
-    num_parts, _ = connected_components(graph, directed=False)
-    return graph if num_parts == 1 else voxel_graph(grid)
 
 
 def _links(parent: Int32[np.ndarray, " V"]) -> Int64[Tensor, "L 2"]:
@@ -209,13 +199,10 @@ def _along_chain(
 def _crowding(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
     """How many voxels touch this one, and how many of them its ancestors at three coarser levels hold."""
     level = grids.levels[0]
-    touching = torch.zeros(len(level))
-    for first, second in level.pairs:
-        touching += torch.bincount(first, minlength=len(level)) + torch.bincount(second, minlength=len(level))
-    columns = [torch.log1p(touching) / 2]
-    ancestor = torch.arange(len(level))
-    for depth in range(3):
-        ancestor = grids.parents[depth][ancestor]
+    touching = torch.bincount(torch.cat([side for pair in level.pairs for side in pair]), minlength=len(level))
+    columns = [torch.log1p(touching.float()) / 2]
+    for top in (1, 2, 3):
+        ancestor = grids.rows_above(top)
         columns.append(torch.log(torch.bincount(ancestor)[ancestor].float()) / 2)
     return torch.stack(columns, dim=1).numpy()
 
