@@ -1,12 +1,14 @@
 """Branching structure of a voxel grid, read from the shortest paths to the root."""
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from dynamictree.parallel import compiled
 from dynamictree.voxel.graph import root_rows
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -35,34 +37,25 @@ def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
     """Read the stems off the graph of touching voxels (edges in metres, connected)."""
     roots = root_rows(graph, grid)
     distance, parent, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)
-    order = np.argsort(distance, kind="stable").tolist()
-    parents = np.where(parent < 0, np.arange(len(grid)), parent).tolist()
-    tip, beyond, heir = _gather_from_tips(order, parents, distance)
-    start, length, level = [0.0] * len(grid), [0.0] * len(grid), [0.0] * len(grid)
-    base, foot = list(range(len(grid))), list(range(len(grid)))
-    foot_m = FOOT_VOXELS * grid.voxel_size_m
-    for row in order:
-        up = parents[row]
-        if up == row:
-            length[row] = tip[row]
-        elif heir[up] == row:
-            start[row], length[row], level[row], base[row] = start[up], length[up], level[up], base[up]
-        else:
-            start[row], length[row], level[row] = distance[up], tip[row] - distance[up], level[up] + 1
-            base[row] = up
-        if heir[up] == row and distance[row] - start[row] >= foot_m:
-            foot[row] = foot[up]
-    columns = [np.asarray(column, np.float32) for column in (distance, beyond, start, length, level)]
+    own = np.arange(len(grid), dtype=np.int32)
+    parent = np.where(parent < 0, own, parent).astype(np.int32)
+    tip, beyond = distance.copy(), np.ones(len(grid))
+    start, length, level = np.zeros((3, len(grid)))
+    base, foot = own.copy(), own.copy()
+    order = np.argsort(distance, kind="stable")
+    _follow_stems(
+        order, parent, distance, FOOT_VOXELS * grid.voxel_size_m, tip, beyond, start, length, level, base, foot
+    )
     return Skeleton(
-        parent=np.asarray(parents, np.int32),
-        distance_m=columns[0],
-        reach_m=(np.asarray(tip) - distance).astype(np.float32),
-        num_beyond=columns[1],
-        stem_start_m=columns[2],
-        stem_length_m=columns[3],
-        level=columns[4],
-        base=np.asarray(base, np.int32),
-        foot=np.asarray(foot, np.int32),
+        parent=parent,
+        distance_m=distance.astype(np.float32),
+        reach_m=(tip - distance).astype(np.float32),
+        num_beyond=beyond.astype(np.float32),
+        stem_start_m=start.astype(np.float32),
+        stem_length_m=length.astype(np.float32),
+        level=level.astype(np.float32),
+        base=base,
+        foot=foot,
     )
 
 
@@ -112,14 +105,24 @@ def section_radius(
     return of_voxel
 
 
-def _gather_from_tips(
-    order: list[int], parents: list[int], distance: np.ndarray
-) -> tuple[list[float], list[float], list[int]]:
-    tip, beyond, heir = distance.tolist(), [1.0] * len(order), [-1] * len(order)
-    for row in reversed(order):
-        up = parents[row]
+@compiled
+@no_type_check  # numba compiles no checked function
+def _follow_stems(order, parent, distance, foot_m, tip, beyond, start, length, level, base, foot):
+    heir = np.full(len(order), -1)
+    for row in order[::-1]:
+        up = parent[row]
         if up != row:
             beyond[up] += beyond[row]
             if heir[up] < 0 or tip[row] > tip[up]:
                 tip[up], heir[up] = max(tip[row], tip[up]), row
-    return tip, beyond, heir
+    for row in order:
+        up = parent[row]
+        if up == row:
+            length[row] = tip[row]
+        elif heir[up] == row:
+            start[row], length[row], level[row], base[row] = start[up], length[up], level[up], base[up]
+        else:
+            start[row], length[row], level[row] = distance[up], tip[row] - distance[up], level[up] + 1
+            base[row] = up
+        if heir[up] == row and distance[row] - start[row] >= foot_m:
+            foot[row] = foot[up]
