@@ -12,8 +12,9 @@ from dataclasses import replace
 from functools import partial
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
+from torch.nn import functional
 
 from dynamictree.models.small.features import (
     CHAIN,
@@ -27,7 +28,7 @@ from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, STEM
 from dynamictree.models.small.surface_shape import NUM_SURFACE
 from dynamictree.models.threads import run_on_cores
 from dynamictree.models.wind import MIN_GUST, REFERENCE_SPEED
-from dynamictree.sparse.pool import pool_to, upsample
+from dynamictree.sparse.pool import pool_to
 
 FLOOR = 3e-6
 """Sizes below this share of the height count as no motion, at drag and gust 1: 0.01 mm of 10 m in a usual wind."""
@@ -94,13 +95,23 @@ class AmplitudeNetwork(nn.Module):
             inputs: rows of `amplitude_inputs`.
             wind: ln speed and gust at each row.
         """
+        return self._sizes(self._entered(inputs, 0) + self.enter.bias, wind)
+
+    def _entered(self, columns: Float32[Tensor, "R C"], first: int) -> Float[Tensor, "R H"]:
+        """What columns of the inputs, from the `first` on, add to the first hidden layer."""
+        some = slice(first, first + columns.shape[1])
+        standard = ((columns - self.mean[some]) / self.deviation[some]).clamp_(-CLIP, CLIP)
+        return functional.linear(standard, self.enter.weight[:, some])
+
+    def _sizes(
+        self, hidden: Float[Tensor, "R H"], wind: Float32[Tensor, "R 2"]
+    ) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
         bent_size = 0.01  # of the height: sways above it come with a lean that lowers the crown
-        hidden = self.enter(((inputs - self.mean) / self.deviation).clamp(-CLIP, CLIP))
         for block in self.blocks:
             hidden = hidden + block(hidden)
         hidden = self.head(hidden)
-        sizes = self.sizes(hidden).view(len(inputs), self.num_frequencies, AXES)
-        saturation = self.saturation(hidden).view(len(inputs), self.num_frequencies - 1, AXES)
+        sizes = self.sizes(hidden).view(len(hidden), self.num_frequencies, AXES)
+        saturation = self.saturation(hidden).view(len(hidden), self.num_frequencies - 1, AXES)
         leant, dropped = self.second_order(hidden).float().T
         zeros, ones = torch.zeros_like(leant), torch.ones_like(leant)
         log_drag, log_gust = _log_wind(wind)
@@ -115,10 +126,22 @@ class AmplitudeNetwork(nn.Module):
         self, tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
         """Lean and ln A at all voxels, without gradients; `foliage_values` from the foliage network."""
+        own, means = _input_parts(tree, foliage_values, wind)
+        entered, first = [], own.shape[1]
+        for values, rows in means:  # once where they are the same, not at each voxel
+            entered.append((self._entered(values, first), rows))
+            first += values.shape[1]
         at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
-        inputs = amplitude_inputs(tree, foliage_values, wind)
-        bands = zip(torch.split(inputs, BAND), torch.split(at_row, BAND), strict=True)
-        lean, log_amplitude = zip(*run_on_cores(partial(self, *band) for band in bands), strict=True)
+
+        def of_band(start: int) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
+            band = slice(start, start + BAND)
+            hidden = self._entered(own[band], 0) + self.enter.bias
+            for values, rows in entered:
+                hidden += values[rows[band]]
+            return self._sizes(hidden, at_row[band])
+
+        bands = run_on_cores(partial(of_band, start) for start in range(0, len(own), BAND))
+        lean, log_amplitude = zip(*bands, strict=True)
         return torch.cat(lean), torch.cat(log_amplitude)
 
 
@@ -129,32 +152,25 @@ def amplitude_inputs(
     it, their means over its ancestors two and four levels up and over the tree, ln speed, and the gust. The grid's own
     axes do not enter.
     """
+    own, means = _input_parts(tree, foliage_values, wind)
+    return torch.cat([own, *(values[rows] for values, rows in means)], dim=1)
+
+
+def _input_parts(
+    tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+) -> tuple[Float32[Tensor, "V C"], list[tuple[Float32[Tensor, "_ _"], Int64[Tensor, " V"]]]]:
+    """`amplitude_inputs`: a voxel's own, and what several have in common, with the row there of each voxel."""
     bearers = foliage_values[:, STEM][tree.chain].flatten(1)
+    leafy = torch.cat([foliage_values[:, : ARM.start], foliage_values[:, ARM.stop :], bearers], dim=1)
     described = replace(
         tree,
-        scalars=torch.cat(
-            [
-                tree.scalars,
-                tree.surface,
-                foliage_values[:, : ARM.start],
-                foliage_values[:, ARM.stop :],
-                bearers,
-                tree.girth,
-            ],
-            dim=1,
-        ),
+        scalars=torch.cat([tree.scalars, tree.surface, leafy, tree.girth], dim=1),
         vectors=torch.cat([tree.vectors, foliage_values[:, None, ARM]], dim=1),
     )
-    own = node_features(described, wind)
-    columns = [own]
-    for top in CONTEXT:
-        raised = pool_to(own, tree.grids, top)
-        for parents in reversed(tree.grids.parents[:top]):
-            raised = upsample(raised, parents)
-        columns.append(raised)
-    sample = tree.grids.levels[0].sample_of_row
-    whole = torch.stack([own[rows].mean(dim=0) for rows in tree.grids.levels[0].sample_slices])
-    return torch.cat([*columns, whole[sample], wind[sample, :NUM_WIND]], dim=1)
+    own, finest = node_features(described, wind), tree.grids.levels[0]
+    means = [(pool_to(own, tree.grids, top), tree.grids.rows_above(top)) for top in CONTEXT]
+    whole = torch.stack([own[rows].mean(dim=0) for rows in finest.sample_slices])
+    return own, [*means, *((values, finest.sample_of_row) for values in (whole, wind[:, :NUM_WIND]))]
 
 
 def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
