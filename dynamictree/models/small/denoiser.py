@@ -3,7 +3,7 @@
 The network is F of EDM (`diffusion.preconditioning`); the whitened spectrum that it denoises has unit variance.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float32, Int64
@@ -93,6 +93,10 @@ class DenoiserCondition:
     log_amplitude: Float32[Tensor, "W J 3"]  # over the height
     neighbourhood: Neighbourhood
     tree_of_node: Int64[Tensor, " W"]
+
+    def of_band(self, band: slice) -> "DenoiserCondition":
+        """Of some frequencies alone."""
+        return replace(self, frequency=self.frequency[:, band], log_amplitude=self.log_amplitude[:, band])
 
 
 def denoise(

@@ -1,7 +1,7 @@
 """Body of the small denoiser: layers that mix each node with means over its neighbourhood at several scales.
 
 A tree's nodes are few and its motion has no preferred grid direction once vectors stand in the wind's frame. So instead
-of 27 taps a layer sees five fixed means (the node itself, what touches it, its ancestors' one and two levels up, the
+of 27 taps a layer sees fixed means (the node itself, what touches it, its ancestors' one and two levels up, the
 whole tree), each with its own linear map. Against the U-Net it costs a third, and every layer sees the whole tree.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int64
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array, vstack
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -25,47 +25,39 @@ from dynamictree.sparse.matrices import (
     touching,
 )
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SparseOperator:
-    """A sparse matrix and its transpose, which the gradient needs."""
-
-    forward: SparseRows
-    backward: SparseRows
-
-    def __call__(self, values: Float[Tensor, "W ..."]) -> Float[Tensor, "V ..."]:
-        """Matrix times values, with a gradient."""
-        product: Tensor = _Product.apply(values, self)  # type: ignore[no-untyped-call]
-        return product
+NUM_NEAR = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Neighbourhood:
     """Operators of the neighbourhood means that a layer reads, of one tree or of a batch."""
 
-    near: tuple[SparseOperator, ...]  # [W, W]: over what touches, what bears, and what is borne
-    pools: tuple[SparseOperator, ...]  # [coarser, W]: mean over the nodes of an ancestor; the last is the whole tree
-    raises: tuple[SparseOperator, ...]  # [W, coarser]
+    near: SparseRows  # [4 W, W]: of each node itself, and means over what touches, what bears, and what is borne
+    pools: tuple[SparseRows, ...]  # [coarser, W]: mean over the nodes of an ancestor; the last is the whole tree
+    raises: tuple[SparseRows, ...]  # [finer, coarser]: from each of these to the one before, the first to the nodes
 
 
 def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
     """Build the operators of one tree, given at its nodes (see `coarsen_features`)."""
     grids, size = nodes.grids, len(nodes.scalars)
     pools = [pool_matrix(grids, depth, 0) for depth in (1, 2)]
-    raises = [raise_matrix(grids, depth, 0, steps=1) for depth in (1, 2)]
+    raises = [raise_matrix(grids, depth, depth - 1, steps=1) for depth in (1, 2)]
     pools.append(csr_array(np.full((1, size), 1 / size, np.float32)))
-    raises.append(csr_array(np.ones((size, 1), np.float32)))
+    raises.append(csr_array(np.ones((len(grids.levels[2]), 1), np.float32)))
+    own = eye_array(size, format="csr", dtype=np.float32)
+    near = vstack([own, touching(grids.levels[0]), *link_matrices(nodes.links, size)], format="csr")
+    node_by_node = np.arange(NUM_NEAR * size).reshape(NUM_NEAR, size).T.ravel()
     return Neighbourhood(
-        near=tuple(_operator(matrix) for matrix in (touching(grids.levels[0]), *link_matrices(nodes.links, size))),
-        pools=tuple(_operator(matrix) for matrix in pools),
-        raises=tuple(_operator(matrix) for matrix in raises),
+        near=sparse_rows(csr_array(near[node_by_node])),
+        pools=tuple(sparse_rows(matrix) for matrix in pools),
+        raises=tuple(sparse_rows(matrix) for matrix in raises),
     )
 
 
 def batch_neighbourhoods(trees: Sequence[Neighbourhood]) -> Neighbourhood:
     """Combine several trees' operators block-diagonally."""
     return Neighbourhood(
-        near=tuple(_block(same) for same in zip(*(tree.near for tree in trees), strict=True)),
+        near=_block([tree.near for tree in trees]),
         pools=tuple(_block(same) for same in zip(*(tree.pools for tree in trees), strict=True)),
         raises=tuple(_block(same) for same in zip(*(tree.raises for tree in trees), strict=True)),
     )
@@ -74,10 +66,10 @@ def batch_neighbourhoods(trees: Sequence[Neighbourhood]) -> Neighbourhood:
 class MixerBlock(nn.Module):
     """Norm with scale and shift, seven means through a hidden layer, zero-initialised, residual."""
 
-    def __init__(self, width: int, embedding: int, *, num_near: int = 3, num_far: int = 3) -> None:
+    def __init__(self, width: int, embedding: int, *, num_far: int = 3) -> None:
         super().__init__()
         self.modulate = nn.Linear(embedding, 2 * width)
-        self.near = nn.Linear((1 + num_near) * width, 2 * width)
+        self.near = nn.Linear(NUM_NEAR * width, 2 * width)
         self.far = nn.ModuleList(nn.Linear(width, 2 * width, bias=False) for _ in range(num_far))
         self.out = nn.Linear(2 * width, width)
         nn.init.zeros_(self.out.weight)
@@ -97,40 +89,17 @@ class MixerBlock(nn.Module):
         at_node = modulation if len(modulation) == 1 else modulation[tree_of_node]
         scale, shift = at_node.chunk(2, dim=-1)
         normal = torch.addcmul(shift, functional.layer_norm(features, features.shape[-1:]), 1 + scale)
-        hidden = self.near(torch.cat([normal, *(mean(normal) for mean in around.near)], dim=-1))
-        for linear, pool, back in zip(self.far, around.pools, around.raises, strict=True):
-            hidden = hidden + back(linear(pool(normal)))
+        near = around.near.apply(normal).view(len(normal), NUM_NEAR, *normal.shape[1:])
+        hidden = self.near(near.transpose(1, 2).flatten(2))
+        raised: Tensor | float = 0.0
+        for linear, pool, back in reversed(list(zip(self.far, around.pools, around.raises, strict=True))):
+            raised = back.apply(linear(pool.apply(normal)) + raised)
+        hidden += raised
         residual: Tensor = self.out(functional.silu(hidden))
         return features + residual
 
 
-class _Product(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: torch.autograd.function.FunctionCtx, *inputs: object) -> Tensor:
-        values, operator = inputs
-        assert isinstance(values, Tensor)
-        assert isinstance(operator, SparseOperator)
-        ctx.operator = operator  # type: ignore[attr-defined]
-        return operator.forward.apply(values)
-
-    @staticmethod
-    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor, None]:
-        operator: SparseOperator = ctx.operator  # type: ignore[attr-defined]
-        return operator.backward.apply(gradients[0].contiguous()), None
-
-
-def _operator(matrix: csr_array) -> SparseOperator:
-    return SparseOperator(forward=sparse_rows(matrix), backward=sparse_rows(csr_array(matrix.T)))
-
-
-def _block(operators: Sequence[SparseOperator]) -> SparseOperator:
-    return SparseOperator(
-        forward=_block_rows([operator.forward for operator in operators]),
-        backward=_block_rows([operator.backward for operator in operators]),
-    )
-
-
-def _block_rows(matrices: Sequence[SparseRows]) -> SparseRows:
+def _block(matrices: Sequence[SparseRows]) -> SparseRows:
     columns = np.cumsum([0, *(matrix.num_columns for matrix in matrices)]).tolist()
     entries = np.cumsum([0, *(len(matrix.columns) for matrix in matrices)]).tolist()
     return SparseRows(

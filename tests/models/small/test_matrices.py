@@ -6,17 +6,15 @@ from scipy.sparse import csr_array
 
 from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, noise_basis
 from dynamictree.models.small.features import TreeFeatures, coarsen_features, turn_features
-from dynamictree.models.small.mixer import MixerBlock, SparseOperator, batch_neighbourhoods, neighbourhood
+from dynamictree.models.small.mixer import MixerBlock, batch_neighbourhoods, neighbourhood
 from dynamictree.sparse.matrices import link_matrices, pool_matrix, raise_matrix, sparse_rows, touching
 from dynamictree.sparse.pool import pool_to, upsample
 
 
-def test_a_sparse_operator_and_its_gradient_are_the_matrix() -> None:
+def test_sparse_rows_and_their_gradient_are_the_matrix() -> None:
     dense = torch.rand(7, 5) * (torch.rand(7, 5) < 0.5)
-    matrix = csr_array(dense.numpy())
-    operator = SparseOperator(forward=sparse_rows(matrix), backward=sparse_rows(csr_array(matrix.T)))
     values = torch.randn(5, 2, 3, requires_grad=True)
-    product = operator(values)
+    product = sparse_rows(csr_array(dense.numpy())).apply(values)
     torch.testing.assert_close(product, torch.einsum("vw,wij->vij", dense, values))
     weighting = torch.randn_like(product)
     (gradient,) = torch.autograd.grad((product * weighting).sum(), values)
