@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from dynamictree.models.small.foliage import ARM, ARM_SCALE
+from dynamictree.models.small.spread import power_of
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_GAIN = 2.0
@@ -76,5 +77,4 @@ def bases_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V 
 
 
 def _size(vectors: Complex64[Tensor, "V K 3"]) -> Float32[Tensor, "V K"]:
-    size: Tensor = vectors.abs().square().sum(dim=2).sqrt()
-    return size
+    return power_of(vectors).sum(dim=2).sqrt()

@@ -1,5 +1,6 @@
 """Deterministic part of sampling, precomputed for one tree and one wind."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,8 +55,8 @@ class PreparedTree:
     spread: Float32[Tensor, "J 3"]  # of sizes about it
     leaf_share: Float32[Tensor, "V J 1"]  # of the motion that a voxel's leaf has for itself
     leaves: Leaves
-    lift: SparseRows  # [V, W]
-    leaf_lift: SparseRows  # [V, L], from cells half as large as a node; voxels of a leaf have what its base has
+    lifts: tuple[SparseRows, SparseRows]  # [C, W] to cells half as large as a node, [V, C] from there
+    leaf_lift: SparseRows  # [V, C]; voxels of a leaf have what its base has
     network: SmallNetwork
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up
     height_m: float
@@ -66,7 +67,9 @@ class PreparedTree:
         self, whitened: Float32[Tensor, "W J 6"], white: Float32[Tensor, "L J 6"]
     ) -> Complex64[Tensor, "V K 3"]:
         """Lean, and the network's formula, leaves swinging: over the height, in the wind's frame."""
-        nodes = of_unit_power(unpack_channels(self.lift.apply(whitened)))
+        for lift in self.lifts:
+            whitened = lift.apply(whitened)
+        nodes = of_unit_power(unpack_channels(whitened))
         leaf = of_unit_power(unpack_channels(self.leaf_lift.apply(white)))
         field = (1 - self.leaf_share).sqrt() * nodes + self.leaf_share.sqrt() * leaf
         moving = sized(field, self.spread) * self.amplitude
@@ -98,32 +101,42 @@ def prepare_tree(
     coarse, finer = coarsened(voxels, halvings)
     tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
-    foliage_values = network.foliage(tree)
+    nodes = coarsen_features(tree, top)
+    with ThreadPoolExecutor(1) as pool:  # beside the foliage network, which has one core
+        matrices = pool.submit(_matrices, tree, nodes, top)
+        foliage_values = network.foliage(tree)
+        noise, around, smooth, from_nodes, from_cells = matrices.result()
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
     spread = at_speed(network.spread, air[0, 0])
     rms = moving(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
-    nodes = coarsen_features(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / fixed_share).square()).exp()  # [V]
     leaves = leaves_of(coarse.grid, foliage_values, free, axes)
-    smooth = sparse_rows(touching(tree.grids.levels[0]))
-    from_cells = unit_rows(raise_matrix(tree.grids, top - 1, 0))
     return PreparedTree(
         voxels=coarse,
         nodes=nodes,
         wind=air,
-        noise=noise_basis(nodes.grids, nodes.links),
-        neighbourhood=neighbourhood(nodes),
+        noise=noise,
+        neighbourhood=around,
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
-        lean=smooth.apply(lean) * free[:, None],
+        lean=sparse_rows(smooth).apply(lean) * free[:, None],
         amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
         spread=spread,
         leaf_share=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
         leaves=leaves,
-        lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
-        leaf_lift=sparse_rows(csr_array(from_cells[leaves.base.numpy()])),
+        lifts=(sparse_rows(from_nodes), sparse_rows(from_cells)),
+        leaf_lift=sparse_rows(csr_array(unit_rows(from_cells)[leaves.base.numpy()])),
         network=network,
         axes=axes,
         height_m=height_m,
         foliage=None if coarse.moments is None else foliage_of(foliage_values),
         finer=finer,
     )
+
+
+def _matrices(
+    tree: TreeFeatures, nodes: TreeFeatures, top: int
+) -> tuple[NoiseBasis, Neighbourhood, csr_array, csr_array, csr_array]:
+    """Of the nodes, noise and neighbourhood; over what touches a voxel, from nodes to cells, from cells to voxels."""
+    from_nodes, from_cells = (raise_matrix(tree.grids, depth, below) for depth, below in ((top, top - 1), (top - 1, 0)))
+    around = neighbourhood(nodes)
+    return noise_basis(nodes.grids, nodes.links), around, touching(tree.grids.levels[0]), from_nodes, from_cells

@@ -30,13 +30,19 @@ def log_surplus(spread: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
     return np.euler_gamma * spread + torch.lgamma(1 + spread)
 
 
+def power_of(field: Complex64[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
+    """|z|², without the square root of |z|."""
+    power: Tensor = torch.view_as_real(field).square().sum(dim=-1)
+    return power
+
+
 def of_unit_power(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
     """The field of a mean square of 1."""
-    return field / field.abs().square().mean(dim=0).clamp_min(torch.finfo(torch.float32).tiny).sqrt()
+    return field / power_of(field).mean(dim=0).clamp_min(torch.finfo(torch.float32).tiny).sqrt()
 
 
 def sized(field: Complex64[Tensor, "V J 3"], spread: Float32[Tensor, "J 3"]) -> Complex64[Tensor, "V J 3"]:
     """Give a complex normal field sizes of another spread about a mean square of 1; phases stay."""
     field = of_unit_power(field)
-    power = field.abs().square() + 1e-2  # where the phase turns within a voxel, sizes go no steeper
+    power = power_of(field) + 1e-2  # where the phase turns within a voxel, sizes go no steeper
     return field * torch.exp(((spread - 1) * power.log() - torch.lgamma(1 + spread)) / 2)
