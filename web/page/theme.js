@@ -25,6 +25,7 @@ export function dress(stage) {
   const { background = "sky" } = document.body.dataset;
   stage.look(currentTheme(), background === "sky" ? [color, backgroundColor] : null);
   document.body.classList.toggle("bare", stage.surroundings.backdrop.visible);
+  document.body.classList.toggle("soft", stage.soft);
 }
 
 /** The accent as the theme has it now: light-dark() is only resolved in a used colour. */
