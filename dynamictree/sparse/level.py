@@ -59,8 +59,7 @@ class Pyramid:
 
 def sparse_level(coords: Int64[Tensor, "V 3"]) -> SparseLevel:
     """The neighbour pairs of one sample's voxels, which may come in any order."""
-    rows = neighbour_pairs(coords.numpy())
-    pairs = tuple((torch.from_numpy(first), torch.from_numpy(second)) for first, second in rows)
+    pairs = tuple((torch.from_numpy(a), torch.from_numpy(b)) for a, b in neighbour_pairs(coords.numpy()))
     return SparseLevel(coords=coords, sizes=(len(coords),), pairs=pairs)
 
 

@@ -58,9 +58,11 @@ def field_matrices(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> tuple[csr_arr
     white = csr_array(eye_array(size, format="csr", dtype=np.float32))
     down, up = link_matrices(links, size)
     step = csr_array((white + down + up) / 3)
-    along = [step]
-    while len(along) < len(STEPS_ALONG):  # each twice as many
-        along.append(csr_array(along[-1] @ along[-1]))
+    along, walked = [], white
+    for count in range(1, max(STEPS_ALONG) + 1):
+        walked = csr_array(step @ walked)  # not by squares: rows of a node that bears many are long
+        if count in STEPS_ALONG:
+            along.append(walked)
     coarser = [raise_matrix(grids, depth, 0) for depth in (1, 2)]
     whole = csr_array(np.ones((size, 1), np.float32))
     return tuple(unit_rows(field) for field in (white, touching(grids.levels[0]), *along, *coarser, whole))

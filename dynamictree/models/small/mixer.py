@@ -44,7 +44,7 @@ def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
     raises = [raise_matrix(grids, depth, depth - 1, steps=1) for depth in (1, 2)]
     pools.append(csr_array(np.full((1, size), 1 / size, np.float32)))
     raises.append(csr_array(np.ones((len(grids.levels[2]), 1), np.float32)))
-    own = eye_array(size, format="csr", dtype=np.float32)
+    own = eye_array(size, dtype=np.float32)
     near = vstack([own, touching(grids.levels[0]), *link_matrices(nodes.links, size)], format="csr")
     node_by_node = np.arange(NUM_NEAR * size).reshape(NUM_NEAR, size).T.ravel()
     return Neighbourhood(

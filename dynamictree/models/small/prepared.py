@@ -137,6 +137,5 @@ def _matrices(
     tree: TreeFeatures, nodes: TreeFeatures, top: int
 ) -> tuple[NoiseBasis, Neighbourhood, csr_array, csr_array, csr_array]:
     """Of the nodes, noise and neighbourhood; over what touches a voxel, from nodes to cells, from cells to voxels."""
-    from_nodes, from_cells = (raise_matrix(tree.grids, depth, below) for depth, below in ((top, top - 1), (top - 1, 0)))
-    around = neighbourhood(nodes)
-    return noise_basis(nodes.grids, nodes.links), around, touching(tree.grids.levels[0]), from_nodes, from_cells
+    lifts = raise_matrix(tree.grids, top, top - 1), raise_matrix(tree.grids, top - 1, 0)
+    return noise_basis(nodes.grids, nodes.links), neighbourhood(nodes), touching(tree.grids.levels[0]), *lifts
