@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from dynamictree.parallel import num_cores
+from dynamictree.parallel import num_cores, single_thread
 
 Result = TypeVar("Result")
 CPU = torch.device("cpu")
@@ -49,10 +49,11 @@ def run_on_cores(calls: Iterable[Callable[[], Result]], device: torch.device = C
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit each call into torch to the thread that makes it."""
+    """Limit each call into torch or BLAS to the thread that makes it."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with single_thread():
+            yield
     finally:
         torch.set_num_threads(before)

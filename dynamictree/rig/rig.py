@@ -8,6 +8,7 @@ import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 
 from dynamictree.mesh import Surface, edges_of
+from dynamictree.parallel import single_thread
 from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth, carried, poses
 from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
 from dynamictree.rig.turn_fit import fit_turns
@@ -124,7 +125,8 @@ def _of_one(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[floa
         num_frames=num_frames,
         voxel_m=float(np.ptp(mesh.vertices[np.unique(moving.faces)], axis=0).max()) / FINENESS,
     )
-    turns = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
+    with single_thread():  # the products are small: BLAS's other threads would only wait
+        turns = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
     voxels = _strongest(mean, bones.vertices, len(bones.skeleton))
     return Rig(skeleton=bones.skeleton, turns=turns, vertices=bones.vertices, voxels=voxels, num_frames=num_frames)
 
