@@ -40,7 +40,7 @@ def write_spectrum(
         NumericsError: a coefficient is not finite, or larger than float16 can hold.
     """
     limit = float(np.finfo(dtype).max)
-    parts = np.stack([spectrum.coefficients.real, spectrum.coefficients.imag], axis=-1)  # [V, K, 3, 2]
+    parts = np.ascontiguousarray(spectrum.coefficients)[..., None].view(np.float32)  # [V, K, 3, 2]
     largest = float(np.abs(parts).max())
     if not largest <= limit:
         raise NumericsError(
@@ -59,6 +59,8 @@ def write_spectrum(
         **({} if spectrum.foliage is None else {"foliage": repr(float(spectrum.foliage))}),
         **source_metadata(spectrum.source),
     }
+    if dtype == "float16":  # below 2^-13 its steps are 2^-24, and numpy reports each number that it rounds there
+        parts = np.where(np.abs(parts) < 2.0**-13, np.rint(parts * 2.0**24) / 2.0**24, parts)
     tensors = {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}
     if spectrum.tree is not None:
         tensors["tree"] = spectrum.tree
