@@ -103,9 +103,10 @@ def prepare_tree(
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
     nodes = coarsen_features(tree, top)
     with ThreadPoolExecutor(1) as pool:  # beside the foliage network, which has one core
-        matrices = pool.submit(_matrices, tree, nodes, top)
+        noise = pool.submit(noise_basis, nodes.grids, nodes.links)
+        lift = pool.submit(raise_matrix, tree.grids, top - 1, 0)
         foliage_values = network.foliage(tree)
-        noise, around, smooth, from_nodes, from_cells = matrices.result()
+    from_cells = lift.result()
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
     spread = at_speed(network.spread, air[0, 0])
     rms = moving(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
@@ -115,15 +116,15 @@ def prepare_tree(
         voxels=coarse,
         nodes=nodes,
         wind=air,
-        noise=noise,
-        neighbourhood=around,
+        noise=noise.result(),
+        neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
-        lean=sparse_rows(smooth).apply(lean) * free[:, None],
+        lean=sparse_rows(touching(tree.grids.levels[0])).apply(lean) * free[:, None],
         amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
         spread=spread,
         leaf_share=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
         leaves=leaves,
-        lifts=(sparse_rows(from_nodes), sparse_rows(from_cells)),
+        lifts=(sparse_rows(raise_matrix(tree.grids, top, top - 1)), sparse_rows(from_cells)),
         leaf_lift=sparse_rows(csr_array(unit_rows(from_cells)[leaves.base.numpy()])),
         network=network,
         axes=axes,
@@ -131,11 +132,3 @@ def prepare_tree(
         foliage=None if coarse.moments is None else foliage_of(foliage_values),
         finer=finer,
     )
-
-
-def _matrices(
-    tree: TreeFeatures, nodes: TreeFeatures, top: int
-) -> tuple[NoiseBasis, Neighbourhood, csr_array, csr_array, csr_array]:
-    """Of the nodes, noise and neighbourhood; over what touches a voxel, from nodes to cells, from cells to voxels."""
-    lifts = raise_matrix(tree.grids, top, top - 1), raise_matrix(tree.grids, top - 1, 0)
-    return noise_basis(nodes.grids, nodes.links), neighbourhood(nodes), touching(tree.grids.levels[0]), *lifts
