@@ -36,7 +36,7 @@ def warm_up() -> None:
 
 def animate_mesh() -> None:
     """Make the default products of a small mesh, and a motion whose frames are freed from stretch."""
-    mesh = _pole()
+    mesh = pole()
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
     with TemporaryDirectory() as folder:
         for params in (PARAMS, TURBULENT):
@@ -48,7 +48,7 @@ def animate_splat() -> None:
 
     What only splats need comes first, so that the other process compiles what meshes need too, and this one reads it.
     """
-    mesh = _pole()
+    mesh = pole()
     cloud = splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding.cloud
     binding = bind(cloud, mesh)
     (pose,) = iter_poses(binding, [np.zeros_like(mesh.vertices)])
@@ -60,7 +60,7 @@ def animate_splat() -> None:
         write_products(mesh, spectrum, PARAMS, Path(folder), capture=Capture(cloud=cloud, mesh=mesh))
 
 
-def _pole() -> TriangleMesh:
+def pole() -> TriangleMesh:
     """A square pole of 1 m with a leaf at its top."""
     ring = np.array([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]])
     rings = [np.column_stack([ring, np.full(4, height)]) for height in np.linspace(0, 1, 6)]

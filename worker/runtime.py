@@ -52,14 +52,14 @@ def runtime() -> Runtime:
 
 
 def load_heavy_modules() -> None:
-    """Import torch and the stages and load the default model, so that the first job waits for neither.
+    """Import torch and the stages and move a small tree, so that the first job waits for libraries, model or kernels.
 
     To be called after the fork, where torch may be imported.
     """
     import worker.stages  # noqa: F401
+    from dynamictree import method
     from dynamictree.errors import CheckpointError
-    from dynamictree.models import loaded_once
-    from dynamictree.requests import ModelParams
+    from dynamictree.warm_up import pole
 
     with suppress(CheckpointError):  # the job that needs the model reports it
-        loaded_once(ModelParams().preset)
+        list(method.animate(pole(), num_frames=1))
