@@ -14,6 +14,7 @@ from fastapi.middleware.cors import CORSMiddleware
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings, unknown_variables
+from jobs.storage.parser_process import start_server
 from service import operations
 from service.http import problem_handlers
 from service.http.authentication import Authentication
@@ -120,6 +121,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
 
 
 def _warm_up() -> None:
+    start_server()  # which the first upload would wait for
     # numba, which the first push and the first look at the limits would wait for
     import dynamictree.export.table
     import dynamictree.gaussian.deform

@@ -2,7 +2,6 @@
 
 import os
 import socket
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 
@@ -49,17 +48,3 @@ def close_runtime(resources: Runtime) -> None:
 def runtime() -> Runtime:
     """Return this process's runtime, opened at the first call."""
     return open_runtime(read_settings())
-
-
-def load_heavy_modules() -> None:
-    """Import torch and the stages and move a small tree, so that the first job waits for libraries, model or kernels.
-
-    To be called after the fork, where torch may be imported.
-    """
-    import worker.stages  # noqa: F401
-    from dynamictree import method
-    from dynamictree.errors import CheckpointError
-    from dynamictree.warm_up import pole
-
-    with suppress(CheckpointError):  # the job that needs the model reports it
-        list(method.animate(pole(), num_frames=1))

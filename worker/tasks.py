@@ -5,13 +5,13 @@ import resource
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from celery import Task, signals
 from celery.exceptions import SoftTimeLimitExceeded
 
-from dynamictree.errors import Cancelled, DynamicTreeError
+from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
 from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, hand_back, report_alive, succeed
 from jobs.lifecycle.maintenance import RUN_JOB
@@ -25,7 +25,7 @@ from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
 from worker.half_done import half_done_folder
 from worker.memory_limit import is_out_of_memory, limit_memory, return_freed_memory
-from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
+from worker.runtime import Runtime, close_runtime, runtime
 
 logger = logging.getLogger(__name__)
 
@@ -131,8 +131,14 @@ def _arrive(**_: object) -> None:
 
 
 def _warm_up() -> None:
+    """Move a small tree, so that the first job waits for no library, model or kernel."""
     runtime().heartbeat.wait()  # first be there, then be quick
-    load_heavy_modules()
+    import worker.stages  # noqa: F401
+    from dynamictree import method
+    from dynamictree.warm_up import pole
+
+    with suppress(CheckpointError):  # the job that needs the model reports it
+        list(method.animate(pole(), num_frames=1))
     logger.info("the default model is loaded")
 
 

@@ -76,12 +76,17 @@ class NoServerError(Exception):
 
 
 class _Server:
-    """The process that forks for each upload (`worker.parse_server`): started when first needed, ends with this one."""
+    """The process that forks for each upload (`worker.parse_server`): starts when first needed, ends with this one."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
+
+    def start(self) -> None:
+        """Start it, unless it runs."""
+        with self._lock:
+            self._control = self._control or self._started()
 
     def read(self, connection: socket.socket) -> None:
         """Have an upload read: its request and answer go over the connection."""
@@ -118,6 +123,7 @@ class _Server:
 
 
 _server = _Server()
+start_server = _server.start
 atexit.register(_server.end)
 
 
