@@ -9,7 +9,7 @@ BOUNDS = {
     "lines in lab": 6_322,
     "lines in service, jobs and worker": 13_500,
     "lines in tests": 39_930,
-    "names bound to numbers in dynamictree": 577,
+    "names bound to numbers in dynamictree": 576,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
