@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
-from scipy.spatial import cKDTree
+from jaxtyping import Float32
 
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION
@@ -22,7 +21,6 @@ class DensityRules:
     min_opacity: float = 0.005
     too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away
     max_gaussians: int = 60_000
-    free_distance: float = 0.08  # of the cameras' median distance from the origin: nothing is so near to a camera
 
 
 def densify(state: SplatState, rules: DensityRules, *, extent: float, rng: np.random.Generator) -> None:
@@ -40,16 +38,6 @@ def densify(state: SplatState, rules: DensityRules, *, extent: float, rng: np.ra
     halves = [_half(table[split], rng) for _ in range(2)]
     survives[split] = False
     state.keep(np.flatnonzero(survives), np.concatenate([twins, *halves]))
-
-
-def before_cameras(
-    table: Float32[np.ndarray, "G P"], cameras: Float64[np.ndarray, "V 3"], rules: DensityRules
-) -> Bool[np.ndarray, " G"]:
-    """Gaussians where a camera was: one photo alone shows them, as fog in all others from near there."""
-    free = rules.free_distance * float(np.median(np.linalg.norm(cameras, axis=1)))
-    distance = np.asarray(cKDTree(cameras).query(table[:, MEAN], distance_upper_bound=free)[0])
-    near: Bool[np.ndarray, " G"] = np.isfinite(distance)
-    return near
 
 
 def _half(rows: Float32[np.ndarray, "S P"], rng: np.random.Generator) -> Float32[np.ndarray, "S P"]:

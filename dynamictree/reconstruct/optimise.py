@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from dynamictree.gaussian.rasterize import draw
 from dynamictree.reconstruct.adam import adam_step
-from dynamictree.reconstruct.densify import DensityRules, before_cameras, densify
+from dynamictree.reconstruct.densify import DensityRules, densify
 from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
 from dynamictree.reconstruct.splat_state import SplatState
@@ -64,7 +64,6 @@ class SplatTask:
     held_out: Iterable[Target]  # not learned from: they tell how good it is so far
     extent: float  # of the cameras
     cut_out: bool = False  # by masks: photos show the subject alone
-    cameras: Float64[np.ndarray, "V 3"] | None = None  # of all photos; free space
 
 
 def optimise(
@@ -86,10 +85,7 @@ def optimise(
             state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
         share = state.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and state.step % schedule.densify_every == 0:
-            rules = _rules(schedule, shrink, cut_out=task.cut_out)
-            if task.cameras is not None:
-                state.table[before_cameras(state.table, task.cameras, rules), LOGIT] = _DISCARDED_LOGIT
-            densify(state, rules, extent=task.extent, rng=rng)
+            densify(state, _rules(schedule, shrink, cut_out=task.cut_out), extent=task.extent, rng=rng)
 
 
 def _one_step(

@@ -102,7 +102,6 @@ def fit_splat(
         held_out=(target(view, None) for view in held_out_rows),
         extent=camera_extent(model.views),
         cut_out=any(view.alpha is not None for view in model.views),
-        cameras=np.array([view.camera.position_m for view in model.views]),
     )
     if gsplat_is_there():
         from dynamictree.reconstruct.optimise_on_gpu import optimise_on_gpu  # torch and gsplat

@@ -9,9 +9,8 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import ReconstructionError
-from dynamictree.reconstruct.densify import DensityRules, before_cameras
 from dynamictree.reconstruct.splat_start import first_table
-from dynamictree.reconstruct.splat_table import MEAN, table_of_points
+from dynamictree.reconstruct.splat_table import MEAN
 from dynamictree.reconstruct.views import View
 from dynamictree.reconstruct.visual_hull import hull_points, texture_points, textured_mask
 from tests.reconstruct.conftest import Orbit
@@ -150,10 +149,3 @@ def test_a_splat_begins_in_the_crown_unless_masks_say_where_the_plant_is(
 
     assert number_in_crown(masked=False) > 300
     assert number_in_crown(masked=True) < 100
-
-
-def test_gaussians_where_a_camera_was_are_no_part_of_the_scene() -> None:
-    cameras = np.array([[2.0, 0, 1], [0, 2.0, 1], [-2.0, 0, 1]])
-    places = np.float32([[2.0, 0, 1], [1.9, 0, 1], [1.5, 0, 1], [0, 0, 0.5], [0, 1.95, 1.1]])
-    table = table_of_points(places, np.zeros((5, 3), np.float32), np.ones(5, np.float32), opacity=0.5, sh_degree=0)
-    assert before_cameras(table, cameras, DensityRules()).tolist() == [True, True, False, False, True]
