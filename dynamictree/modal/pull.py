@@ -126,22 +126,22 @@ def _within_length(
 def _settled(segments, give, tolerance, target, bends):
     """The bends, and how far they bring the point."""
     rounds, force, price, longest = 120, np.zeros(3), 0.0, STEP_RAD
-    before, arms, reached = _stance(segments, bends)
-    cost = _energy(bends, give)
+    before, arms, reached, energy = _stance(segments, give, bends)
     for _ in range(rounds):
         gap = target - reached
-        force, step = _newton(before, arms, bends, give, gap, force, tolerance)
-        price = max(price, 1.5 * np.sqrt((force**2).sum()))  # of the gap, above that of the constraint
+        turns, moved = _turns(before, arms, bends, give, force)
+        force = np.linalg.solve(moved[:, :3] + tolerance * np.eye(3), gap + moved[:, 3])
+        step = _bent(before, bends, turns, force)
+        price = max(price, 1.5 * np.linalg.norm(force))  # of the gap, above that of the constraint
         size = np.sqrt((step**2).sum(axis=1).max())
-        tried = bends + min(1.0, longest / max(size, STUCK_RAD)) * step
-        tried_before, tried_arms, tried_reached = _stance(segments, tried)
-        tried_cost, left = _energy(tried, give), target - tried_reached
-        if tried_cost - cost > price * (np.sqrt((gap**2).sum()) - np.sqrt((left**2).sum())):
+        further = bends + min(1.0, longest / max(size, STUCK_RAD)) * step
+        tried = _stance(segments, give, further)
+        if tried[3] - energy > price * (np.linalg.norm(gap) - np.linalg.norm(target - tried[2])):
             longest = 0.3 * min(longest, size)
             if longest < STUCK_RAD:
                 break
             continue
-        bends, before, arms, reached, cost = tried, tried_before, tried_arms, tried_reached, tried_cost
+        bends, (before, arms, reached, energy) = further, tried
         if size <= min(longest, SETTLED_RAD):
             break
         longest = min(STEP_RAD, 2 * longest)
@@ -150,8 +150,8 @@ def _settled(segments, give, tolerance, target, bends):
 
 @compiled
 @no_type_check
-def _stance(segments, bends):
-    """What carries each segment [n, 3, 3], the turned segments, and how far they bring the point."""
+def _stance(segments, give, bends):
+    """What carries each segment [n, 3, 3], the turned segments, how far they bring the point, and E."""
     before, arms = np.empty((len(bends), 3, 3)), np.empty_like(segments)
     frame, moved = np.eye(3), np.zeros(3)
     for i in range(len(bends) - 1, -1, -1):  # from the root
@@ -159,24 +159,18 @@ def _stance(segments, bends):
         frame = frame @ exponential(bends[i])
         arms[i] = frame @ segments[i]
         moved += arms[i] - segments[i]
-    return before, arms, moved
-
-
-@compiled
-@no_type_check
-def _energy(bends, give):
     square = (bends**2).sum(axis=1)
-    return 0.5 * (square * (1 + (square / LARGEST_BEND_RAD**2) ** 2 / 3) / give).sum()
+    return before, arms, moved, 0.5 * (square * (1 + (square / LARGEST_BEND_RAD**2) ** 2 / 3) / give).sum()
 
 
 @compiled
 @no_type_check
-def _newton(before, arms, bends, give, gap, force, tolerance):
-    """λ, and the step of each κ; `force` is λ of the round before."""
+def _turns(before, arms, bends, give, force):
+    """θ of each segment for a force along each axis and for the moments [n, 3, 4], and how far each moves the point."""
     n = len(arms)
     folded = ((bends**2).sum(axis=1) / LARGEST_BEND_RAD**2) ** 2
     stiffness = (1 + 5 * folded) / give
-    turns = np.empty((n, 3, 4))  # θ for a force along each axis, and for the moments; at first their right sides
+    turns = np.empty((n, 3, 4))  # at first the right sides
     tension = np.empty(n)  # what stiffens the segments up to this one in space
     below = np.zeros(3)
     for i in range(n):
@@ -189,17 +183,23 @@ def _newton(before, arms, bends, give, gap, force, tolerance):
             share = stiffness[i - 1] / (stiffness[i - 1] + tension[i - 1])
             tension[i] += share * tension[i - 1]
             turns[i] += share * turns[i - 1]
-    above, by_force = np.zeros((3, 4)), np.zeros((3, 4))
+    above, moved = np.zeros((3, 4)), np.zeros((3, 4))
     for i in range(n - 1, -1, -1):
         turns[i] = (turns[i] + stiffness[i] * above) / (stiffness[i] + tension[i])
         above = turns[i]
-        by_force -= cross_matrix(arms[i]) @ above
-    force = np.linalg.solve(by_force[:, :3] + tolerance * np.eye(3), gap + by_force[:, 3])
+        moved -= cross_matrix(arms[i]) @ above
+    return turns, moved
+
+
+@compiled
+@no_type_check
+def _bent(before, bends, turns, force):
+    """The step of each κ under a force."""
     step, below = np.empty_like(bends), np.zeros(3)
-    for i in range(n - 1, -1, -1):
+    for i in range(len(bends) - 1, -1, -1):
         turn = turns[i] @ np.append(force, -1.0)
         own = before[i].T @ (turn - below)
         again = np.cross(bends[i], own)
         step[i] = own - again / 2 + np.cross(bends[i], again) / 12  # of κ, for a turn in its frame
         below = turn
-    return force, step
+    return step

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.pull import _energy, _stance, equilibrium, grip_of
+from dynamictree.modal.pull import _stance, equilibrium, grip_of
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.pose import carried, poses
@@ -59,9 +59,8 @@ def test_the_grip_is_where_it_was_asked_to_be(forked, vector, share):
 
 def test_a_pull_along_a_stem_is_not_followed_and_says_so(forked):
     tree, parts = forked
-    row = parts["stem"][-1]
-    answer = pulled(tree, row, (0.0, 0.0, 0.5))
-    path = path_of(tree, row, answer)[0]
+    answer = pulled(tree, parts["stem"][-1], (0.0, 0.0, 0.5))
+    path = path_of(tree, parts["stem"][-1], answer)[0]
     np.testing.assert_allclose(path, answer.reached[0].reached_m, atol=1e-4)
     assert answer.reached[0].reached_m[2] < 0.1
 
@@ -85,10 +84,11 @@ def test_the_other_branch_only_rides_on_the_stem(forked):
 
 
 def test_of_all_bends_that_bring_the_point_there_the_answer_has_the_least_energy(rng):
-    grip, target = grip_of(rng.normal(size=(6, 3)) + np.array([0, 0, 2]), np.geomspace(1, 0.05, 6)), [2.0, -1.0, -1.5]
-    there = {"type": "eq", "fun": lambda bend: _stance(grip.segments_m, bend.reshape(6, 3))[2] - target}
-    least = minimize(lambda bend: _energy(bend.reshape(6, 3), grip.give), np.full(18, 0.1), constraints=there)
-    pull = equilibrium(grip, np.array(target), np.zeros((6, 3)))
+    segments, give = rng.normal(size=(6, 3)) + np.array([0, 0, 2]), np.geomspace(1, 0.05, 6)
+    target = np.array([2.0, -1.0, -1.5])
+    there = {"type": "eq", "fun": lambda x: _stance(segments, give, x.reshape(6, 3))[2] - target}
+    least = minimize(lambda x: _stance(segments, give, x.reshape(6, 3))[3], np.full(18, 0.1), constraints=there)
+    pull = equilibrium(grip_of(segments, give), target, np.zeros((6, 3)))
     np.testing.assert_allclose(pull.reached_m, target, atol=1e-4)
     np.testing.assert_allclose(pull.bend.ravel(), least.x, atol=0.01)
 
