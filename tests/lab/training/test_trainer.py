@@ -123,7 +123,7 @@ def test_processes_draw_their_own_batches_and_keep_the_same_weights(tmp_path: Pa
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
     script = tmp_path / "two.py"
-    script.write_text(TWO_PROCESSES.format(root=str(Path(__file__).parents[2])))
+    script.write_text(TWO_PROCESSES.format(root=str(Path(__file__).parents[3])))
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     both = [subprocess.Popen([sys.executable, str(script), str(rank), port], env=environment) for rank in (0, 1)]
     assert [process.wait(timeout=120) for process in both] == [0, 0]
