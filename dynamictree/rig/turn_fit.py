@@ -294,6 +294,6 @@ def _times(
 def _weighed(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
     """Scalar product of complex values whose last axis is a frequency: float32 over some, float64 over these."""
     often = bin_weights(one.shape[-1], num_frames)
-    pair = (values.reshape(-1, len(often)).view(np.float32) for values in (one, other))
-    parts = zip(*(np.array_split(values, len(values) // 512 + 1) for values in pair), strict=True)
-    return float(sum(np.einsum("nk,nk->k", *some).astype(np.float64) for some in parts) @ np.repeat(often, 2))
+    pair = [values.reshape(-1, len(often)).view(np.float32) for values in (one, other)]
+    parts = np.add.reduceat(pair[0] * pair[1], np.arange(0, len(pair[0]), 512), axis=0)
+    return float(parts.sum(axis=0, dtype=np.float64) @ np.repeat(often, 2))
