@@ -14,7 +14,7 @@ from dynamictree.reconstruct.visual_hull import hull_points, texture_points
 
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
-_LEAST_SKY = 0.02  # of the photos that see a place of the sky
+_LEAST_SOLID, _LEAST_SKY = 0.8, 0.02  # of the photos that see a place of the dome
 _COVERED = 230  # of 255, of a pixel whose colour counts
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 Cover = UInt8[np.ndarray, "H W"]
@@ -29,12 +29,11 @@ def first_table(
     rng: np.random.Generator,
     sky: Sequence[Foreground] | None = None,
 ) -> Float32[np.ndarray, "G P"]:
-    """Up to about `number` round Gaussians as wide as their neighbours are near; and what may be sky far away.
+    """Up to about `number` round Gaussians as wide as their neighbours are near; and without masks, some far away.
 
     The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
     """
     crown_share = 0.4  # of the other points: in a thin crown there are none of them
-    horizon = -0.1  # sine of an elevation: below it, as behind a table, what is far takes the place of what is near
     covers = None if sky is None else [view.alpha for view in sky]
     points, colors = model.points, model.colors / np.float32(255)
     if depths is not None:
@@ -50,11 +49,11 @@ def first_table(
         points = np.concatenate([points, crown.astype(np.float32)])
         colors = np.concatenate([colors, crown_colors])
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
-    if not whole or sky is not None:
+    if not whole:
         return table
-    far, far_colors, share = dome_points(model.views)
-    above = (share > 0) & (far[:, 2] > horizon * _DOME_DISTANCE)
-    return np.concatenate([table, _dome_table(far[above], far_colors[above], 1.0, _DOME_POINTS, sh_degree)])
+    far, far_colors, share = dome_points(model.views, covers)
+    solid = share >= _LEAST_SOLID
+    return np.concatenate([table, _dome_table(far[solid], far_colors[solid], 1.0, _DOME_POINTS, sh_degree)])
 
 
 def sky_table(views: Sequence[View], sky: Sequence[Foreground], sh_degree: int) -> Float32[np.ndarray, "S P"]:

@@ -57,7 +57,7 @@ def extend_work(path: Path, sources: Iterable[Path], options: ReconstructOptions
 
 
 def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str]:
-    depths_version, splat_version = 2, 6  # of what the file holds, and of the way in which a splat is learned
+    depths_version, splat_version = 2, 5  # of what the file holds, and of the way in which a splat is learned
     photos = f"{_photos_key(sources)} {options.photo_px}"
     depths = f"{photos} {depths_version} {options.max_views}"
     splat = f"{depths} {splat_version} {json.dumps(asdict(options.schedule), sort_keys=True)}"

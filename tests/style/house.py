@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 33_892,
+    "lines in dynamictree": 33_891,
     "lines in lab": 6_322,
     "lines in service, jobs and worker": 13_500,
     "lines in tests": 39_921,
-    "names bound to numbers in dynamictree": 575,
+    "names bound to numbers in dynamictree": 576,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 3_000,
