@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import InputError
 
@@ -18,28 +19,9 @@ def quaternion_matrices(quaternions: Float[np.ndarray, "G 4"]) -> Float[np.ndarr
 
 
 def matrix_quaternions(rotations: Float[np.ndarray, "G 3 3"]) -> Float[np.ndarray, "G 4"]:
-    """The unit quaternion of each rotation matrix, w >= 0. Shepperd 1978: divide by the largest component."""
-    diagonal = np.diagonal(rotations, axis1=1, axis2=2)  # [G, 3]
-    trace = diagonal.sum(axis=1)
-    # 4 times the square of w, x, y, z
-    squares = np.concatenate([(1 + trace)[:, None], 1 + 2 * diagonal - trace[:, None]], axis=1)  # [G, 4]
-    largest = np.argmax(squares, axis=1)
-    r = rotations
-    products = np.empty((len(r), 4, 4), rotations.dtype)  # 4 times w, x, y, z times one another
-    products[:, [0, 1, 2, 3], [0, 1, 2, 3]] = squares
-    for i, j, value in (
-        (0, 1, r[:, 2, 1] - r[:, 1, 2]),
-        (0, 2, r[:, 0, 2] - r[:, 2, 0]),
-        (0, 3, r[:, 1, 0] - r[:, 0, 1]),
-        (1, 2, r[:, 0, 1] + r[:, 1, 0]),
-        (1, 3, r[:, 0, 2] + r[:, 2, 0]),
-        (2, 3, r[:, 1, 2] + r[:, 2, 1]),
-    ):
-        products[:, i, j] = products[:, j, i] = value
-    chosen = products[np.arange(len(r)), largest]
-    chosen /= np.linalg.norm(chosen, axis=1, keepdims=True)
-    result: Float[np.ndarray, "G 4"] = np.where(chosen[:, :1] < 0, -chosen, chosen)
-    return result
+    """The unit quaternion of each rotation matrix, w >= 0."""
+    turns = Rotation.from_matrix(rotations, assume_valid=True)
+    return np.asarray(turns.as_quat(canonical=True, scalar_first=True), rotations.dtype)
 
 
 def quaternion_products(left: Float[np.ndarray, "#G 4"], right: Float[np.ndarray, "#G 4"]) -> Float[np.ndarray, "#G 4"]:

@@ -9,9 +9,9 @@ Each card, and all that bends together, shall go where its voxels go, and furthe
 where the voxels were read last, so whatever lowers it brings the means nearer. In it cards that share a voxel are not
 coupled: memory and time to factor it grow with their number.
 
-Gauss-Newton steps: the mean pose alone first, then all frequencies, linearised around it. The rig's own loop is played
-and what is missing in its K frequencies is fitted. A step turns no bone by more than `MOST_STEP_RAD`, is shortened
-until it lowers the cost, and is the last one if none does, so no fit runs away.
+Gauss-Newton steps: the mean pose alone first, then all frequencies, linearised around it, and both again, dearer, where
+wood would break. The rig's own loop is played and what is missing in its K frequencies is fitted. A step turns no bone
+by more than `MOST_STEP_RAD`, is shortened until it lowers the cost, and is the last one if none does.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from jaxtyping import Complex64, Float32
+from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.rig import turn_matrices as matrices
 from dynamictree.rig.pose import GROUND, Poses, Skeleton, Weights, poses
@@ -54,13 +54,13 @@ def fit_turns(
     skeleton: Skeleton, weights: Weights, target: Target, report: Callable[[float], None]
 ) -> Complex64[np.ndarray, "B K 3"]:
     """Turn modes [rad] of the bones that carry the target's points; `report` gets the share done."""
-    placing = matrices.placing(skeleton, weights, target.points)
-    voxels = _Voxels(skeleton, weights, target, placing)
-    turns = np.zeros((len(skeleton), 1, 3), np.complex64)
-    done, whole = 0, len(MEAN_ROUNDS) + len(ROUNDS)
-    for num_frequencies, rounds in ((1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)):
-        problem = _Problem(skeleton, weights, target, placing, voxels, about=turns[:, 0].real)
-        solution = problem.solution(turns, num_frequencies)
+    voxels = _Voxels(skeleton, weights, target)
+    turns, dearer = np.zeros((len(skeleton), 1, 3), np.complex64), np.ones(len(skeleton))
+    stages = 2 * [(1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)]
+    done, whole = 0, sum(len(rounds) for _, rounds in stages)
+    for num_frequencies, rounds in stages:
+        problem = _Problem(skeleton, weights, target, voxels, turns[:, 0].real, dearer)
+        solution = problem.solution(turns[:, :1], num_frequencies)
         played = solution, *problem.played(solution)
         for most in rounds:
             done += 1
@@ -68,6 +68,8 @@ def fit_turns(
             now = _descended(problem, problem.read(*played), most)
             played = now.solution, now.stacked, now.growth
         turns = problem.turns(now.solution)
+        if num_frequencies > 1 and (dearer := problem.dearer(now.growth)).max() == 1:
+            break
         del problem  # its factor, hundreds of megabytes, before the next is made
     return turns
 
@@ -86,10 +88,10 @@ def _descended(problem: "_Problem", now: "_State", rounds: int) -> "_State":
 class _Voxels:
     """Means of the bones' surface in each of V voxels, and what they should do."""
 
-    def __init__(self, skeleton: Skeleton, weights: Weights, target: Target, placing: scipy.sparse.csr_array) -> None:
-        self.coefficients, self.num_frames = target.coefficients, target.num_frames
-        self.means = (target.mean.astype(np.float32) @ placing.astype(np.float32)).tocsr()
-        num_bones = placing.shape[1] // 4
+    def __init__(self, skeleton: Skeleton, weights: Weights, target: Target) -> None:
+        self.coefficients, self.num_frames, num_bones = target.coefficients, target.num_frames, len(skeleton)
+        self.placing = matrices.placing(skeleton, weights, target.points)
+        self.means = (target.mean.astype(np.float32) @ self.placing.astype(np.float32)).tocsr()
         alone = np.arange(num_bones)  # all that bends is fitted together
         alone[weights.rows[(weights.shares > 0) & (weights.shares < 1)]] = GROUND
         # a voxel counts as 1 / energy, or a trunk moves with what its crown misses; all above the median count as one,
@@ -141,15 +143,14 @@ class _Problem:
         skeleton: Skeleton,
         weights: Weights,
         target: Target,
-        placing: scipy.sparse.csr_array,
         voxels: _Voxels,
         about: Float32[np.ndarray, "B 3"],
+        dearer: Float64[np.ndarray, " B"],
     ) -> None:
-        self.skeleton, self.voxels = skeleton, voxels
-        num_bones = len(skeleton)
+        self.skeleton, self.voxels, num_bones = skeleton, voxels, len(skeleton)
         at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
         ends, self.length, self.scale = matrices.edge_ends(skeleton, weights, target)
-        self.vectors = (ends @ placing).tocsr()  # [E, 4B]
+        self.vectors = (ends @ voxels.placing).tocsr()  # [E, 4B]
         self.price = STRETCH * len(voxels.coefficients) / max(len(target.fitted_edges), 1)
         self.bends = np.zeros(num_bones, np.bool_)
         self.stretches = np.unique(self.vectors.indices % num_bones)  # bones that edges can pull at
@@ -169,7 +170,8 @@ class _Problem:
         side_growth, side_chain = matrices.linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
         aside = self._lengthening(at_rest) @ side_growth
         apart = matrices.apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
-        prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ apart
+        price = np.append(dearer[1:], np.ones(apart.shape[0] // 3 + 1 - num_bones)).repeat(3)  # children come first
+        prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ scipy.sparse.diags_array(price) @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
         side_chain = side_chain[np.repeat(self.bends, 3)]
@@ -256,6 +258,21 @@ class _Problem:
         turns *= np.minimum(1, MOST_STEP_RAD / np.maximum(size, 1e-12))[:, None, None]
         turns[GROUND] = 0
         return step
+
+    def dearer(self, growth: Complex64[np.ndarray, "E K"]) -> Float64[np.ndarray, " B"]:
+        """How many times dearer a bone's turn against its parent shall be, by how much edges between them grow.
+
+        Wood breaks at 0.01: where one edge in twenty grows by more than `strained`, root mean square of the loop, noise
+        of voxels asks for it, and prices grow with the square.
+        """
+        strained, quiet = 0.004, 0.0005
+        often = bin_weights(growth.shape[1], self.voxels.num_frames)
+        bone = np.maximum.reduceat(self.vectors.indices % len(self.skeleton), self.vectors.indptr[:-1])  # the deepest
+        square = np.abs(growth) ** 2 @ often / (self.scale * self.length) ** 2 * ~self.skeleton.in_surface[bone]
+        if len(square) == 0 or np.percentile(square, 95) < strained**2:
+            return np.ones(len(self.skeleton))
+        total, count = (np.bincount(bone, each, len(self.skeleton)) for each in (square, np.ones_like(square)))
+        return np.asarray(np.maximum(total / np.maximum(count, 1) / quiet**2, 1))
 
     def with_side_feet(self, solution: Solution) -> Solution:
         """The same turns, with the feet that a side wind then moves."""

@@ -99,12 +99,10 @@ def test_it_is_near_the_simulators_truth_in_a_breeze_and_in_a_storm(species: str
     for speed_m_s, most in ((5.0, 0.13), (20.0, 0.13)):
         sample = make_sample(seed, species, wind=Wind(speed_m_s=speed_m_s, gust=0.4))
         truth, (_, spectrum) = sample.displacement(), voxel_spectrum(sample)
-        frames = np.arange(0, len(truth), 4)
+        frames, vertices = np.arange(0, len(truth), 4), sample.mesh.vertices
         rig = rig_of(sample.mesh, spectrum)
-        motion = [
-            rig.displacement(theta, sample.mesh.vertices, rig.vertices)
-            for theta in rig.theta(frames / spectrum.num_frames)
-        ]
+        thetas = rig.theta(frames / spectrum.num_frames)
+        motion = [rig.displacement(theta, vertices, rig.vertices) for theta in thetas]
         sway = np.sqrt(((truth - truth.mean(axis=0)) ** 2).sum(axis=2).mean())
         assert np.sqrt(((np.stack(motion) - truth[frames]) ** 2).sum(axis=2).mean()) < most * sway
         assert np.percentile(list(_growths(sample.mesh, motion)), 99) < 0.01
@@ -132,6 +130,15 @@ def test_the_foot_of_a_trunk_moves_as_its_voxels_whatever_its_crown_misses() -> 
     foot = (places[:, 2] > 0.02 * mesh.height_m) & (places[:, 2] < 0.14 * mesh.height_m)
     sizes = [np.abs(motion[foot, 1:]).sum() for motion in (rig.loop(places, rig.voxels), spectrum.coefficients)]
     assert sizes[0] < 1.5 * sizes[1]
+
+
+def test_a_storm_of_the_model_breaks_no_wood() -> None:
+    """Limbs that followed noise of voxels made edges grow by 1.7 %."""
+    mesh = make_sample(4, "pine").mesh
+    spectrum = method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=20.0), seed=0)
+    rig = rig_of(mesh, spectrum)
+    motion = [rig.displacement(theta, mesh.vertices, rig.vertices) for theta in rig.theta(np.arange(8) / 8)]
+    assert np.percentile(list(_growths(mesh, motion)), 99) < 0.01
 
 
 def test_the_system_of_a_dense_bush_grows_with_its_cards(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,11 +195,9 @@ def test_a_crown_that_is_one_surface_does_not_tear_when_the_wind_turns() -> None
     rig = rig_of(mesh, SparseVoxelSpectrum(grid=grid, coefficients=modes))
     assert rig.skeleton.in_surface.mean() > 0.9
     turn = trimesh.transformations.rotation_matrix(np.radians(30), [0, 0, 1])[:3, :3].astype(np.float32)
-    typical = []
+    typical, thetas = [], list(rig.theta(np.arange(8) / 8))
     for wind in (np.eye(3, dtype=np.float32), turn):
-        motion = [
-            rig.displacement(rig.in_wind(theta, wind), vertices, rig.vertices) for theta in rig.theta(np.arange(8) / 8)
-        ]
+        motion = [rig.displacement(rig.in_wind(theta, wind), vertices, rig.vertices) for theta in thetas]
         typical.append(np.percentile(list(_growths(mesh, motion)), 99))
     assert 0.001 < typical[0] < 0.12  # the motion asked for stretches by 0.15
     assert typical[1] < 1.2 * typical[0]
@@ -248,10 +253,7 @@ def test_a_file_whose_bones_do_not_fit_together_is_refused(tree: Tree) -> None:
 
 def _growths(mesh: TriangleMesh, motion: list[np.ndarray]) -> list[np.ndarray]:
     """Of each frame how much each edge grows, as a share of its length."""
-    edges = edges_of(mesh.faces)
-    lengths = [
-        np.linalg.norm(now[edges[:, 0]] - now[edges[:, 1]], axis=1)
-        for now in (mesh.vertices, *(mesh.vertices + moved for moved in motion))
-    ]
-    longest = lengths[0] > 1e-6
-    return [np.abs(now[longest] / lengths[0][longest] - 1) for now in lengths[1:]]
+    one, other = edges_of(mesh.faces).T
+    places = (mesh.vertices, *(mesh.vertices + moved for moved in motion))
+    rest, *lengths = (np.linalg.norm(now[one] - now[other], axis=1) for now in places)
+    return [np.abs(now[rest > 1e-6] / rest[rest > 1e-6] - 1) for now in lengths]
