@@ -205,7 +205,7 @@ def test_a_search_without_masks_goes_on_where_that_with_masks_ended(tmp_path, ca
         monkeypatch.setattr(mapping, step, lambda search: search.tell("features", 0, 1))
     mapping.map_photos(tmp_path, [Photo(source="a", name="a", width=1, height=1, focal_px=None, masked=True)], None)
     parts = [json.loads(line)[3:] for line in capsys.readouterr().out.splitlines()]
-    assert parts == 3 * [[0.0, 0.5]] + 3 * [[0.5, 1.0]]
+    assert parts == 3 * [[0.0, 0.9]] + 3 * [[0.9, 1.0]]
 
 
 def test_features_of_an_ended_search_are_not_sought_again(orbit, tmp_path):
