@@ -13,7 +13,7 @@ from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from lab.dataset.sample import make_sample, voxel_spectrum
 
-FORMATS = ("glb", "glb-morph", "glb-reduced", "usd", "alembic", "vat")
+FORMATS = ("glb", "glb-morph", "usd", "alembic", "vat")
 
 
 def run() -> dict[str, object]:

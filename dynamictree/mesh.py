@@ -44,17 +44,11 @@ class SourceWarning:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceGltf:
-    """The glTF document that a mesh was read from: a writer attaches a motion to it and leaves all else as it is.
-
-    Displacements, in the document's own axes and units, become a primitive's own by `to_primitive` and then, for
-    vertices that a skin places, by `to_vertex`.
-    """
+    """The glTF document that a mesh was read from: a writer attaches a motion to it and leaves all else as it is."""
 
     document: bytes  # JSON; its one buffer is `binary`
     binary: tuple[bytes, ...]
     primitives: Int32[np.ndarray, "P 4"]  # node, primitive of the node's mesh, first vertex, number of vertices
-    to_primitive: Float64[np.ndarray, "P 3 3"]
-    to_vertex: Float32[np.ndarray, "N 3 3"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

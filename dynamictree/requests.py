@@ -32,7 +32,7 @@ MAX_SEED = 2**53 - 1
 PartNames = Annotated[
     tuple[Annotated[str, StringConstraints(min_length=1, max_length=200)], ...], Field(min_length=1, max_length=64)
 ]
-_GltfFormat = Literal["glb", "glb-morph", "glb-reduced", "lod", "rig", "wind", "html"]
+_GltfFormat = Literal["glb", "glb-morph", "lod", "rig", "wind", "html"]
 _MeshFormat = Literal["ply", "usd", "usd-skinned", "alembic", "vat", "motion"]
 _SplatFormat = Literal["splat-ply", "splat", "html-splat", "usd-splat"]
 Format = Literal[_GltfFormat, _MeshFormat, _SplatFormat, "png", "webp", "mp4"]
@@ -269,18 +269,15 @@ class ExportParams(Request):
     sh_degree: int = Field(
         default=3, ge=0, le=3, description="Highest degree of a splat's spherical harmonics to write"
     )
-    normals: bool = Field(
-        default=False,
-        description="Write normals that move: as targets of glb-morph and glb-reduced, as a texture of vat",
-    )
+    normals: bool = Field(default=False, description="Write normals that move, as a texture of vat")
     glb_compression: Literal["none", "meshopt"] = Field(
         default="none",
-        description="Compression of glb, glb-morph, glb-reduced: meshopt needs a reader of EXT_meshopt_compression",
+        description="Compression of glb: meshopt needs a reader of EXT_meshopt_compression",
     )
     glb_textures: Literal["source", "webp"] = Field(
         default="source",
-        description="Textures of glb, glb-morph, glb-reduced: PNG and JPEG as in the source, or WebP where that is "
-        "smaller, which needs a reader of EXT_texture_webp",
+        description="Textures of glb: PNG and JPEG as in the source, or WebP where that is smaller, which needs a "
+        "reader of EXT_texture_webp",
     )
     joints: Literal[32, 64, 256] | None = Field(
         default=None, description="Joints of glb and usd-skinned, at most; all bones of the tree if unset"

@@ -2,7 +2,7 @@
 
     blender --python recipes/blender_import.py -- tree.glb [picture.png]
 
-With a second name, one frame is rendered there. Works with `tree.glb`, `tree-morph.glb` and `tree-8-targets.glb`.
+With a second name, one frame is rendered there. Works with `tree.glb` and `tree-morph.glb`.
 """
 
 import json

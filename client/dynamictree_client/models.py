@@ -521,7 +521,6 @@ class Product(Model):
     format: Literal[
         "glb",
         "glb-morph",
-        "glb-reduced",
         "lod",
         "rig",
         "wind",
@@ -941,7 +940,6 @@ class AnimateParams(DiffuseParams):
             Literal[
                 "glb",
                 "glb-morph",
-                "glb-reduced",
                 "lod",
                 "rig",
                 "wind",
@@ -967,12 +965,12 @@ class AnimateParams(DiffuseParams):
     share: float = 1.0
     # Highest degree of a splat's spherical harmonics to write
     sh_degree: int = 3
-    # Write normals that move: as targets of glb-morph and glb-reduced, as a texture of vat
+    # Write normals that move, as a texture of vat
     normals: bool = False
-    # Compression of glb, glb-morph, glb-reduced: meshopt needs a reader of EXT_meshopt_compression
+    # Compression of glb: meshopt needs a reader of EXT_meshopt_compression
     glb_compression: Literal["none", "meshopt"] = "none"
-    # Textures of glb, glb-morph, glb-reduced: PNG and JPEG as in the source, or WebP where that is smaller, which
-    # needs a reader of EXT_texture_webp
+    # Textures of glb: PNG and JPEG as in the source, or WebP where that is smaller, which needs a reader of
+    # EXT_texture_webp
     glb_textures: Literal["source", "webp"] = "source"
     # Joints of glb and usd-skinned, at most; all bones of the tree if unset
     joints: Literal[32, 64, 256] | None = None

@@ -88,8 +88,7 @@ def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: f
 
 
 def _error_line(name: str, facts: Facts) -> str:
-    shading = f"; its normals by {facts['normal_error_deg']:.3g}° rms" if "normal_error_deg" in facts else ""
     return (
         f"{name} is off by {1e3 * facts['rms_error_m']:.3g} mm rms ({facts['relative_error']:.2%} of the motion), "
-        f"{1e3 * facts['max_error_m']:.3g} mm at most{shading}"
+        f"{1e3 * facts['max_error_m']:.3g} mm at most"
     )

@@ -12,7 +12,7 @@ from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
 from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
-from dynamictree.formats.gltf.template import open_template
+from dynamictree.formats.gltf.template import open_document
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
@@ -72,7 +72,7 @@ def _write_mesh(mesh: TriangleMesh, path: Path) -> None:
     with path.open("wb") as stream:
         match path.suffix.lower():
             case ".glb":
-                open_template(mesh).writer.finish(stream)
+                open_document(mesh).finish(stream)
             case ".ply":
                 write_ply(mesh, stream)
             case _:

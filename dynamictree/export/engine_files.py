@@ -3,13 +3,13 @@
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.formats.gltf.motion import MorphOptions, write_motion_glb
+from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.gltf.skin import Packing, joint_name, write_joint_meshes_glb, write_skinned_glb
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
@@ -23,28 +23,18 @@ COVERAGE = (0.5, 0.25, 0.1, 0.04, 0.0)
 
 
 def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """Four levels of detail and cards: all in one GLB with MSFT_lod, one GLB each, and their errors as JSON."""
+    """Four levels of detail and cards, one GLB each, and their errors as JSON."""
     from dynamictree.export.levels import levels_of
-    from dynamictree.formats.gltf.lod import write_lod_glb
 
     num_frames = tree.spectrum.num_frames
     levels = levels_of(tree.mesh, tree.coefficients, num_frames, lambda done: report(0.8 * done))
     errors = [asdict(level.error) | {"coverage": share} for level, share in zip(levels, COVERAGE, strict=True)]
-    together = io.BytesIO()
-    write_lod_glb(
-        [(level.mesh, level.coefficients) for level in levels],
-        together,
-        coverage=COVERAGE,
-        num_frames=num_frames,
-        fps=tree.loop_fps,
-        extras={"levels": errors},
-    )
-    files = [("lod.json", json.dumps({"levels": errors}, indent=1).encode()), ("tree-lod.glb", together.getvalue())]
+    files = [("lod.json", json.dumps({"levels": errors}, indent=1).encode())]
     for number, level in enumerate(levels):
         report(0.8 + 0.2 * number / len(levels))
         single = io.BytesIO()
-        timing = MorphOptions(fps=tree.loop_fps)
-        write_motion_glb(level.mesh, level.coefficients, single, num_frames=num_frames, options=timing)
+        level_mesh = replace(level.mesh, gltf=None)  # all with the same materials
+        write_motion_glb(level_mesh, level.coefficients, single, num_frames=num_frames, fps=tree.loop_fps)
         files.append((f"tree-lod{number}.glb", single.getvalue()))
     stream.writelines(iter_stored_zip((name, [content]) for name, content in files))
     coarsest = levels[-2].error
@@ -86,19 +76,16 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 
 def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """Wind that an engine evaluates itself: bones, cosines, shaders, and baked vertex attributes.
+    """Wind that an engine evaluates itself: bones, cosines and shaders.
 
     Raises:
         InputError: no texture holds the bones.
     """
     from dynamictree.export.engine_wind import iter_engine_wind_zip
     from dynamictree.modal.turbulence import turbulent_wind
-    from dynamictree.rig.branch_pivots import branch_pivots
 
-    pivots = branch_pivots(tree.rig, tree.mesh.vertices)
-    report(0.5)
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
-    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, tree.rig))
+    stream.writelines(iter_engine_wind_zip(tree.mesh, wind, tree.rig))
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:

@@ -1,9 +1,8 @@
-"""Wind that engines evaluate: turn modes of bones in a texture, coordinates as cosines, shaders, baked attributes.
+"""Wind that engines evaluate: turn modes of bones in a texture, coordinates as cosines, shaders.
 
 A ZIP of `tree-bones.glb` (at rest; TEXCOORD_1 names the bone of each vertex), `bones.exr` (of each bone Re θ_0, then
-w_k Re θ_k and w_k Im θ_k of each further bin, its foot and its parent), `wind.json`, shaders per engine that have the
-wind's numbers inside, `tree-wind.glb`, whose vertex colours and texture coordinates a foliage shader reads, and the
-files of `pivot_painter.py`.
+w_k Re θ_k and w_k Im θ_k of each further bin, its foot and its parent), `wind.json`, and shaders per engine that have
+the wind's numbers inside.
 """
 
 import io
@@ -14,23 +13,21 @@ from dataclasses import asdict, dataclass
 from importlib.resources import files
 
 import numpy as np
-from jaxtyping import Complex64, Float32
+from jaxtyping import Float32
 
-from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files, rest_glb
 from dynamictree.formats.gltf.motion import loop_parts
-from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, write_glb
+from dynamictree.formats.gltf.writer import rest_glb
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind
-from dynamictree.rig.branch_pivots import BranchPivots
 from dynamictree.rig.pose import Skeleton
 from dynamictree.rig.rig import Rig
 from dynamictree.up_axis import up_rotation
 from dynamictree.wind_bands import drag
 
-VERSION = 4
+VERSION = 5
 SHADERS = (
     "wind-three.js",
     "wind-godot.gd",
@@ -65,13 +62,7 @@ class BoneTexture:
         }
 
 
-def iter_engine_wind_zip(
-    mesh: TriangleMesh,
-    coefficients: Complex64[np.ndarray, "N K 3"],
-    wind: TurbulentWind,
-    pivots: BranchPivots,
-    rig: Rig,
-) -> Iterator[bytes]:
+def iter_engine_wind_zip(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> Iterator[bytes]:
     """Chunks of the archive.
 
     Raises:
@@ -93,8 +84,6 @@ def iter_engine_wind_zip(
         "version": VERSION,
         "mesh": "tree-bones.glb",
         "texture": "bones.exr",
-        "baked": "tree-wind.glb",
-        "pivot_painter": PIVOT_PAINTER,
         **texture.facts,
         "parts": "Re theta_0, then w_k Re theta_k and w_k Im theta_k of bins 1 to K - 1; foot; direction; parent",
         "unit": "m",
@@ -106,8 +95,6 @@ def iter_engine_wind_zip(
             ("wind.json", [json.dumps(facts, indent=1).encode()]),
             ("tree-bones.glb", [rest_glb(mesh, lookup)]),
             ("bones.exr", [_picture(skeleton, parts, texture.layout)]),
-            ("tree-wind.glb", [baked_glb(mesh, coefficients, wind, pivots)]),
-            *((name, [content]) for name, content in pivot_painter_files(mesh, pivots).items()),
             *((name, [shader(name, wind, texture).encode()]) for name in SHADERS),
         ]
     )
@@ -202,35 +189,6 @@ def _number(value: float) -> str:
     """A number with a point or an exponent: to a shader, 1 is an integer."""
     text = f"{value:.9g}"
     return text if "." in text or "e" in text else f"{text}.0"
-
-
-def baked_glb(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], wind: TurbulentWind, pivots: BranchPivots
-) -> bytes:
-    """The mesh at rest with wind weight, phase and stiffness as vertex colours, and branch pivots as UV sets."""
-    power = (np.abs(coefficients[:, 1:]) ** 2).sum(axis=2)  # [N, K - 1]
-    size = np.sqrt(2 * power.sum(axis=1) + (np.abs(coefficients[:, 0]) ** 2).sum(axis=1))
-    strongest = int(power.sum(axis=0).argmax())
-    swing = coefficients[:, 1 + strongest]
-    axis = int((np.abs(swing) ** 2).sum(axis=0).argmax())
-    phase = (np.angle(swing[:, axis]) / (2 * np.pi)) % 1
-    mean_hz = power @ wind.frequencies_hz[1:] / np.maximum(power.sum(axis=1), 1e-30)
-    columns = [size / max(float(size.max()), 1e-30), phase, mean_hz / wind.frequencies_hz[-1], np.ones(len(size))]
-    colours = np.round(np.stack(columns, axis=1).clip(0, 1) * 65535).astype(np.uint16)
-    pivot = pivots.pivot_m @ up_rotation("+Y").astype(np.float32)
-    writer = GlbWriter(extras={"largest_weight_m": float(size.max()), "highest_hz": float(wind.frequencies_hz[-1])})
-    sets: Mapping[str, Float32[np.ndarray, "N 2"]] = {
-        **({"TEXCOORD_0": np.zeros((mesh.num_vertices, 2), np.float32)} if mesh.look.uv is None else {}),
-        "TEXCOORD_1": pivot[:, :2],
-        "TEXCOORD_2": np.stack([pivot[:, 2], pivots.order.astype(np.float32)], axis=1),
-    }
-    attributes = {
-        name: writer.add_accessor(np.ascontiguousarray(values), target=VERTEX_BUFFER) for name, values in sets.items()
-    }
-    attributes["COLOR_0"] = writer.add_accessor(colours, target=VERTEX_BUFFER, normalized=True)
-    stream = io.BytesIO()
-    write_glb(mesh, stream, writer, attributes)
-    return stream.getvalue()
 
 
 def _described(wind: TurbulentWind) -> dict[str, object]:

@@ -4,9 +4,8 @@ import io
 from dataclasses import asdict
 from typing import BinaryIO
 
-from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.formats.gltf.motion import REDUCED_TARGETS, MorphOptions, MorphSummary, write_motion_glb
+from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.rig.flutter import fluttering
@@ -35,7 +34,15 @@ def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 def write_morph_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with two morph targets per frequency of the loop, of which a storm has more."""
-    return asdict(_write_morphs(tree, stream))
+    summary = write_motion_glb(
+        tree.mesh,
+        tree.loop,
+        stream,
+        num_frames=tree.spectrum.num_frames,
+        fps=tree.loop_fps,
+        truth=tree.loop_frames,
+    )
+    return asdict(summary)
 
 
 def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -46,28 +53,6 @@ def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     glb = io.BytesIO()
     write_skinned_glb(tree.mesh, *_skin(tree), glb, fps=tree.loop_fps, packing=Packing(False, False))
     write_html(glb.getvalue(), stream, title="A tree in the wind")
-
-
-def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """GLB with the few morph targets that approximate the loop best."""
-    return asdict(_write_morphs(tree, stream, min(REDUCED_TARGETS, 2 * tree.loop.shape[1] - 1)))
-
-
-def _write_morphs(tree: MovingTree, stream: ByteWriter, num_targets: int | None = None) -> MorphSummary:
-    return write_motion_glb(
-        tree.mesh,
-        tree.loop,
-        stream,
-        num_frames=tree.spectrum.num_frames,
-        options=MorphOptions(
-            fps=tree.loop_fps,
-            num_targets=num_targets,
-            with_normals=tree.params.normals,
-            compressed=tree.params.glb_compression == "meshopt",
-            as_webp=tree.params.glb_textures == "webp",
-        ),
-        truth=tree.loop_frames,
-    )
 
 
 def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:

@@ -15,7 +15,6 @@ from dynamictree.export.mesh_files import (
     write_morph_glb,
     write_page,
     write_ply_sequence,
-    write_reduced_glb,
     write_skinned_usdz,
     write_usdz,
     write_vertex_texture,
@@ -42,7 +41,7 @@ SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 SKIN = SPEED | FLUTTER | {"joints"}
 PACKING = frozenset({"glb_compression", "glb_textures"})
-MORPHS = SPEED | NORMALS | PACKING | FLUTTER  # which they lack, and say how much that is
+MORPHS = SPEED | FLUTTER  # which they lack, and say how much that is
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,6 @@ PRODUCTS: dict[Format, Product] = {
     "ply": Product("PLY sequence", "motion.ply.zip", "mesh", FRAMES, write=write_ply_sequence),
     "glb": Product("Animated GLB", "tree.glb", "mesh", SKIN | PACKING, write=write_glb),
     "glb-morph": Product("GLB with morph targets", "tree-morph.glb", "mesh", MORPHS, write=write_morph_glb),
-    "glb-reduced": Product("GLB with 8 targets", "tree-8-targets.glb", "mesh", MORPHS, write=write_reduced_glb),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
     "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),

@@ -36,19 +36,6 @@ def branch_orders(parent: Int32[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
     return order
 
 
-def branches_of(parent: Int32[np.ndarray, " B"]) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " E"]]:
-    """Branch of each joint, and the first joint of each branch. Finer ones than `MAX_ORDER` belong to theirs."""
-    branch, order, first = np.zeros(len(parent), np.int64), branch_orders(parent), list[int]()
-    leads = _goes_on(parent)
-    for joint, above in enumerate(parent):
-        if above >= 0 and (leads[joint] or order[above] == MAX_ORDER):
-            branch[joint] = branch[above]
-        else:
-            branch[joint] = len(first)
-            first.append(joint)
-    return branch, np.array(first, np.int64)
-
-
 def _goes_on(parent: Int32[np.ndarray, " B"]) -> Bool[np.ndarray, " B"]:
     """Whether a joint goes on in its parent's branch: it carries more joints than the parent's other children."""
     size = np.ones(len(parent), np.int64)

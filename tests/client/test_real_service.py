@@ -12,7 +12,7 @@ from dynamictree_client.models import AnimateParams, At, Force, InteractRequest,
 from safetensors.numpy import load
 from typer.testing import CliRunner
 
-PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb", "glb-reduced"], num_steps=1)
+PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb", "glb-morph"], num_steps=1)
 
 
 @pytest.mark.slow
@@ -29,7 +29,7 @@ def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
         assert {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in paths.items()} == listed
         assert {"tree.glb", "tree.spectrum.safetensors"} <= set(paths)
         facts = {artifact.name: artifact.facts for artifact in client.artifacts(job)}
-        assert facts["tree-8-targets.glb"]["max_error_m"] >= facts["tree-8-targets.glb"]["rms_error_m"] > 0
+        assert facts["tree-morph.glb"]["max_error_m"] >= facts["tree-morph.glb"]["rms_error_m"] > 0
         assert facts["tree.glb"] == {}
         assert seen[-1].state == "succeeded"
         progress = [job.progress for job in seen]

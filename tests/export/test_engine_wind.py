@@ -1,7 +1,6 @@
 """The product `wind`: its files give the library's turbulent motion to an evaluator that is not the library's."""
 
 import io
-import json
 import re
 import shutil
 import subprocess
@@ -10,22 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
-import pygltflib
 import pytest
-from PIL import Image
 
 from benchmarks._engine_wind import read_engine_wind
-from benchmarks._played import accessor, z_up
-from dynamictree import method
 from dynamictree.export.engine_wind import SHADERS
 from dynamictree.export.moving_tree import iter_turbulent_turns
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.requests import ExportParams
-from dynamictree.rig.branch_groups import branches_of
-from dynamictree.rig.branch_pivots import branch_pivots
 from dynamictree.rig.rig import rig_of
 from dynamictree.rig.surface_skeleton import surface_bones
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, bin_weights
@@ -110,79 +102,6 @@ def stretch(mesh: TriangleMesh, moved: np.ndarray) -> float:
 def areas(corners: np.ndarray) -> np.ndarray:
     """Of triangles [F, 3, 3]."""
     return np.asarray(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1))
-
-
-def test_baked_attributes_say_what_the_motion_says(archive: zipfile.ZipFile, tree: Tree) -> None:
-    mesh, spectrum = tree
-    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-wind.glb"))
-    attributes = document.meshes[0].primitives[0].attributes
-    colour = accessor(document, attributes.COLOR_0) / 65535
-    shapes = method.devoxelize(spectrum, mesh)
-    pivots = branch_pivots(rig_of(mesh, spectrum), mesh.vertices)
-    assert colour[:, 0].max() == 1
-    top, foot = mesh.vertices[:, 2].argmax(), mesh.vertices[:, 2].argmin()
-    assert colour[top, 0] > 0.2 > colour[foot, 0]
-    assert np.ptp(colour[:, 1]) > 0.1
-    assert colour[colour[:, 0] > 0, 2].min() > 0  # a foot in the ground stands still
-    assert (colour[:, 3] == 1).all()
-    first, second = accessor(document, attributes.TEXCOORD_1), accessor(document, attributes.TEXCOORD_2)
-    pivot = z_up(np.column_stack([first, second[:, 0]]))
-    np.testing.assert_allclose(pivot, pivots.pivot_m, atol=1e-6)
-    assert second[:, 1].min() == 0
-    assert second[:, 1].max() >= 1
-    largest = document.asset.extras["largest_weight_m"]
-    weights = np.sqrt((np.abs(shapes[:, 0]) ** 2).sum(axis=1) + 2 * (np.abs(shapes[:, 1:]) ** 2).sum(axis=(1, 2)))
-    np.testing.assert_allclose(colour[:, 0] * largest, weights, atol=1e-4 * largest)
-
-
-def test_pivot_painter_textures_are_read_as_the_branches(archive: zipfile.ZipFile, tree: Tree, tmp_path: Path) -> None:
-    mesh, spectrum = tree
-    names = json.loads(archive.read("wind.json"))["pivot_painter"]
-    texels = OpenEXR.File(archive.extract(names["position_and_index"], tmp_path)).channels()["RGBA"].pixels
-    height, width, _ = texels.shape
-    picture = np.asarray(Image.open(io.BytesIO(archive.read(names["x_vector_and_extent"]))))
-    assert picture.shape == (height, width, 4)
-    document = pygltflib.GLTF2().load_from_bytes(archive.read(names["mesh"]))
-    u, v = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1).T
-    texel = np.floor(v * height).astype(int) * width + np.floor(u * width).astype(int)
-    pivot_cm = texels[..., :3].reshape(-1, 3).astype(np.float64)
-    parent = np.ascontiguousarray(texels[..., 3]).astype(np.float16).view(np.uint16).reshape(-1).astype(int) - 1024
-    axis = picture[..., :3].reshape(-1, 3) / 255 * 2 - 1
-    extent_cm = np.round(picture[..., 3].reshape(-1) / 255 * 256) * 8
-    pivots = branch_pivots(rig_of(mesh, spectrum), mesh.vertices)
-    used = np.unique(texel)
-    assert len(used) > 3
-    np.testing.assert_array_equal(texel, pivots.branch)
-    unreal_cm = mesh.vertices.astype(np.float64) * [100, -100, 100]
-    np.testing.assert_allclose(pivot_cm[texel], pivots.foot_m[pivots.branch] * [100, -100, 100], atol=0.13)
-    np.testing.assert_allclose(np.linalg.norm(axis[used], axis=1), 1, atol=0.02)
-    along = np.einsum("nc,nc->n", unreal_cm - pivot_cm[texel], axis[texel])
-    for branch in used:
-        assert -9 < extent_cm[branch] - max(along[texel == branch].max(), 8) < 12
-    steps, above = 0, np.arange(len(pivots.parent))
-    while (parent[above] != above).any():
-        above, steps = parent[above], steps + 1
-    assert steps <= 3  # what PivotPainter2FoliageShader follows
-    assert parent[0] == 0
-    foot = mesh.vertices[:, 2].argmin()
-    assert texel[foot] == 0
-
-
-def test_a_branch_goes_on_in_one_child_and_finer_ones_than_four_levels_in_all(rng: np.random.Generator) -> None:
-    branch, first = branches_of(np.array([-1, 0, 1, 2, 3, 1, 5, 5], np.int32))
-    assert (branch.tolist(), first.tolist()) == ([0, 0, 0, 0, 0, 1, 1, 2], [0, 5, 7])
-    parent = np.array([-1, *(rng.integers(max(0, joint - 6), joint) for joint in range(1, 400))], np.int32)
-    branch, first = branches_of(parent)
-    goes_on = branch[1:] == branch[parent[1:]]
-    np.testing.assert_array_equal(np.flatnonzero(~goes_on) + 1, first[1:])
-    steps = [0]
-    for joint in first[1:]:
-        steps.append(steps[branch[parent[joint]]] + 1)
-    assert max(steps) == 3
-    for joint in range(400):
-        children = np.flatnonzero(parent == joint)
-        same = (branch[children] == branch[joint]).sum()
-        assert same == (len(children) if steps[branch[joint]] == 3 else min(len(children), 1))
 
 
 MOST_LINES = {

@@ -102,25 +102,6 @@ def test_leaves_that_stay_hang_where_they_hung(written: Written) -> None:
             assert len(np.unique(part[at])) == 1
 
 
-def test_one_file_has_all_levels_in_step(written: Written) -> None:
-    _, _, archive, _ = written
-    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-lod.glb"))
-    assert document.extensionsUsed == ["MSFT_lod"]
-    assert document.nodes[0].extensions["MSFT_lod"]["ids"] == [1, 2, 3, 4]
-    assert len(document.nodes[0].extras["MSFT_screencoverage"]) == 5
-    assert document.scenes[document.scene].nodes == [0]
-    (animation,) = document.animations
-    assert [channel.target.node for channel in animation.channels] == [0, 1, 2, 3, 4]
-    assert {channel.sampler for channel in animation.channels} == {0}
-    for number in range(5):
-        shared = document.meshes[number].primitives[0]
-        single = pygltflib.GLTF2().load_from_bytes(archive.read(f"tree-lod{number}.glb"))
-        alone = single.meshes[0].primitives[0]
-        for a, b in zip(shared.targets, alone.targets, strict=True):
-            np.testing.assert_array_equal(accessor(document, a["POSITION"]), accessor(single, b["POSITION"]))
-    assert len(document.materials) == len(single.materials) + 2  # bark and leaf once, and the picture
-
-
 def test_cards_show_the_tree_and_sway_with_it(written: Written) -> None:
     mesh, truth, archive, _ = written
     content = archive.read("tree-lod4.glb")

@@ -73,9 +73,7 @@ def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(gap.mean())), float(np.sqrt(gap.max()))
 
 
-@pytest.mark.parametrize(
-    ("name", "play"), [("glb", played_skin), ("glb-morph", played_morphs), ("glb-reduced", played_morphs)]
-)
+@pytest.mark.parametrize(("name", "play"), [("glb", played_skin), ("glb-morph", played_morphs)])
 def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Products, tree, truth: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     content, facts = products[0][name].read_bytes(), products[1][name]
     rms, most = errors_m(play(content), truth)
@@ -103,7 +101,7 @@ def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
 
 
 def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
-    assert set(products[1]) == {"glb", "glb-morph", "glb-reduced", "usd-skinned", "lod", "rig"}
+    assert set(products[1]) == {"glb", "glb-morph", "usd-skinned", "lod", "rig"}
 
 
 def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
@@ -246,5 +244,5 @@ def test_capsules_lie_in_the_wood_and_follow_it(
 @pytest.mark.slow
 def test_khronos_validator_finds_nothing_wrong(products: Products, tmp_path: Path) -> None:
     zipfile.ZipFile(products[0]["vat"]).extract("tree.glb", tmp_path)
-    files = [products[0][name] for name in ("glb", "glb-morph", "glb-reduced")] + [tmp_path / "tree.glb"]
-    assert [(report["numErrors"], report["numWarnings"]) for report in validated(files)] == [(0, 0)] * 4
+    files = [products[0][name] for name in ("glb", "glb-morph")] + [tmp_path / "tree.glb"]
+    assert [(report["numErrors"], report["numWarnings"]) for report in validated(files)] == [(0, 0)] * 3

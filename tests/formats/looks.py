@@ -1,4 +1,4 @@
-"""What a glTF document shows and how it moves, as tests of artists' models compare it."""
+"""What a glTF document shows, as tests of artists' models compare it."""
 
 import copy
 import io
@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamictree.formats.gltf.motion import write_motion_glb
-from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.gltf.template import open_document
 from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, unit_vectors
 from tests.formats import artists
 from tests.formats.artists import Document, document_of
 
@@ -24,9 +23,10 @@ def coefficients_of(mesh: TriangleMesh, num_frequencies: int = 4) -> np.ndarray:
     return parts.view(np.complex64)
 
 
-def animated(mesh: TriangleMesh, coefficients: np.ndarray) -> Document:
+def returned(mesh: TriangleMesh) -> Document:
+    """What writers add a motion to."""
     stream = io.BytesIO()
-    write_motion_glb(mesh, coefficients, stream, num_frames=10)
+    open_document(mesh).finish(stream)
     return document_of(stream.getvalue())
 
 
@@ -64,43 +64,6 @@ def looks(document: Document) -> dict[str, Any]:
     return root
 
 
-def without_motion(document: Document) -> dict[str, Any]:
-    """Its looks, less what animating added."""
-    root = looks(document)
-    facts = root["asset"].pop("extras")
-    animations = root.pop("animations")
-    assert animations[0]["name"] == "sway"
-    if animations[1:]:
-        root["animations"] = animations[1:]
-    for node in root["nodes"]:
-        mesh = node.get("mesh")
-        if mesh is None or len(mesh["primitives"][0]["targets"]) < facts["num_targets"]:
-            continue
-        for primitive in mesh["primitives"]:
-            del primitive["targets"][-facts["num_targets"] :]
-        if "weights" in mesh:
-            del mesh["weights"][-facts["num_targets"] :]
-        if "targetNames" in mesh.get("extras", {}):
-            del mesh["extras"]["targetNames"][-facts["num_targets"] :]
-    return root
-
-
-def played(document: Document, key: int) -> np.ndarray:
-    """Vertices of the scene at a key of the first animation, +Z up, parents before children."""
-    root = document.root
-    own = {}
-    for channel in root["animations"][0]["channels"]:
-        sampler = root["animations"][0]["samplers"][channel["sampler"]]
-        keys = document.accessor(sampler["output"]).reshape(root["accessors"][sampler["input"]]["count"], -1)
-        own[channel["target"]["node"]] = keys[key]
-
-    def moved(node: int, primitive: dict[str, Any]) -> np.ndarray:
-        targets = zip(own[node], primitive["targets"], strict=True)
-        return sum(weight * floats(document, target["POSITION"]) for weight, target in targets)
-
-    return standing(document, moved)
-
-
 def standing(document: Document, moved: Callable[[int, dict[str, Any]], np.ndarray | float]) -> np.ndarray:
     """Vertices of the scene with what is added to the positions of each node's primitives, +Z up."""
     root = document.root
@@ -129,6 +92,7 @@ def standing(document: Document, moved: Callable[[int, dict[str, Any]], np.ndarr
                 joints = np.stack([world[j] for j in skin["joints"]]) @ bind
                 chosen = document.accessor(primitive["attributes"]["JOINTS_0"])
                 weights = document.accessor(primitive["attributes"]["WEIGHTS_0"])
+                weights = weights / 255 if weights.dtype == np.uint8 else weights
                 place = np.einsum("nj,njab->nab", weights, joints[chosen])[:, :3]
             vertices.append(np.einsum("nij,nj->ni", place[:, :, :3], position) + place[:, :, 3])
     x, y, z = np.concatenate(vertices).T
@@ -158,6 +122,7 @@ def through_the_parser(mesh: TriangleMesh) -> TriangleMesh:
     return read_mesh_bundle(io.BytesIO(stream.getvalue()), with_source=True)
 
 
-def animated_twin(glb: bytes) -> Document:
-    mesh = through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb"))
-    return animated(mesh, coefficients_of(mesh))
+def angles_rad(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Angle between two directions per vertex, as exact for small ones as for large ones."""
+    a, b = unit_vectors(normals).astype(np.float64), unit_vectors(others).astype(np.float64)
+    return np.asarray(2 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)))

@@ -1,4 +1,4 @@
-"""A GLB that is animated differs from the file that was sent by morph targets, weights and one animation only."""
+"""A GLB that moves is the file that was sent, with joints and one animation."""
 
 import base64
 import copy
@@ -6,6 +6,7 @@ import io
 import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import DracoPy
@@ -15,39 +16,37 @@ from typer.testing import CliRunner
 
 from dynamictree.cli import app
 from dynamictree.commands.input_files import load_mesh
-from dynamictree.formats.gltf.motion import MorphOptions, write_motion_glb
+from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
-from dynamictree.spectrum import to_motion
+from dynamictree.skin import Skin
 from tests.formats import artists
 from tests.formats.artists import Artist, Document, document_of
 from tests.formats.looks import (
     MODELS,
     UNCHANGED,
-    animated,
-    animated_twin,
     coefficients_of,
     floats,
     looks,
-    played,
+    returned,
+    standing,
     through_the_parser,
-    without_motion,
 )
+from tests.formats.test_engine_files import SUMMARY, posed, random_skin
 from tests.js_tools import validated
 
 SAMPLES = Path(os.environ.get("DYNAMICTREE_SAMPLES", "/nowhere"))
 
 
-@pytest.mark.parametrize("model", UNCHANGED)
-def test_a_model_of_an_artist_differs_by_its_motion_only(model: Callable[[], Artist]) -> None:
-    glb = model().glb()
-    assert without_motion(animated_twin(glb)) == looks(document_of(glb))
+def twin(glb: bytes) -> Document:
+    return returned(through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb")))
 
 
 def test_instances_become_nodes_and_all_else_stays() -> None:
     glb = artists.instanced().glb()
-    before, after = looks(document_of(glb)), without_motion(animated_twin(glb))
+    before, after = looks(document_of(glb)), looks(twin(glb))
     (above,) = before.pop("nodes")
     node, *places = after.pop("nodes")
     mesh, extension = above.pop("mesh"), above.pop("extensions")
@@ -60,8 +59,8 @@ def test_instances_become_nodes_and_all_else_stays() -> None:
 
 def test_draco_streams_become_accessors_and_all_else_stays() -> None:
     artist = artists.compressed()
-    document = animated_twin(artist.glb())
-    before, after = looks(document_of(artist.glb())), without_motion(document)
+    document = twin(artist.glb())
+    before, after = looks(document_of(artist.glb())), looks(document)
     (old,), (new,) = (root.pop("nodes")[0]["mesh"]["primitives"] for root in (before, after))
     extension = old.pop("extensions")["KHR_draco_mesh_compression"]
     stream = DracoPy.decode(document_of(artist.glb()).bytes_of(extension["bufferView"]))
@@ -81,24 +80,29 @@ def test_draco_streams_become_accessors_and_all_else_stays() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_model_of_an_artist_moves_as_its_mesh_does(model: Callable[[], Artist]) -> None:
-    mesh = read_mesh(io.BytesIO(model().glb()), file_type="glb")
-    coefficients = coefficients_of(mesh)
-    document = animated(through_the_parser(mesh), coefficients)
-    motion = to_motion(coefficients, 10)
-    bloom = played_default(document, mesh)
-    for key in (0, 3, 10):
-        gap = np.abs(played(document, key) - bloom - mesh.vertices - motion[key % 10]).max()
-        assert gap < 3e-6 * np.abs(mesh.vertices).max()
+def test_a_skin_moves_a_model_of_an_artist_as_its_mesh(model: Callable[[], Artist], rng: np.random.Generator) -> None:
+    mesh = through_the_parser(read_mesh(io.BytesIO(model().glb()), file_type="glb"))
+    skin = random_skin(mesh, rng)
+    document = skinned(mesh, skin)
+    for frame in (0, 3):
+        moved = standing(at_key(document, frame), lambda node, primitive: 0.0)[: mesh.num_vertices]
+        np.testing.assert_allclose(moved, posed(mesh, skin)[frame] + mesh.vertices, atol=2e-5 * mesh.height_m)
 
 
-def played_default(document: Document, mesh: TriangleMesh) -> np.ndarray | float:
-    """What a morph target of the file's own adds, which its default weight keeps on."""
-    primitive = document.root["meshes"][0]["primitives"][0]
-    if "weights" not in document.root["meshes"][0]:
-        return 0.0
-    x, y, z = 0.5 * floats(document, primitive["targets"][0]["POSITION"]).T
-    return np.stack([x, -z, y], axis=1)
+def skinned(mesh: TriangleMesh, skin: Skin) -> Document:
+    stream = io.BytesIO()
+    write_skinned_glb(mesh, skin, SUMMARY, stream, fps=24.0, packing=Packing(False, False))
+    return document_of(stream.getvalue())
+
+
+def at_key(document: Document, key: int) -> Document:
+    """With the rotations of the first animation at a key."""
+    still = Document(copy.deepcopy(document.root), document.buffers, {})
+    animation = still.root["animations"][0]
+    for channel in animation["channels"]:
+        keys = floats(document, animation["samplers"][channel["sampler"]]["output"])
+        still.root["nodes"][channel["target"]["node"]]["rotation"] = (keys[key] / np.linalg.norm(keys[key])).tolist()
+    return still
 
 
 @pytest.mark.parametrize("model", UNCHANGED)
@@ -122,7 +126,7 @@ def test_files_beside_a_model_move_into_the_glb() -> None:
     root["images"][0]["uri"] = "data:image/jpeg;base64," + base64.b64encode(inside.image(0)).decode()
     root["buffers"] = [{"byteLength": len(glb.binary), "uri": "tree.bin"}]
     mesh = read_mesh(io.BytesIO(json.dumps(root).encode()), file_type="gltf", companions=files)
-    after, before = without_motion(animated(mesh, coefficients_of(mesh))), looks(inside)
+    after, before = looks(returned(mesh)), looks(inside)
     for image in after["images"]:
         image["name"] = None
     assert after == before
@@ -130,26 +134,30 @@ def test_files_beside_a_model_move_into_the_glb() -> None:
 
 def test_a_model_that_is_said_to_lie_is_turned_and_scaled_by_one_node() -> None:
     mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb", reading=Reading(up_axis="-X", unit_m=0.01))
-    coefficients = coefficients_of(mesh)
-    document = animated(mesh, coefficients)
-    moved = mesh.vertices + to_motion(coefficients, 10)[3]
-    np.testing.assert_allclose(played(document, 3), moved, atol=3e-6 * np.abs(mesh.vertices).max())
+    document = returned(mesh)
+    places = standing(document, lambda node, primitive: 0.0)
+    np.testing.assert_allclose(places, mesh.vertices, atol=3e-6 * np.abs(mesh.vertices).max())
     (root,) = document.root["scenes"][0]["nodes"]
     assert document.root["nodes"][root]["children"] == [0]
 
 
-def test_parts_that_stand_still_are_as_they_were() -> None:
+def test_parts_that_stand_still_are_as_they_were(rng: np.random.Generator) -> None:
     mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
-    coefficients = coefficients_of(mesh)
-    coefficients[:48] = 0  # trunk and crown; the twig moves
-    primitives = animated(mesh, coefficients).root["meshes"]
-    assert ["targets" in mesh["primitives"][0] for mesh in primitives] == [False, True]
+    skin = random_skin(mesh, rng)
+    weights = skin.weights.copy()
+    weights[:48] = (1, 0, 0, 0)  # trunk and crown hang on joint 0; the twig moves
+    meshes = skinned(mesh, replace(skin, weights=weights)).root["meshes"]
+    assert ["JOINTS_0" in mesh["primitives"][0]["attributes"] for mesh in meshes] == [False, True]
 
 
-def test_an_own_animation_is_mentioned_and_stays_after_ours() -> None:
-    mesh = read_mesh(io.BytesIO(artists.skinned().glb()), file_type="glb")
-    assert [warning.code for warning in mesh.warnings] == ["animations-ignored"]
-    names = [entry["name"] for entry in animated(mesh, coefficients_of(mesh)).root["animations"]]
+def test_an_own_animation_is_mentioned_and_stays_after_ours(rng: np.random.Generator) -> None:
+    artist = artists.wooded()
+    sampler = {"input": artist.accessor(np.float32([0, 1])), "output": artist.accessor(np.zeros((2, 3), np.float32))}
+    channel = {"sampler": 0, "target": {"node": 3, "path": "translation"}}
+    artist.add("animations", {"name": "nod", "samplers": [sampler], "channels": [channel]})
+    mesh = read_mesh(io.BytesIO(artist.glb()), file_type="glb")
+    assert "animations-ignored" in [warning.code for warning in mesh.warnings]
+    names = [entry["name"] for entry in skinned(mesh, random_skin(mesh, rng)).root["animations"]]
     assert names == ["sway", "nod"]
 
 
@@ -158,7 +166,7 @@ def test_what_is_too_much_to_return_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
     assert mesh.gltf is None
     assert "looks-reduced" in [warning.code for warning in mesh.warnings]
-    leaf = animated(mesh, coefficients_of(mesh)).root["materials"][1]
+    leaf = returned(mesh).root["materials"][1]
     assert (leaf["alphaMode"], leaf["doubleSided"]) == ("BLEND", True)
 
 
@@ -170,18 +178,20 @@ def test_a_damaged_part_that_the_motion_needs_not_refuses_no_file() -> None:
 
 
 @pytest.mark.slow
-def test_khronos_validator_finds_in_the_animated_what_it_finds_in_the_source(tmp_path: Path) -> None:
+@pytest.mark.parametrize("packing", [Packing(False, False), Packing(True, True)])
+def test_khronos_validator_finds_in_the_animated_what_it_finds_in_the_source(packing: Packing, tmp_path: Path) -> None:
     paths = []
     for number, model in enumerate(MODELS):
-        paths += [tmp_path / f"{number}-before.glb", tmp_path / f"{number}-after.glb"]
-        paths[-2].write_bytes(model().glb())
+        paths += [tmp_path / f"{number}-{name}.glb" for name in ("before", "skin", "targets")]
+        paths[-3].write_bytes(model().glb())
         mesh = read_mesh(io.BytesIO(model().glb()), file_type="glb")
+        with paths[-2].open("wb") as stream:
+            skin = random_skin(mesh, np.random.default_rng(0))
+            write_skinned_glb(mesh, skin, SUMMARY, stream, fps=24.0, packing=packing)
         with paths[-1].open("wb") as stream:
-            write_motion_glb(
-                mesh, coefficients_of(mesh), stream, num_frames=10, options=MorphOptions(with_normals=True)
-            )
+            write_motion_glb(mesh, coefficients_of(mesh), stream, num_frames=10)
     issues = [(report["numErrors"], report["numWarnings"]) for report in validated(paths)]
-    assert issues[1::2] == issues[::2]
+    assert issues[1::3] == issues[2::3] == issues[::3]
 
 
 SHARED = ["mesh/tree-lime.glb", "animated/AnimatedMorphSphere.glb"]
@@ -189,7 +199,7 @@ FOREIGN = ["mesh/bevy_palm_scene/PalmTree.gltf", "mesh/godot_tree/scene.gltf"]
 
 
 @pytest.mark.parametrize("name", [*SHARED, *(f"../foreign/{name}" for name in FOREIGN)])
-def test_a_model_of_the_samples_differs_by_its_motion_only(name: str) -> None:
+def test_a_model_of_the_samples_is_returned(name: str) -> None:
     path = SAMPLES / name
     if not path.exists():
         pytest.skip(f"DYNAMICTREE_SAMPLES has no {name}")
@@ -200,9 +210,7 @@ def test_a_model_of_the_samples_differs_by_its_motion_only(name: str) -> None:
         root = json.loads(path.read_text())
         files = {str(file.relative_to(path.parent)): file.read_bytes() for file in path.parent.rglob("*.*")}
         before = Document(root, [files[buffer["uri"]] for buffer in root["buffers"]], files)
-    expected, after = looks(before), without_motion(animated(mesh, coefficients_of(mesh)))
-    for animation in expected.get("animations", []):  # of own morph targets, which end
-        assert {channel["target"]["path"] for channel in animation["channels"]} == {"weights"}
-    expected.pop("animations", None)
+    expected, after = looks(before), looks(returned(mesh))
     expected["asset"].pop("extras", None)
+    after["asset"].pop("extras", None)
     assert after == expected

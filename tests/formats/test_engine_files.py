@@ -21,6 +21,8 @@ from dynamictree.rotation import unit_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from tests.formats.meshes import trunk_and_crown
 
+SUMMARY = SkinSummary(num_joints=3, num_keys=6, relative_error=0.5, rms_error_m=0.25, max_error_m=0.75)
+
 
 def frames_of(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 7) -> np.ndarray:
     return rng.normal(scale=0.1, size=(num_frames, mesh.num_vertices, 3)).astype(np.float32)
@@ -127,8 +129,7 @@ def test_a_skinned_usd_poses_its_vertices_as_the_skin_does(tmp_path: Path, rng: 
 def test_a_skinned_glb_poses_its_vertices_as_the_skin_does(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     skin = random_skin(mesh, rng)
-    summary = SkinSummary(num_joints=3, num_keys=6, relative_error=0.5, rms_error_m=0.25, max_error_m=0.75)
     stream = io.BytesIO()
-    write_skinned_glb(mesh, skin, summary, stream, fps=24.0, packing=Packing(False, False))
+    write_skinned_glb(mesh, skin, SUMMARY, stream, fps=24.0, packing=Packing(False, False))
     np.testing.assert_allclose(played_skin(stream.getvalue()), posed(mesh, skin), atol=2e-5)
     assert reported_facts(stream.getvalue())["max_error_m"] == 0.75

@@ -9,12 +9,12 @@ import numpy as np
 import pygltflib
 import pytest
 
-from benchmarks._played import accessor, played_morphs, played_skin, z_up
+from benchmarks._played import accessor, played_skin, z_up
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf import meshopt as packing
 from dynamictree.formats.gltf.document import open_gltf
-from dynamictree.formats.gltf.template import open_template
+from dynamictree.formats.gltf.template import open_document
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
@@ -43,57 +43,40 @@ def files(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Files:
     written: Files = {}
     for compression in ("none", "meshopt"):
         facts: dict[str, dict[str, float]] = {}
-        params = ExportParams(formats=("glb", "glb-morph"), glb_compression=compression, flutter=0.0)
+        params = ExportParams(formats=("glb",), glb_compression=compression, flutter=0.0)
         paths = write_products(*tree, params, tmp_path_factory.mktemp(compression), on_facts=facts.__setitem__)
-        written |= {f"{name} {compression}": (path.read_bytes(), facts[name]) for name, path in paths.items()}
+        written[compression] = paths["glb"].read_bytes(), facts["glb"]
     return written
 
 
 def frames(content: bytes) -> np.ndarray:
     """Vertices of the first primitive at every key."""
     document = pygltflib.GLTF2().load_from_bytes(content)
-    rest = z_up(accessor(document, document.meshes[0].primitives[0].attributes.POSITION))
-    return rest + (played_skin(content) if document.skins else played_morphs(content))
+    return z_up(accessor(document, document.meshes[0].primitives[0].attributes.POSITION)) + played_skin(content)
 
 
-@pytest.mark.parametrize(("name", "most"), [("glb", 0.6), ("glb-morph", 0.4)])
-def test_a_compressed_file_shows_the_motion_and_says_how_far_off_it_is(name: str, most: float, files: Files) -> None:
-    (plain, before), (packed, facts) = files[f"{name} none"], files[f"{name} meshopt"]
-    assert len(packed) < most * len(plain)
+def test_a_compressed_file_shows_the_motion_and_says_how_far_off_it_is(files: Files) -> None:
+    (plain, before), (packed, facts) = files["none"], files["meshopt"]
+    assert len(packed) < 0.6 * len(plain)
     gap = np.linalg.norm(frames(packed) - frames(plain), axis=2)[:-1]
     assert 0 < gap.max() < LARGEST_M
-    own = before if name == "glb" else {"max_error_m": 0.0, "rms_error_m": 0.0}  # keys of joints in 16 bits
-    assert facts["max_error_m"] == pytest.approx(gap.max() + own["max_error_m"], rel=1e-2)
-    assert facts["rms_error_m"] == pytest.approx(np.hypot(np.sqrt((gap**2).mean()), own["rms_error_m"]), rel=1e-2)
+    assert facts["max_error_m"] == pytest.approx(gap.max() + before["max_error_m"], rel=1e-2)
+    assert facts["rms_error_m"] == pytest.approx(np.hypot(np.sqrt((gap**2).mean()), before["rms_error_m"]), rel=1e-2)
 
 
 def test_a_compressed_file_is_read_as_the_mesh_that_it_holds(files: Files, tree: Tree) -> None:
-    mesh = read_mesh(io.BytesIO(files["glb-morph meshopt"][0]), file_type="glb")
+    mesh = read_mesh(io.BytesIO(files["meshopt"][0]), file_type="glb")
     np.testing.assert_array_equal(np.sort(mesh.faces, axis=1), np.sort(tree[0].faces, axis=1))
     np.testing.assert_allclose(mesh.vertices, tree[0].vertices, atol=1e-4)
     assert mesh.gltf is not None
     assert b"meshopt" not in mesh.gltf.document
 
 
-def test_large_and_small_motions_keep_their_share(tree: Tree, tmp_path: Path) -> None:
-    for factor in (30.0, 0.02):
-        coefficients = (tree[1].coefficients * np.float32(factor)).astype(np.complex64)
-        moved = SparseVoxelSpectrum(grid=tree[1].grid, coefficients=coefficients)
-        played = []
-        for name in ("none", "meshopt"):
-            params = ExportParams(formats=("glb-morph",), glb_compression=name)
-            content = write_products(tree[0], moved, params, tmp_path)["glb-morph"].read_bytes()
-            played.append(frames(content))
-        motion = played[0] - played[0].mean(axis=0)
-        gap = (played[1] - played[1][0]) - (played[0] - played[0][0])
-        assert np.sqrt((gap**2).mean() / (motion**2).mean()) < 0.02
-
-
 def test_normals_stay_where_the_source_states_no_target_of_its_views() -> None:
     mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
     read = []
     for compressed in (False, True):
-        writer = open_template(mesh).writer
+        writer = open_document(mesh)
         if compressed:
             packing.compress(writer)
         stream = io.BytesIO()
@@ -130,7 +113,7 @@ def changed(content: bytes, change: dict[str, object], *, cut: int = 0) -> bytes
 )
 def test_a_damaged_stream_is_refused(files: Files, change: dict[str, object], cut: int, message: str) -> None:
     with pytest.raises(FormatError, match=message):
-        open_gltf(changed(files["glb-morph meshopt"][0], change, cut=cut), companions={})
+        open_gltf(changed(files["meshopt"][0], change, cut=cut), companions={})
 
 
 def test_without_the_binding_files_are_refused_with_the_command(
@@ -138,9 +121,9 @@ def test_without_the_binding_files_are_refused_with_the_command(
 ) -> None:
     monkeypatch.setitem(sys.modules, "meshopt", None)
     with pytest.raises(FormatError, match=r"pip install 'dynamictree\[meshopt\]'"):
-        open_gltf(files["glb-morph meshopt"][0], companions={})
+        open_gltf(files["meshopt"][0], companions={})
     with pytest.raises(InputError, match=r"pip install 'dynamictree\[meshopt\]'"):
-        write_products(*tree, ExportParams(formats=("glb-morph",), glb_compression="meshopt"), tmp_path)
+        write_products(*tree, ExportParams(formats=("glb",), glb_compression="meshopt"), tmp_path)
 
 
 def by_gltf_transform(*arguments: str | Path) -> str:
@@ -148,16 +131,17 @@ def by_gltf_transform(*arguments: str | Path) -> str:
 
 
 @pytest.mark.slow
-def test_gltf_transform_plays_what_we_write(files: Files, tmp_path: Path) -> None:
-    (tmp_path / "packed.glb").write_bytes(files["glb-morph meshopt"][0])
-    played = np.array(json.loads(by_gltf_transform("play", tmp_path / "packed.glb")))
-    truth = frames(files["glb-morph none"][0])[::20]
-    assert np.linalg.norm(z_up(played.reshape(truth.shape)) - truth, axis=2).max() < LARGEST_M
+def test_gltf_transform_reads_what_we_write(files: Files, tmp_path: Path) -> None:
+    (tmp_path / "packed.glb").write_bytes(files["meshopt"][0])
+    read = np.array(json.loads(by_gltf_transform("read", tmp_path / "packed.glb"))).reshape(-1, 3)
+    document = pygltflib.GLTF2().load_from_bytes(files["none"][0])
+    truth = accessor(document, document.meshes[0].primitives[0].attributes.POSITION)
+    assert np.linalg.norm(read - truth, axis=1).max() < LARGEST_M
 
 
 @pytest.mark.slow
 def test_we_read_what_gltf_transform_packs(files: Files, tree: Tree, tmp_path: Path) -> None:
-    (tmp_path / "plain.glb").write_bytes(files["glb-morph none"][0])
+    (tmp_path / "plain.glb").write_bytes(files["none"][0])
     by_gltf_transform("pack", tmp_path / "plain.glb", tmp_path / "packed.glb")
     packed = (tmp_path / "packed.glb").read_bytes()
     assert b"EXT_meshopt_compression" in packed

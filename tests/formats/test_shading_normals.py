@@ -1,17 +1,24 @@
 """Normals for shading: those of the source where it has any, smooth ones otherwise, turned with the surface."""
 
 import io
+import zipfile
+from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import trimesh
 
-from dynamictree.formats.gltf.normals import angles_rad, iter_normals, rest_normals
+from dynamictree.formats.gltf.normals import iter_normals, rest_normals
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
 from dynamictree.mesh import TriangleMesh, vertex_normals
 from dynamictree.requests import Reading
+from dynamictree.up_axis import up_rotation
 from tests.formats.artists import TURNED, Artist, document_of
+from tests.formats.looks import angles_rad
+from tests.formats.meshes import trunk_and_crown
 
 ROOF = "v 0 0 0\nv 2 0 0\nv 2 1 1\nv 0 1 1\nv 2 2 0\nv 0 2 0\nvn 0 -1 1\nvn 0 1 1\n"
 
@@ -99,3 +106,16 @@ def test_normals_turn_with_the_surface() -> None:
     turn = trimesh.transformations.rotation_matrix(0.7, [1, 2, 0.5])[:3, :3]
     (normals,) = iter_normals(sphere, [(sphere.vertices @ turn.T - sphere.vertices).astype(np.float32)])
     assert angles_rad(normals, (sphere.vertices @ turn.T).astype(np.float32)).max() < 0.01
+
+
+def test_the_normal_texture_has_the_normals_of_every_frame(rng: np.random.Generator, tmp_path: Path) -> None:
+    mesh = trunk_and_crown(rng)
+    motion = rng.normal(0, 0.05, (20, mesh.num_vertices, 3)).astype(np.float32)
+    normals = list(iter_normals(mesh, motion))
+    chunks = iter_vertex_texture_zip(mesh, list(motion), num_frames=20, fps=24.0, loop=True, normals=normals)
+    archive = zipfile.ZipFile(io.BytesIO(b"".join(chunks)))
+    picture = OpenEXR.File(archive.extract("normal.exr", tmp_path)).channels()["RGB"].pixels.astype(np.float32)
+    rows = len(picture) // 20
+    for number in (0, 7):
+        texels = picture[number * rows : (number + 1) * rows].reshape(-1, 3)[: mesh.num_vertices]
+        np.testing.assert_allclose(texels, normals[number] @ up_rotation("+Y").astype(np.float32), atol=1e-3)

@@ -1,5 +1,5 @@
 // Compressed GLB as glTF-Transform and meshoptimizer have it, from `make js-tools`.
-//   node meshopt_gltf.mjs TOOLS play FILE         : JSON of the first primitive's vertices at every key of the animation
+//   node meshopt_gltf.mjs TOOLS read FILE         : JSON of the first primitive's positions
 //   node meshopt_gltf.mjs TOOLS pack FILE TARGET  : write FILE with EXT_meshopt_compression, in the tool's own way
 import { createRequire } from "node:module";
 import { resolve } from "node:path";
@@ -21,15 +21,7 @@ if (command === "pack") {
   await io.write(target, document);
 } else {
   const primitive = document.getRoot().listMeshes()[0].listPrimitives()[0];
-  const elements = (accessor) =>
-    Array.from({ length: accessor.getCount() }, (_, row) => accessor.getElement(row, [])).flat();
-  const rest = elements(primitive.getAttribute("POSITION"));
-  const targets = primitive.listTargets().map((one) => elements(one.getAttribute("POSITION")));
-  const weights = document.getRoot().listAnimations()[0].listSamplers()[0].getOutput().getArray();
-  const frames = [];
-  for (let key = 0; key * targets.length < weights.length; key += 20) {
-    const own = weights.subarray(key * targets.length, (key + 1) * targets.length);
-    frames.push(rest.map((value, i) => targets.reduce((sum, row, m) => sum + own[m] * row[i], value)));
-  }
-  process.stdout.write(JSON.stringify(frames));
+  const positions = primitive.getAttribute("POSITION");
+  const rows = Array.from({ length: positions.getCount() }, (_, row) => positions.getElement(row, []));
+  process.stdout.write(JSON.stringify(rows.flat()));
 }

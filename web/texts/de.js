@@ -204,8 +204,6 @@ export default {
   "file.tree.voxels.safetensors": "Voxel",
   "format.glb": "Bewegtes GLB",
   "format.glb.for": "Blender, Web, Unity, Unreal, Godot, Telefone",
-  "format.glb-reduced": "Bewegtes GLB, klein",
-  "format.glb-reduced.for": "Engines mit acht Formen, Telefone",
   "format.glb-morph": "GLB mit Formen",
   "format.glb-morph.for": "Programme ohne Gelenke",
   "format.lod": "GLB, Detailstufen",

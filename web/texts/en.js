@@ -202,8 +202,6 @@ export default {
   "file.tree.voxels.safetensors": "Voxels",
   "format.glb": "Animated GLB",
   "format.glb.for": "Blender, web, Unity, Unreal, Godot, phones",
-  "format.glb-reduced": "Animated GLB, small",
-  "format.glb-reduced.for": "engines that take eight shapes, phones",
   "format.glb-morph": "GLB with shapes",
   "format.glb-morph.for": "programs without skins",
   "format.lod": "GLB, levels of detail",

@@ -1,8 +1,7 @@
-"""GLB with EXT_meshopt_compression: vertices, faces and keys packed by meshoptimizer, morph targets in 16 bits.
+"""GLB with EXT_meshopt_compression: vertices, faces and keys packed by meshoptimizer.
 
-Positions, texture coordinates and targets become floats of fewer bits or, where KHR_mesh_quantization's 16-bit steps
-of a 32,767th fit, integers; normals become octahedral. Colours, joints, weights, faces and keys stay as they are. A
-reader gets plain views back, by `decompressed`.
+Positions and texture coordinates become floats of fewer bits, normals become octahedral. Colours, joints, weights,
+faces and keys stay as they are. A reader gets plain views back, by `decompressed`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,9 +67,6 @@ def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]
     content = b"".join(writer.chunks)
     views: list[dict[str, Any]] = writer.root.get("bufferViews", [])
     roles = _roles(writer.root)
-    largest = max(
-        (_largest(writer.root, content, index) for index, role in roles.items() if role == "target"), default=0.0
-    )
     changes: dict[int, Float32[np.ndarray, "count width"]] = {}
     of_view = _accessor_of_view(writer.root, roles)
     writer.chunks, writer.num_bytes, unpacked = [], 0, 0
@@ -83,7 +79,7 @@ def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]
             if roles[index] == "keys":  # of all joints
                 size = COMPONENTS[accessor["componentType"]].itemsize * WIDTHS.get(accessor["type"], 0)
                 accessor = accessor | {"count": length // max(size, 1)}
-            stream = _stream(meshopt, accessor, view, content, roles[index], largest)
+            stream = _stream(meshopt, accessor, view, content, roles[index])
         packed = b"" if stream is None else meshopt.encode_gltf_buffer(stream.rows, stream.mode)
         if stream is None or not packed or len(packed) >= length:
             view["byteOffset"] = writer.add_bytes(content[start : start + length])
@@ -206,8 +202,8 @@ def _roles(root: dict[str, Any]) -> dict[int, str]:
             for name, index in primitive["attributes"].items():
                 use(index, name.partition("_")[0])
             for target in primitive.get("targets", []):
-                for name, index in target.items():
-                    use(index, "target" if name in ("POSITION", "NORMAL") else "other target")
+                for index in target.values():
+                    use(index, "target")
     for skin in root.get("skins", []):
         use(skin.get("inverseBindMatrices"), "keys")
     for animation in root.get("animations", []):
@@ -259,15 +255,8 @@ def _floats(accessor: dict[str, Any], rows: Shaped[np.ndarray, "count stride"]) 
     return values if np.isfinite(values).all() else None
 
 
-def _largest(root: dict[str, Any], content: bytes, index: int) -> float:
-    accessor = root["accessors"][index]
-    rows = _rows(accessor, root["bufferViews"][accessor["bufferView"]], content) if "bufferView" in accessor else None
-    values = None if rows is None else _floats(accessor, rows)
-    return 0.0 if values is None else float(np.abs(values).max())
-
-
 def _stream(
-    meshopt: ModuleType, accessor: dict[str, Any], view: dict[str, Any], content: bytes, role: str, largest: float
+    meshopt: ModuleType, accessor: dict[str, Any], view: dict[str, Any], content: bytes, role: str
 ) -> _Stream | None:
     """How the view of an accessor is stored; None where it stays as it is."""
     rows = _rows(accessor, view, content)
@@ -289,8 +278,6 @@ def _stream(
             return _exponential(meshopt, values, _UV_BITS)
         if role == "NORMAL" and values.shape[1] == 3:
             return _octahedral(meshopt, values)
-        if role == "target" and values.shape[1] == 3:
-            return _target(meshopt, values, largest)
     if role == "plain" or rows.shape[1] % 4 or rows.shape[1] > 256:
         return None
     return _Stream(rows=rows)
@@ -308,27 +295,6 @@ def _octahedral(meshopt: ModuleType, normals: Float32[np.ndarray, "n 3"]) -> _St
     filtered = meshopt.encode_filter_oct(padded, 8, _NORMAL_BITS)
     fields = (("componentType", component_number(np.int16)), ("normalized", True))
     return _Stream(rows=filtered, filter="OCTAHEDRAL", accessor=fields)
-
-
-def _target(meshopt: ModuleType, values: Float32[np.ndarray, "n 3"], largest: float) -> _Stream:
-    """A morph target as 16-bit integers, in steps of 0.12 mm; as floats where its range does not suit them."""
-    target_step = 4 / 32767  # of morph targets, in the file's unit: 0.12 mm
-    least_steps = 800  # of the largest target: a small motion gets smaller steps
-    own, step = float(np.abs(values).max()), min(target_step, largest / least_steps)
-    if own > 1 - target_step or (own > 0 and step < target_step):
-        stream = _exponential(meshopt, values, int(np.clip(np.ceil(np.log2(own / step)) + 1, 2, 24)))
-        decoded = values + stream.change
-        return replace(stream, accessor=_bounds(decoded))
-    steps = np.round(values / np.float32(target_step)) * (target_step * 32767)
-    stored = np.zeros((len(values), 4), np.int16)
-    stored[:, :3] = steps
-    fields = (("componentType", component_number(np.int16)), ("normalized", True), *_bounds(stored[:, :3]))
-    return _Stream(rows=stored, accessor=fields, change=stored[:, :3].astype(np.float32) / np.float32(32767) - values)
-
-
-def _bounds(stored: Shaped[np.ndarray, "n w"]) -> tuple[tuple[str, object], ...]:
-    """Least and largest values as they are stored: glTF has no normalisation there."""
-    return (("min", stored.min(axis=0).tolist()), ("max", stored.max(axis=0).tolist()))
 
 
 def _unfiltered(meshopt: ModuleType, rows: Shaped[np.ndarray, "n s"], kind: str) -> Shaped[np.ndarray, "n s"]:

@@ -1,7 +1,6 @@
 """Normals of a mesh for shading: those of its source, else smooth ones; and how they turn while it moves."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -34,13 +33,6 @@ def iter_normals(
         yield _turned(rest, before, unit_vectors(_face_normals(mesh, displacement)))
 
 
-def angles_rad(normals: Float32[np.ndarray, "N 3"], others: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
-    """Angle between two directions per vertex, as exact for small ones as for large ones."""
-    a, b = unit_vectors(normals).astype(np.float64), unit_vectors(others).astype(np.float64)
-    angle: Float64[np.ndarray, " N"] = 2 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
-    return angle
-
-
 def turn_normals(
     normals: Float32[np.ndarray, "N 3"], matrices: Float64[np.ndarray, "*n 3 3"]
 ) -> Float32[np.ndarray, "N 3"]:
@@ -51,15 +43,6 @@ def turn_normals(
     return unit_vectors(
         np.einsum("...,...ij,nj->ni" if matrices.ndim == 2 else "n,nij,nj->ni", sign, cofactors, normals)
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class NormalError:
-    """How far normals that targets move are from those of the surface, over all vertices and frames."""
-
-    normal_error_deg: float  # root mean square
-    max_normal_error_deg: float
-    still_normal_error_deg: float  # root mean square, where the normals of the rest pose stayed
 
 
 def _face_normals(mesh: TriangleMesh, displacement: Float32[np.ndarray, "N 3"] | None) -> Float64[np.ndarray, "N 3"]:

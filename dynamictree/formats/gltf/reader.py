@@ -98,7 +98,7 @@ def _placed_parts(
         placement = texture_placement({} if material is None else materials[material])
         key = (id(instance), repr(sorted(attributes.items())), placement)
         read = _read_primitive(document, primitive)
-        part, skinned = _part(document, instance, primitive, read, material)
+        part = _part(document, instance, primitive, read, material)
         if extension is None and key in shared:
             part = replace(part, vertices_of=shared[key])
         shared.setdefault(key, len(parts))
@@ -109,7 +109,6 @@ def _placed_parts(
                 primitive=number,
                 first_vertex=0,
                 num_vertices=len(part.vertices),
-                skinned=skinned,
                 decoded=None
                 if extension is None or read.indices is None
                 else {**read.attributes, "INDICES": read.indices[:, None]},
@@ -121,33 +120,32 @@ def _placed_parts(
 
 def _part(
     document: GltfDocument, instance: MeshInstance, primitive: JsonObject, read: _Primitive, material: int | None
-) -> tuple[MeshPart, Float64[np.ndarray, "N 3 3"] | None]:
-    """The primitive at its place, and how its skin at rest turns each vertex."""
+) -> MeshPart:
+    """The primitive at its place."""
     positions = read.attributes["POSITION"].astype(np.float64)
     if positions.shape[1] != 3:
         raise FormatError(f"POSITION has {positions.shape[1]} numbers a vertex; 3 are needed")
     mode = integer_field(primitive, "mode", high=6, default=_TRIANGLES)
     faces = _faces(read.indices, len(positions), mode)
-    transform, skinned = instance.transform, None
-    if instance.joints is not None:
-        transform = np.eye(4)
+    turn: Float64[np.ndarray, "*n 3 3"] = instance.transform[:3, :3]
+    if instance.joints is None:
+        placed = positions @ turn.T + instance.transform[:3, 3]
+    else:  # a skin alone places its vertices
         matrices = _skin_matrices(read.attributes, instance.joints, len(positions))
-        skinned = matrices[:, :, :3]
-        positions = np.einsum("nij,nj->ni", skinned, positions) + matrices[:, :, 3]
-    placed = positions @ transform[:3, :3].T + transform[:3, 3]
-    if np.linalg.det(transform[:3, :3]) < 0:
+        turn = matrices[:, :, :3]
+        placed = np.einsum("nij,nj->ni", turn, positions) + matrices[:, :, 3]
+    if turn.ndim == 2 and np.linalg.det(turn) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     entry = None if material is None else object_list(document.root, "materials")[material]
-    part = MeshPart(
+    return MeshPart(
         vertices=placed,
         faces=faces,
         uv=texture_coordinates(read.attributes, entry, len(positions)),
         vertex_colors=_colors(read.attributes, len(positions)),
         material=-1 if material is None else material,
-        normals=_normals(read.attributes, transform[:3, :3] if skinned is None else skinned, len(positions)),
+        normals=_normals(read.attributes, turn, len(positions)),
         name=instance.path,
     )
-    return part, skinned
 
 
 def _read_primitive(document: GltfDocument, primitive: JsonObject) -> _Primitive:

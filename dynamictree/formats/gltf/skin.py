@@ -8,11 +8,18 @@ from dataclasses import asdict, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Float64, Int32
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.gltf.meshopt import compress
-from dynamictree.formats.gltf.template import add_mesh_joints, can_carry_joints, open_template
+from dynamictree.formats.gltf.template import (
+    SkinnedPrimitive,
+    add_mesh_joints,
+    attach_joints,
+    can_carry_joints,
+    moved_by,
+    open_document,
+)
 from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
@@ -34,42 +41,42 @@ def write_skinned_glb(
 
     A mesh that was read from glTF stays in its document, unless that places it by a skin or by instances of its own.
     """
-    in_source = mesh.gltf is not None and can_carry_joints(mesh.gltf)
-    template = open_template(mesh if in_source else replace(mesh, gltf=None))
-    writer = template.writer
+    document = mesh.gltf if mesh.gltf is not None and can_carry_joints(mesh.gltf) else None
+    writer = open_document(replace(mesh, gltf=document))
     source, rest = mesh.source, _rest(skin)
-    if in_source:  # to the document's own origin
+    if document is not None:  # to the document's own origin
         rest = rest + source.scale * up_rotation(source.up_axis) @ np.array(source.offset) @ up_rotation("+Y")
     skeleton, first = _add_joints(writer, skin.parent, rest)
-    if in_source:
-        nodes = template.attach_joints(skin, lambda placed: _add_skin(writer, rest, first, placed))
+    if document is not None:
+        nodes, carried = attach_joints(writer, document, skin, lambda placed: _add_skin(writer, rest, first, placed))
         scene = writer.root["scenes"][writer.root.get("scene", 0)]
         scene["nodes"] = [*scene["nodes"], *nodes, skeleton]
     else:
-        attributes = add_mesh_joints(writer, skin)
-        for primitive in writer.root["meshes"][0]["primitives"]:
+        attributes, primitives = add_mesh_joints(writer, skin), writer.root["meshes"][0]["primitives"]
+        for primitive in primitives:
             primitive["attributes"] |= attributes
+        positions = primitives[0]["attributes"]["POSITION"]
+        carried = [SkinnedPrimitive(rows=slice(None), positions=positions, placed=np.eye(4))]
         writer.root["nodes"][0]["skin"] = _add_skin(writer, rest, first, np.eye(4))
         writer.append("scenes", {"nodes": [0, skeleton]})
     _add_sway(writer, skin, fps, first)
     if packing.as_webp:
         webp_textures(writer)
     if packing.compressed:
-        summary = _with_change(summary, template.changes(compress(writer), (), 0, mesh.num_vertices).reshape(-1, 3))
+        summary = _with_change(summary, moved_by(compress(writer), carried, mesh.num_vertices))
     writer.extras = asdict(summary) | source.extras
     writer.finish(stream)
     return summary
 
 
-def _with_change(summary: SkinSummary, change_m: Float32[np.ndarray, "N 3"]) -> SkinSummary:
+def _with_change(summary: SkinSummary, change_m: Float64[np.ndarray, " N"]) -> SkinSummary:
     """Errors with what the mesh at rest is off by, which its joints carry with it: the largest is an upper bound."""
-    squares = (change_m**2).sum(axis=1, dtype=np.float64)
-    rms_m = float(np.hypot(summary.rms_error_m, np.sqrt(squares.mean())))
+    rms_m = float(np.hypot(summary.rms_error_m, np.sqrt((change_m**2).mean())))
     return replace(
         summary,
         relative_error=summary.relative_error * rms_m / summary.rms_error_m if summary.rms_error_m else 0.0,
         rms_error_m=rms_m,
-        max_error_m=summary.max_error_m + float(np.sqrt(squares.max())),
+        max_error_m=summary.max_error_m + float(change_m.max()),
     )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Shaped
+from jaxtyping import Shaped
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import KTX2_MAGIC, find_companion
@@ -45,7 +45,6 @@ class PlacedPrimitive:
     primitive: int  # of the instance's mesh
     first_vertex: int
     num_vertices: int
-    skinned: Float64[np.ndarray, "n 3 3"] | None  # how its skin at rest turns each vertex
     decoded: Mapping[str, Shaped[np.ndarray, "n width"]] | None  # of its Draco stream; INDICES are the faces' corners
 
 
@@ -84,10 +83,6 @@ def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Ma
         document=json.dumps(merged.root, separators=(",", ":")).encode(),
         binary=tuple(merged.chunks),
         primitives=np.array(rows, np.int32).reshape(-1, 4),
-        to_primitive=np.stack(  # a skin alone places its vertices
-            [_inverse(np.eye(3) if p.skinned is not None else p.instance.transform[:3, :3]) for p in placed]
-        ),
-        to_vertex=_to_vertices(placed),
     )
 
 
@@ -255,27 +250,6 @@ def _forget_levels(document: GltfDocument, root: dict[str, Any]) -> None:
     document.warnings.append(SourceWarning(code="levels-left-out", message=message))
 
 
-def _inverse(matrices: Float64[np.ndarray, "*n 3 3"]) -> Float64[np.ndarray, "*n 3 3"]:
-    """The inverse, or the nearest to one for a node that is flattened."""
-    try:
-        inverse: Float64[np.ndarray, "*n 3 3"] = np.linalg.inv(matrices)
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(matrices)
-    return inverse
-
-
-def _to_vertices(placed: Sequence[PlacedPrimitive]) -> Float32[np.ndarray, "N 3 3"] | None:
-    if all(part.skinned is None for part in placed):
-        return None
-    count = max(part.first_vertex + part.num_vertices for part in placed)
-    matrices: Float32[np.ndarray, "N 3 3"] = np.tile(np.eye(3, dtype=np.float32), (count, 1, 1))
-    for part in placed:
-        if part.skinned is not None:
-            rows = slice(part.first_vertex, part.first_vertex + part.num_vertices)
-            matrices[rows] = _inverse(part.skinned)
-    return matrices
-
-
 def _warn_of_motion(document: GltfDocument) -> None:
     """Say that a file's own animations are no part of ours."""
     animations = object_list(document.root, "animations")
@@ -283,7 +257,7 @@ def _warn_of_motion(document: GltfDocument) -> None:
         return
     names = ", ".join(repr(str(entry.get("name", "unnamed"))[:40]) for entry in animations[:5])
     message = (
-        f"the file comes with animations ({len(animations)}: {names}), which are not part of the motion; GLB export "
-        "leaves them in the file after 'sway', without those of its own morph targets; other formats drop them"
+        f"the file comes with animations ({len(animations)}: {names}), which are not part of the motion; glb "
+        "leaves them in the file after 'sway', other formats drop them"
     )
     document.warnings.append(SourceWarning(code="animations-ignored", message=message))

@@ -1,7 +1,8 @@
 """Meshes as GLB: +Y up, metres, one primitive a material over one list of vertices, in the mesh's vertex order."""
 
+import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -96,18 +97,23 @@ def write_glb(
     writer.finish(stream)
 
 
+def rest_glb(mesh: TriangleMesh, lookup: Float32[np.ndarray, "N 2"]) -> bytes:
+    """The mesh at rest in one node, with a shader's lookup as TEXCOORD_1."""
+    writer, stream = GlbWriter(), io.BytesIO()
+    sets = {"TEXCOORD_1": lookup} | ({"TEXCOORD_0": np.zeros_like(lookup)} if mesh.look.uv is None else {})
+    attributes = {name: writer.add_accessor(values, target=VERTEX_BUFFER) for name, values in sets.items()}
+    write_glb(mesh, stream, writer, attributes)
+    return stream.getvalue()
+
+
 def add_mesh(
     writer: GlbWriter,
     mesh: TriangleMesh,
     *,
     targets: Sequence[dict[str, int]] = (),
     more_attributes: Mapping[str, int] | None = None,
-    materials: Sequence[int] | None = None,
-) -> Sequence[int]:
-    """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share.
-
-    Gives the indices of its materials, which the next mesh may share.
-    """
+) -> None:
+    """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share."""
     attributes = {
         "POSITION": writer.add_accessor(vertices_in_source_axes(mesh.vertices, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
@@ -119,8 +125,7 @@ def add_mesh(
         colors = linear_colors(mesh.look.vertex_colors)
         attributes["COLOR_0"] = writer.add_accessor(colors, target=VERTEX_BUFFER, normalized=True)
     attributes |= more_attributes or {}
-    if materials is None:
-        materials = [writer.append("materials", _material(writer, material)) for material in mesh.look.materials]
+    _add_materials(writer, mesh)
     primitives = []
     for number in np.unique(mesh.material_of_face):
         corners = mesh.faces[mesh.material_of_face == number].reshape(-1, 1).astype(np.uint32)
@@ -128,13 +133,49 @@ def add_mesh(
             "attributes": attributes,
             "indices": writer.add_accessor(corners, target=_INDEX_BUFFER),
         }
-        if materials:
-            primitive["material"] = materials[int(number)]
+        if mesh.look.materials:
+            primitive["material"] = int(number)
         if targets:
             primitive["targets"] = list(targets)
         primitives.append(primitive)
     writer.append("meshes", {"name": "tree", "primitives": primitives})
-    return materials
+
+
+def _add_materials(writer: GlbWriter, mesh: TriangleMesh) -> None:
+    """The mesh's materials: as its glTF has them where their textures lie as the mesh's one, else the base colours."""
+    root = {} if mesh.gltf is None else json.loads(mesh.gltf.document)
+    entries = [None if _lies_otherwise(entry) else entry for entry in root.get("materials", [])]
+    if mesh.gltf is not None and any(entry is not None for entry in entries):
+        content = b"".join(mesh.gltf.binary)
+        writer.root |= {name: root[name] for name in ("textures", "samplers") if name in root}
+        for image in root.get("images", []):
+            view = root["bufferViews"][image["bufferView"]]
+            start = view.get("byteOffset", 0)
+            own = writer.add_view(content[start : start + view["byteLength"]])
+            writer.append("images", image | {"bufferView": own})
+        text = json.dumps([entries, root.get("textures", [])])
+        for listed in ("extensionsUsed", "extensionsRequired"):
+            needed = [name for name in root.get(listed, []) if f'"{name}"' in text]
+            writer.root |= {listed: needed} if needed else {}
+    entries += [None] * (len(mesh.look.materials) - len(entries))
+    for material, entry in zip(mesh.look.materials, entries, strict=True):
+        writer.append("materials", _material(writer, material) if entry is None else entry)
+
+
+def _lies_otherwise(material: dict[str, Any]) -> bool:
+    """Whether a texture of a material has other coordinates than the first ones as they are."""
+    return any(
+        one.get("texCoord") or "KHR_texture_transform" in one.get("extensions", {}) for one in _textures(material)
+    )
+
+
+def _textures(entry: object) -> Iterator[dict[str, Any]]:
+    """Where materials name a texture."""
+    below = entry.items() if isinstance(entry, dict) else enumerate(entry) if isinstance(entry, list) else ()
+    for name, one in below:
+        if str(name).endswith("Texture") and isinstance(one, dict):
+            yield one
+        yield from _textures(one)
 
 
 def _material(writer: GlbWriter, material: Material) -> dict[str, object]:

@@ -20,7 +20,7 @@ from dynamictree.gaussian.cloud import validate_cloud
 from dynamictree.mesh import TriangleMesh, validate_mesh
 from dynamictree.plant.capture import Capture
 
-VERSION = 2
+VERSION = 3
 MAX_BYTES = {TriangleMesh: 1 << 30, Capture: 3 << 30}
 _FIELDS, _TENSOR, _BYTES = "fields", "tensor", "bytes"
 """Name of the tensor that is the JSON of the fields; and in it, of what stands for an array and for bytes."""
