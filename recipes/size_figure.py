@@ -64,8 +64,7 @@ def _lines(
             yield frame
 
     renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
-    anywhere = np.full(mesh.num_vertices, np.inf, np.float32)
-    return renderer.row_over_time(noted(), round(LINE * SIDE_PX), reach_m=anywhere)
+    return np.stack([renderer.picture(frame)[round(LINE * SIDE_PX)] for frame in noted()])
 
 
 def _frequencies(motion: Float32[np.ndarray, "T N 3"], height_m: float) -> str:

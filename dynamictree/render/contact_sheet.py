@@ -4,24 +4,19 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 
 import numpy as np
-from jaxtyping import Bool, Complex64, Float32, Float64, UInt8
+from jaxtyping import Bool, Complex64, Float32, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.parallel import on_cores
-from dynamictree.render.camera import Camera
 from dynamictree.render.picture import Look, Renderer
 from dynamictree.spectrum import NUM_FRAMES, bin_weights, displacement_at, iter_motion
 
-STILL_PX, SIDE_PX = 800, 480
-"""Side of the large picture, width of the two beside it."""
+STILL_PX, SWAY_PX = (800, 800), (480, 800)
+"""Width and height of the large picture, and of the one beside it."""
 STRIP_PX, NUM_STRIP = (160, 232), 8
 """Width and height of the pictures in the row, and how many there are."""
-SLICE_TIMES = 100
-"""Rows of the slice at most: a long loop shows no more on the sheet."""
 _TITLE_PX = 26  # above each part
-HALF_PX = (STILL_PX - _TITLE_PX) // 2
-"""Height of the pictures beside the large one."""
 _STILLNESS_TO_SWAY = np.array([[52, 58, 94], [46, 110, 142], [64, 168, 130], [176, 206, 78], [253, 231, 37]])
 
 
@@ -52,21 +47,17 @@ def amplitude_colors(
 def draw_contact_sheet(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], *, num_frames: int = NUM_FRAMES
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """One still, the sway in colours, a line of pixels stacked over time (as the paper's figures do), frames in a row.
+    """One still, the sway in colours, frames in a row.
 
     The coefficients are the vertices' own [m]; one loop has `num_frames`.
     """
-    still_renderer = Renderer(mesh, Look(width=STILL_PX, height=STILL_PX))
-    camera = still_renderer.camera
+    still_renderer = Renderer(mesh, Look(width=STILL_PX[0], height=STILL_PX[1]))
     amplitude = sway_amplitude(coefficients, num_frames)
-    line, window = slice_window(mesh.vertices, amplitude, camera)
     stands = mesh.still_vertices
     sheet = ContactSheet(
         still=still_renderer.picture(displacement_at(coefficients, 0.0, num_frames)),
-        sway=_sway_picture(mesh, amplitude, camera),
-        time_slice=_space_time_slice(still_renderer, coefficients, num_frames, window),
+        sway=_sway_picture(mesh, amplitude),
         strip=_frames_in_a_row(still_renderer, coefficients, num_frames),
-        line=line,
         title=f"{mesh.num_vertices:,} vertices, {mesh.num_faces:,} faces, {mesh.height_text} high",
         most_m=float(amplitude.max()),
         some_stand=bool(stands.any()),
@@ -77,13 +68,11 @@ def draw_contact_sheet(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactSheet:
-    """The four parts of a sheet and their titles."""
+    """The parts of a sheet and their titles."""
 
     still: UInt8[np.ndarray, "S S 3"]
-    sway: UInt8[np.ndarray, "H W 3"]  # the amplitude in colours, of `SIDE_PX` times `HALF_PX`
-    time_slice: UInt8[np.ndarray, "T W 3"]  # the line, at one phase of the loop a row
+    sway: UInt8[np.ndarray, "H W 3"]  # the amplitude in colours
     strip: UInt8[np.ndarray, "h w 3"]  # `NUM_STRIP` frames side by side
-    line: tuple[int, int, int]  # the slice's first and last column and its row in the still [px]
     title: str  # of the still
     most_m: float  # the largest amplitude [m]
     some_stand: bool  # whether something is grey
@@ -92,21 +81,17 @@ class ContactSheet:
     def picture(self) -> UInt8[np.ndarray, "A B 3"]:
         """All of it as one picture."""
         paper, ink = (250, 249, 247), (70, 70, 74)
-        sheet = Image.new("RGB", (STILL_PX + SIDE_PX, 2 * _TITLE_PX + STILL_PX + STRIP_PX[1]), paper)
+        width, height = STILL_PX
+        sheet = Image.new("RGB", (width + SWAY_PX[0], 2 * _TITLE_PX + height + STRIP_PX[1]), paper)
         pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
         sheet.paste(Image.fromarray(self.still), (0, _TITLE_PX))
-        first, last, row = self.line
-        pen.line([(first, row + _TITLE_PX), (last, row + _TITLE_PX)], fill=(220, 60, 40), width=2)
-        sheet.paste(Image.fromarray(self.sway), (STILL_PX, _TITLE_PX))
-        enlarged = Image.fromarray(self.time_slice).resize((SIDE_PX, HALF_PX), Image.Resampling.BICUBIC)
-        sheet.paste(enlarged, (STILL_PX, 2 * _TITLE_PX + HALF_PX))
-        sheet.paste(Image.fromarray(self.strip), (0, 2 * _TITLE_PX + STILL_PX))
+        sheet.paste(Image.fromarray(self.sway), (width, _TITLE_PX))
+        sheet.paste(Image.fromarray(self.strip), (0, 2 * _TITLE_PX + height))
         scale = f"0 (blue) to {_length(self.most_m)} (yellow)" + (", grey: stands still" if self.some_stand else "")
         titles = (
             ((8, 4), self.title),
-            ((STILL_PX + 8, 4), f"sway, root mean square: {scale}"),
-            ((STILL_PX + 8, 4 + _TITLE_PX + HALF_PX), "the red line over one loop, time runs down"),
-            ((8, 4 + _TITLE_PX + STILL_PX), f"one loop of {self.num_frames} frames"),
+            ((width + 8, 4), f"sway, root mean square: {scale}"),
+            ((8, 4 + _TITLE_PX + height), f"one loop of {self.num_frames} frames"),
         )
         for place, words in titles:
             pen.text(place, words, fill=ink, font=font)
@@ -117,9 +102,7 @@ def _length(length_m: float) -> str:
     return f"{length_m:.2g} m" if length_m >= 1 else f"{100 * length_m:.2g} cm"
 
 
-def _sway_picture(
-    mesh: TriangleMesh, amplitude: Float32[np.ndarray, " N"], camera: Camera
-) -> UInt8[np.ndarray, "H W 3"]:
+def _sway_picture(mesh: TriangleMesh, amplitude: Float32[np.ndarray, " N"]) -> UInt8[np.ndarray, "H W 3"]:
     colored = replace(
         mesh,
         look=replace(
@@ -128,7 +111,7 @@ def _sway_picture(
             materials=tuple(_bare(material) for material in mesh.look.materials) or (_bare(Material()),),
         ),
     )
-    return Renderer(colored, Look(width=SIDE_PX, height=HALF_PX, shadows=False)).picture(camera=camera)
+    return Renderer(colored, Look(width=SWAY_PX[0], height=SWAY_PX[1], shadows=False)).picture()
 
 
 def _bare(material: Material) -> Material:
@@ -146,46 +129,6 @@ def _white(texture: bytes) -> bytes:
     content = BytesIO()
     white.save(content, "png", compress_level=1)
     return content.getvalue()
-
-
-def slice_window(
-    points: Float32[np.ndarray, "N 3"], amplitude: Float32[np.ndarray, " N"], camera: Camera
-) -> tuple[tuple[int, int, int], Camera]:
-    """The line through the most swaying place: its first and last column and row in the still; a camera for it."""
-    line_reach_px = 6  # vertices so near above and below count for the line
-    max_zoom = 8.0
-    slice_sway_px = 14  # the slice is enlarged until the swaying part moves about so far
-    x, y, depth = camera.project(points.astype(np.float64), STILL_PX, STILL_PX).T
-    rows = np.clip(y, 0, STILL_PX - 1).astype(int)
-    power = amplitude**2 + 1e-12
-    crowded = np.convolve(np.bincount(rows, power, minlength=STILL_PX), np.ones(2 * line_reach_px + 1), mode="same")
-    row = int(crowded.argmax())
-    on_row = np.abs(rows - row) <= line_reach_px
-    column = float(np.average(x[on_row], weights=power[on_row]))
-    sway_px = float(np.mean(2 * amplitude[on_row] * camera.focal * STILL_PX / depth[on_row]))
-    spread_px = 1.5 * float(np.abs(x[on_row] - column).max()) + 1
-    zoom = max(slice_sway_px / max(sway_px, 1e-9), 0.5 * STILL_PX / spread_px)
-    half = 0.5 * STILL_PX / float(np.clip(zoom, 1.0, max_zoom))
-    zoom = 0.5 * STILL_PX / half
-    column = float(np.clip(column, half, STILL_PX - half))
-    centre = ((camera.centre[0] - column / STILL_PX) * zoom + 0.5, (camera.centre[1] - row / STILL_PX) * zoom + 0.5)
-    zoomed = replace(camera, focal=camera.focal * zoom, centre=centre)
-    return (int(column - half), int(column + half), row), zoomed
-
-
-def slice_phases(num_frames: int) -> Float64[np.ndarray, " T"]:
-    """Phases in a loop of the rows of a slice, in periods."""
-    rows = min(num_frames, SLICE_TIMES)
-    return np.arange(rows) / rows
-
-
-def _space_time_slice(
-    renderer: Renderer, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int, window: Camera
-) -> UInt8[np.ndarray, "T W 3"]:
-    renderer = renderer.with_size(width=SIDE_PX, height=SIDE_PX)
-    frames = iter_motion(coefficients, slice_phases(num_frames), num_frames)
-    reach_m = np.linalg.norm(np.abs(coefficients), axis=2) @ bin_weights(coefficients.shape[1], num_frames)
-    return renderer.row_over_time(frames, SIDE_PX // 2, reach_m=reach_m, camera=window)
 
 
 def _frames_in_a_row(

@@ -1,19 +1,18 @@
 """Render a mesh from a camera to a picture."""
 
-from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Float32, Float64, Int32, UInt8
 from PIL import Image
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
-from dynamictree.parallel import in_bands, on_cores
+from dynamictree.parallel import in_bands
 from dynamictree.render.appearance import Appearance, appearance_of
 from dynamictree.render.camera import Camera, in_view
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
@@ -49,7 +48,7 @@ class Buffers(NamedTuple):
 
 
 class _Surface(NamedTuple):
-    """Vertices and faces that are drawn, all of a mesh or some."""
+    """Vertices and faces that are drawn."""
 
     vertices: Float32[np.ndarray, "N 3"]  # [m]
     faces: Int32[np.ndarray, "F 3"]
@@ -96,32 +95,11 @@ class Renderer:
         else:
             surface = self._surface._replace(vertices=self.mesh.vertices + displacement)
             sun = self._shadow_of(surface.vertices)
-        return self._drawn(surface, sun, camera or self.camera, range(self.look.height))
+        return self._drawn(surface, sun, camera or self.camera)
 
-    def row_over_time(
-        self,
-        frames: Iterable[Float32[np.ndarray, "N 3"]],
-        row: int,
-        *,
-        reach_m: Float32[np.ndarray, " N"],
-        camera: Camera | None = None,
-    ) -> UInt8[np.ndarray, "T W 3"]:
-        """One row of the picture of each frame, in the shadows of the rest pose.
-
-        Args:
-            frames: displacements of the vertices [m].
-            row: from the top.
-            reach_m: how far each vertex moves at most; what stays away from the row is left out once for all frames.
-            camera: instead of the renderer's own.
-        """
-        camera, rows = camera or self.camera, range(row, row + 1)
-        used, surface = self._near_rows(camera, rows, reach_m)
-        moved = (surface._replace(vertices=surface.vertices + displacement[used]) for displacement in frames)
-        return np.concatenate(on_cores(lambda moment: self._drawn(moment, self._sun, camera, rows), moved))
-
-    def _drawn(self, surface: "_Surface", sun: SunMap, camera: Camera, rows: range) -> UInt8[np.ndarray, "R W 3"]:
+    def _drawn(self, surface: "_Surface", sun: SunMap, camera: Camera) -> UInt8[np.ndarray, "H W 3"]:
         look = self.look
-        triangles, visible = self._see(surface, camera, rows, look.supersampling)
+        triangles, visible = self._see(surface, camera, look.supersampling)
         positions = surface.vertices.astype(np.float64)
         scene = Scene(
             vertices=positions,
@@ -136,17 +114,17 @@ class Renderer:
             centre=self._centre,
             radius_m=self._radius_m,
         )
-        to_sample = _samples(camera, look, rows, look.supersampling)
+        to_sample = _samples(camera, look, look.supersampling)
         ray = camera.world_to_camera.T @ np.linalg.inv(to_sample)
         view = View(position=camera.position_m, ray=np.ascontiguousarray(ray), supersampling=look.supersampling)
-        picture = np.empty((len(rows), look.width, 3), np.uint8)
-        in_bands(shade_rows, len(rows), picture, visible.face, triangles, scene, view)
+        picture = np.empty((look.height, look.width, 3), np.uint8)
+        in_bands(shade_rows, look.height, picture, visible.face, triangles, scene, view)
         return picture
 
     def buffers(self, camera: Camera | None = None) -> Buffers:
         """Depth, normals and faces of the rest pose, one sample a pixel."""
         camera = camera or self.camera
-        _, visible = self._see(self._surface, camera, range(self.look.height), 1)
+        _, visible = self._see(self._surface, camera, 1)
         seen = visible.face >= 0
         depth = np.where(seen, 1 / np.where(seen, visible.nearness, 1), np.inf).astype(np.float32)
         a, b, c = (self.mesh.vertices[self.mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
@@ -162,43 +140,9 @@ class Renderer:
             return BARE_SUN
         return sun_map(vertices, self.mesh.faces, self._surface.appearance, self._sun_direction)
 
-    def _near_rows(
-        self, camera: Camera, rows: range, reach_m: Float32[np.ndarray, " N"]
-    ) -> tuple[Int64[np.ndarray, " M"], "_Surface"]:
-        """Faces that some rows may show, with those around their vertices, which bend their normals; and the vertices.
-
-        Homogeneous coordinates are linear in the position: within its reach a vertex changes them by at most the reach
-        times the length of their gradient.
-        """
-        to_rows = _to_samples(camera, self.look, rows, 1)
-        _, y, depth = ((self.mesh.vertices - camera.position_m) @ to_rows.T).T
-        beyond = y - len(rows) * depth  # positive below the last row
-        per_y, per_beyond, per_depth = np.linalg.norm(
-            [to_rows[1], to_rows[1] - len(rows) * to_rows[2], to_rows[2]], axis=1
-        )
-        in_front = depth > per_depth * reach_m
-        above, below = in_front & (y < -per_y * reach_m), in_front & (beyond > per_beyond * reach_m)
-        corners, appearance = self.mesh.faces, self._surface.appearance
-        seen = ~(above[corners].all(axis=1) | below[corners].all(axis=1))
-        around = np.zeros(len(y), np.bool_)
-        around[corners[seen]] = True
-        near = around[corners].any(axis=1)
-        used, place = np.unique(corners[near], return_inverse=True)
-        return used.astype(np.int64), _Surface(
-            vertices=self.mesh.vertices[used],
-            faces=place.reshape(-1, 3).astype(np.int32),
-            appearance=appearance._replace(
-                uv=appearance.uv[used],
-                vertex_rgb=appearance.vertex_rgb[used],
-                face_material=appearance.face_material[near],
-            ),
-        )
-
-    def _see(
-        self, surface: "_Surface", camera: Camera, rows: range, supersampling: int
-    ) -> tuple[ScreenTriangles, Visible]:
-        size = {"width": self.look.width * supersampling, "height": len(rows) * supersampling}
-        to_sample = _to_samples(camera, self.look, rows, supersampling)
+    def _see(self, surface: "_Surface", camera: Camera, supersampling: int) -> tuple[ScreenTriangles, Visible]:
+        size = {"width": self.look.width * supersampling, "height": self.look.height * supersampling}
+        to_sample = _samples(camera, self.look, supersampling) @ camera.world_to_camera
         homogeneous = np.ascontiguousarray((surface.vertices - camera.position_m) @ to_sample.T)
         ones = np.ones(len(surface.vertices), np.float32)
         triangles = screen_triangles(homogeneous, surface.faces, surface.appearance, **size)
@@ -212,15 +156,8 @@ def write_png(image: UInt8[np.ndarray, "H W 3"], stream: ByteWriter) -> None:
     stream.write(content.getvalue())
 
 
-def _samples(camera: Camera, look: Look, rows: range, supersampling: int) -> Float64[np.ndarray, "3 3"]:
-    """Camera axes to samples of the rows, sample centres at half-integers."""
+def _samples(camera: Camera, look: Look, supersampling: int) -> Float64[np.ndarray, "3 3"]:
+    """Camera axes to samples, sample centres at half-integers."""
     matrix = camera.intrinsics_px(look.width, look.height)
-    matrix[1, 2] -= rows.start
     matrix[:2] *= supersampling
-    return matrix
-
-
-def _to_samples(camera: Camera, look: Look, rows: range, supersampling: int) -> Float64[np.ndarray, "3 3"]:
-    """World axes to samples of the rows."""
-    matrix: Float64[np.ndarray, "3 3"] = _samples(camera, look, rows, supersampling) @ camera.world_to_camera
     return matrix

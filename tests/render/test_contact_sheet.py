@@ -1,12 +1,11 @@
 from io import BytesIO
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from dynamictree.mesh import Material
-from dynamictree.render import Camera, Renderer, amplitude_colors, draw_contact_sheet, sway_amplitude
-from dynamictree.render.contact_sheet import SLICE_TIMES, _bare, _space_time_slice, slice_window
+from dynamictree.render import amplitude_colors, draw_contact_sheet, sway_amplitude
+from dynamictree.render.contact_sheet import _bare
 from dynamictree.spectrum import from_motion, to_motion
 
 
@@ -40,51 +39,16 @@ def test_what_stands_still_is_grey():
     assert (colors[1:] == amplitude_colors(np.float32([0.0, 0.5, 1.0]))[1:]).all()
 
 
-def test_the_slice_shows_movement_where_there_is_some_and_straight_lines_where_not(two_balls):
-    camera = Camera.orbit(two_balls.vertices)
-    moving, still = swaying(two_balls, 0.15), np.zeros((two_balls.num_vertices, 16, 3), np.complex64)
-    for coefficients, moves in ((moving, True), (still, False)):
-        _, window = slice_window(two_balls.vertices, sway_amplitude(coefficients), camera)
-        stacked = _space_time_slice(Renderer(two_balls), coefficients, 100, window)
-        assert stacked.shape[0] == 100
-        changes = np.abs(stacked.astype(int) - stacked[:1]).max(axis=2) > 30
-        assert changes.any() == moves
-        # twice a loop: half a loop later the line shows the same
-        assert np.abs(stacked[:50].astype(int) - stacked[50:]).max() <= 40
-
-
-def test_a_long_loop_is_drawn_at_no_more_times(two_balls):
-    long = np.pad(swaying(two_balls, 0.15), ((0, 0), (0, 31), (0, 0)))
-    _, window = slice_window(two_balls.vertices, sway_amplitude(long, 400), Camera.orbit(two_balls.vertices))
-    whole, short = (_space_time_slice(Renderer(two_balls), long, frames, window) for frames in (400, SLICE_TIMES))
-    np.testing.assert_array_equal(whole, short)
-
-
 def test_a_sheet_has_every_part(two_balls):
     sheet = draw_contact_sheet(two_balls, swaying(two_balls, 0.15))
     assert sheet.dtype == np.uint8
     assert sheet.shape[1] == 1280
-    still, sway, time_slice, strip = (
-        sheet[40:800, :800],
-        sheet[40:400, 800:],
-        sheet[460:820, 800:],
-        sheet[-220:],
-    )
-    for part in (still, sway, time_slice, strip):
+    still, sway, strip = sheet[40:800, :800], sheet[40:800, 800:], sheet[-220:]
+    for part in (still, sway, strip):
         assert part.std() > 10
     frames = strip.reshape(len(strip), 8, 160, 3)
     assert np.abs(frames[:, 0].astype(int) - frames[:, 1]).max() > 60
     assert np.abs(frames[:, 0].astype(int) - frames[:, 4]).max() < 40  # half a loop later: the same place
-
-
-@pytest.mark.parametrize("amplitude_m", [1e-4, 0.15, 3.0])
-def test_the_slice_window_lies_inside_the_picture(two_balls, amplitude_m):
-    coefficients = swaying(two_balls, amplitude_m)
-    camera = Camera.orbit(two_balls.vertices)
-    (first, last, row), window = slice_window(two_balls.vertices, sway_amplitude(coefficients), camera)
-    assert 0 <= first < last <= 800
-    assert 0 <= row < 800
-    assert window.focal / camera.focal == pytest.approx(800 / (last - first), rel=0.02)
 
 
 def test_the_sway_in_colours_takes_a_texture_for_its_outline_alone():

@@ -163,18 +163,6 @@ def test_under_a_crown_the_ground_sees_less_sky(two_balls):
     assert light.sky_share(renderer._sky, 50.0, 0.0, 0.0) == 1
 
 
-@pytest.mark.parametrize("row", [0, 20, 33, 63])
-def test_a_row_over_time_is_that_of_each_whole_picture(two_balls, row):
-    renderer = Renderer(two_balls, PLAIN)
-    sway_m = np.float32([[0.0, 0, 0], [0.3, 0, 0.4], [-0.2, 0, -0.5]])
-    frames = [np.tile(shift, (two_balls.num_vertices, 1)) for shift in sway_m]
-    reach_m = np.full(two_balls.num_vertices, np.linalg.norm(sway_m, axis=1).max(), np.float32)
-    stacked = renderer.row_over_time(frames, row, reach_m=reach_m)
-    assert np.array_equal(stacked, np.stack([renderer.picture(frame)[row] for frame in frames]))
-    anywhere = np.full(two_balls.num_vertices, np.inf, np.float32)
-    assert np.array_equal(stacked, renderer.row_over_time(frames, row, reach_m=anywhere))
-
-
 def test_bytes_are_the_nearest_to_the_srgb_curve(rng):
     linear = np.concatenate([np.linspace(-0.1, 1.1, 20_001), rng.random(20_000) ** 3])
     shaded = np.array([light._srgb_byte(value) for value in linear])
