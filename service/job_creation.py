@@ -200,7 +200,7 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
     if not isinstance(body.params, AnimateParams):
         return 0
     # numba comes with the products; loaded beside the first requests, not with this module
-    from dynamictree.export.size import splat_bytes, turbulent_bytes
+    from dynamictree.export.size import sequence_bytes
     from dynamictree.export.table import require_available
     from dynamictree.modal.real_trees import loop_period_s
 
@@ -208,17 +208,16 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
     period_s = _period_s(body.params) or loop_period_s(height_m if isinstance(height_m, float) else 0.0)
     formats, num_frames = _formats(body.params, asset), body.params.count_frames(period_s)
     require_available(formats)
-    if asset.kind == "cloud":
-        sizes = splat_bytes(_count(asset, "num_gaussians"), _count(asset, "sh_degree"), num_frames, body.params)
-    elif asset.kind == "mesh" and body.params.wind_mode == "turbulent":
-        num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")
-        sizes = turbulent_bytes(formats, num_vertices=num_vertices, num_faces=num_faces, num_frames=num_frames)
-    else:
-        return 0
-    return sum(sizes.values())
+    mesh = _counts(asset, "mesh", "num_vertices", "num_faces")
+    cloud = _counts(asset, "cloud", "num_gaussians", "sh_degree")
+    return sum(sequence_bytes(formats, num_frames, body.params, mesh=mesh, cloud=cloud).values())
 
 
-def _count(asset: AssetRecord, name: str) -> int:
-    count = asset.summary[name]
-    assert isinstance(count, int)
-    return count
+def _counts(asset: AssetRecord, kind: str, first: str, second: str) -> tuple[int, int]:
+    """Two numbers of an asset of one kind; 0 of others."""
+    if asset.kind != kind:
+        return 0, 0
+    one, other = asset.summary[first], asset.summary[second]
+    assert isinstance(one, int)
+    assert isinstance(other, int)
+    return one, other

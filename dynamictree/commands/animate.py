@@ -11,12 +11,12 @@ from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.size import splat_bytes
+from dynamictree.export.size import sequence_bytes
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
 from dynamictree.files import published
 from dynamictree.formats.tensors.spectrum import write_spectrum
-from dynamictree.gaussian.cloud import GaussianCloud, level_count
+from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.modal.real_trees import loop_period_s
 from dynamictree.requests import CloudParams, ExportParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
 
@@ -81,10 +81,10 @@ def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: f
     """Print how large files of every frame of a splat will be, before they are written."""
     z_m = cloud.means[:, 2]
     num_frames = export.count_frames(period_s or loop_period_s(float(z_m.max() - z_m.min())))
-    count, degree = level_count(cloud.num_gaussians, export.share), min(cloud.sh_degree, export.sh_degree)
-    for name, size in splat_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, export).items():
-        what = f"{num_frames} frames of {count:,} Gaussians of SH degree {degree}"
-        typer.echo(f"{name}: {what}: {size / 1e6:,.1f} MB", err=True)
+    splats = [name for name in export.formats or () if name in ("splat-ply", "usd-splat")]
+    sizes = sequence_bytes(splats, num_frames, export, cloud=(cloud.num_gaussians, cloud.sh_degree))
+    for name, size in sizes.items():
+        typer.echo(f"{name}: {num_frames} frames: {size / 1e6:,.1f} MB", err=True)
 
 
 def _error_line(name: str, facts: Facts) -> str:

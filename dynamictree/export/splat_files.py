@@ -17,16 +17,11 @@ def write_splat_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> 
 
 
 def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """USD with a Gaussian splat that has a time sample per frame.
-
-    Raises:
-        InputError: the file would be too large.
-    """
+    """USD with a Gaussian splat that has a time sample per frame."""
     from dynamictree.formats.motion.usd_splat import write_splat_usdz
 
     assert tree.binding is not None
-    params = tree.params
-    write_splat_usdz(tree.binding, tree.frames(report), stream, num_frames=len(tree.phases), fps=params.fps)
+    write_splat_usdz(tree.binding, tree.frames(report), stream, fps=tree.params.fps)
 
 
 def write_compact_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

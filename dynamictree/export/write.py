@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw
-from dynamictree.export.size import splat_bytes, turbulent_bytes
+from dynamictree.export.size import sequence_bytes
 from dynamictree.export.stored_rig import Recall, stored_rig
 from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.gaussian.animate import lighter
@@ -50,11 +50,9 @@ def write_products(
     formats = params.chosen_formats(cloud=capture is not None)
     require_available(formats)
     num_frames = params.count_frames(spectrum.period_s)
-    if params.wind_mode == "turbulent":
-        turbulent_bytes(formats, num_vertices=mesh.num_vertices, num_faces=mesh.num_faces, num_frames=num_frames)
     binding = _binding(mesh, formats, capture, choice)
-    if binding is not None:
-        splat_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
+    cloud = (0, 0) if binding is None else (binding.cloud.num_gaussians, binding.cloud.sh_degree)
+    sequence_bytes(formats, num_frames, params, mesh=(mesh.num_vertices, mesh.num_faces), cloud=cloud)
     report = on_progress or (lambda done: None)
     report(0.0)
     rig = stored_rig(mesh, spectrum, recall, lambda done: report(RIG_SHARE * done))

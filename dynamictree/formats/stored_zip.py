@@ -40,12 +40,6 @@ def iter_stored_zip(files: Iterable[tuple[str, Sequence[bytes]]]) -> Iterator[by
     yield _directory(entries, place)
 
 
-def stored_zip_bytes(files: Iterable[tuple[str, int]]) -> int:
-    """Size of the archive of files of these names and sizes, before it is made."""
-    entries = [_Entry(name=name.encode(), crc=0, size=size, start=0) for name, size in files]
-    return sum(len(_local_header(entry)) + entry.size for entry in entries) + len(_directory(entries, 0))
-
-
 def _local_header(entry: _Entry) -> bytes:
     extra = struct.pack("<HHQQ", 1, 16, entry.size, entry.size)
     fixed = struct.pack(

@@ -10,7 +10,6 @@ from safetensors.numpy import load_file
 
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.requests import Reading
 from lab.dataset.sample import make_sample, voxel_spectrum
@@ -41,15 +40,14 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, tmp_path, folder,
     assert json.loads(answer.stdout)["num_frames"] == 12
     assert {path.name for path in tmp_path.iterdir()} == {"frames-ply.zip", "modal.safetensors", "motion.safetensors"}
     assert load_file(tmp_path / "modal.safetensors")["q"].shape == (1, 12, 16, 2)
-    with (tmp_path / "motion.safetensors").open("rb") as stream:
-        motion = read_motion(stream)
+    motion = load_file(tmp_path / "motion.safetensors")
     with (folder / "tree.obj").open("rb") as stream:
         np.testing.assert_allclose(
-            motion.vertices, read_mesh(stream, file_type="obj", reading=Reading(up_axis="+Z")).vertices, atol=1e-6
+            motion["vertices"], read_mesh(stream, file_type="obj", reading=Reading(up_axis="+Z")).vertices, atol=1e-6
         )
     # in equilibrium at the start, and swings once it is released after 6 frames
-    np.testing.assert_allclose(motion.displacement[5], motion.displacement[0], atol=1e-5)
-    assert np.abs(motion.displacement[11] - motion.displacement[0]).max() > 1e-3
+    np.testing.assert_allclose(motion["displacement"][5], motion["displacement"][0], atol=1e-5)
+    assert np.abs(motion["displacement"][11] - motion["displacement"][0]).max() > 1e-3
     with zipfile.ZipFile(tmp_path / "frames-ply.zip") as archive:
         assert len(archive.namelist()) == 12
 

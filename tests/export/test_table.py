@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from jaxtyping import Float32
 from PIL import Image
+from safetensors.numpy import load_file
 
 from dynamictree.errors import InputError
-from dynamictree.export.size import turbulent_bytes
+from dynamictree.export.size import sequence_bytes
 from dynamictree.export.table import PRODUCTS, available_products
 from dynamictree.export.write import RIG_SHARE, write_products
-from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.plant.capture import Capture
@@ -127,8 +127,7 @@ def test_a_turbulent_motion_can_be_written_in_parts(
     def displacement(**fields: int) -> Float32[np.ndarray, "T N 3"]:
         assert capture.mesh is not None
         params = ExportParams(wind_mode="turbulent", formats=("motion",), **fields)
-        with write_products(capture.mesh, spectrum, params, tmp_path)["motion"].open("rb") as stream:
-            return read_motion(stream).displacement
+        return load_file(write_products(capture.mesh, spectrum, params, tmp_path)["motion"])["displacement"]
 
     whole = displacement(num_frames=MAX_FRAMES + 100)
     assert np.array_equal(displacement(first_frame=MAX_FRAMES + 50, num_frames=50), whole[MAX_FRAMES + 50 :])
@@ -156,7 +155,7 @@ def test_files_of_a_turbulent_motion_have_a_largest_size(
     assert capture.mesh is not None
     formats: tuple[Format, ...] = ("ply", "motion")
     params = ExportParams(wind_mode="turbulent", num_frames=32, formats=formats)
-    stated = turbulent_bytes(formats, num_vertices=48, num_faces=80, num_frames=32)
+    stated = sequence_bytes(formats, 32, params, mesh=(48, 80))
     for name, path in write_products(capture.mesh, spectrum, params, tmp_path).items():
         assert 1 <= path.stat().st_size / stated[name] < 1.6
         path.unlink()

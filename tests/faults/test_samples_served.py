@@ -2,16 +2,15 @@
 
 import hashlib
 import time
-from io import BytesIO
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 
-from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses
 from recipes.demo import served
+from tests.formats.stored import animated_splat
 
 TREES = ("tree_10k", "tls_tree_1")
 
@@ -57,4 +56,4 @@ def through(client: httpx.Client, path: Path) -> AnimatedSplat:
         assert hashlib.sha256(content).hexdigest() == artifact["sha256"]
         products[artifact["name"]] = content
     assert {"mesh.ply", "splat.ply.zip", "preview.png", "preview.mp4"} <= products.keys()
-    return read_animated_splat(BytesIO(products["tree.animated-splat.safetensors"]))
+    return animated_splat(products["tree.animated-splat.safetensors"])

@@ -9,7 +9,6 @@ from dynamictree.errors import InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.tensors.bundle import read_mesh_bundle
-from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
 from jobs.storage.parser_process import ParseRequest
@@ -104,7 +103,6 @@ READERS: dict[str, Callable[[bytes], object]] = {
     "khr-glb": cloud("glb"),
     "spectrum": tensors(read_spectrum),
     "voxels": tensors(read_voxels),
-    "motion": tensors(read_motion),
     "mesh-bundle": tensors(read_mesh_bundle),
     "jpeg": photo,
     "png": photo,

@@ -20,7 +20,6 @@ from dynamictree.formats.splat.sog import write_sog
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.formats.tensors.bundle import write_bundle
-from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import write_voxels
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -120,12 +119,6 @@ def voxels() -> bytes:
     return written(write_voxels, SurfaceVoxels(grid=inside, normals=normals))
 
 
-def motion() -> bytes:
-    mesh = tree()
-    frames = [mesh.vertices, mesh.vertices + np.float32(0.01)]
-    return written(lambda m, s: write_motion(m, frames, s, num_frames=2, fps=24.0), mesh)
-
-
 def photo(kind: str, mode: str = "RGB", seed: int = 7) -> bytes:
     pixels = np.random.default_rng(seed).integers(0, 256, (240, 320, 3), np.uint8)
     stream = io.BytesIO()
@@ -192,7 +185,6 @@ def seeds() -> dict[str, list[bytes]]:
         "khr-glb": [written(write_gltf_gaussian, cloud(1))],
         "spectrum": [spectrum()],
         "voxels": [voxels()],
-        "motion": [motion()],
         "mesh-bundle": [written(write_bundle, mesh)],
         "jpeg": [photo("JPEG"), photo("JPEG", "L")],
         "png": [photo("PNG"), photo("PNG", "P")],

@@ -194,7 +194,7 @@ def test_what_does_not_fit_is_refused_when_asked(
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
     assert "holds one period" in refused.json()["detail"]
     body = {"type": "animate", "asset_id": cloud_id, "params": {"formats": ["splat-ply"]}}
-    monkeypatch.setattr("dynamictree.formats.motion.splat_sequence.MAX_SEQUENCE_BYTES", 1000)
+    monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 1000)
     refused = client.post("/v1/jobs", json=body)
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
     assert "fewer frames" in refused.json()["detail"]

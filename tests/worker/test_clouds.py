@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from dynamictree.formats.cloud_file import read_cloud
-from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.plant.capture import Capture
 from jobs.records import AssetRecord
 from jobs.states import JobState
 from jobs.storage.assets import add_asset
+from tests.formats.stored import animated_splat
 from tests.rows import asset_row, stored_part
 from tests.service.test_clouds import post_cloud
 from tests.worker.conftest import add_job, hold, wedge
@@ -55,7 +55,7 @@ def test_a_splat_comes_out_moving_and_what_is_around_it_stays(
     assert moved[400:].max() == 0
     high = first.means[:400, 2] > 0.8
     assert moved[:400][high].min() > 0.1  # from one end of the sway to the other, 4 · 0.05 m a metre of height
-    splat = read_animated_splat(BytesIO(content(runtime, lease.job.id, "tree.animated-splat.safetensors")))
+    splat = animated_splat(content(runtime, lease.job.id, "tree.animated-splat.safetensors"))
     np.testing.assert_array_equal(splat.binding.moving, np.arange(600) < 400)
 
 

@@ -10,16 +10,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from dynamictree.errors import InputError
 from dynamictree.formats.splat.activations import log_from_scales
 from dynamictree.formats.splat.ply import ply_header, ply_rows
-from dynamictree.formats.stored_zip import iter_stored_zip, stored_zip_bytes
+from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.binding import Binding
-from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, level_count
 from dynamictree.gaussian.deform import Pose
-from dynamictree.requests import ExportParams
 from dynamictree.up_axis import up_rotation
 
 
@@ -39,30 +36,6 @@ def iter_splat_sequence_zip(
         (f"frame_{number:04d}.ply", (header, _frame(source, pose, rows)))
         for number, pose in enumerate(iter_poses(source, moved), first_number)
     )
-
-
-def splat_sequence_bytes(num_gaussians: int, sh_degree: int, num_frames: int, *, first_number: int = 0) -> int:
-    """Exact size of the archive, known before it is written."""
-    num_harmonics = (sh_degree + 1) ** 2
-    size = len(ply_header(num_gaussians, num_harmonics)) + num_gaussians * 4 * (17 + 3 * (num_harmonics - 1))
-    return stored_zip_bytes((f"frame_{first_number + n:04d}.ply", size) for n in range(num_frames))
-
-
-def requested_bytes(num_gaussians: int, sh_degree: int, num_frames: int, params: ExportParams) -> int:
-    """Exact size of the archive that a request asks for.
-
-    Raises:
-        InputError: it would be too large.
-    """
-    count, degree = level_count(num_gaussians, params.share), min(sh_degree, params.sh_degree)
-    size = splat_sequence_bytes(count, degree, num_frames, first_number=params.first_frame)
-    if size > MAX_SEQUENCE_BYTES:
-        raise InputError(
-            f"{num_frames} frames of {count:,} Gaussians of SH degree {degree} are {size / 1e9:.1f} GB, above "
-            f"{MAX_SEQUENCE_BYTES / 1e9:.1f} GB: ask for fewer frames, a lower sh_degree or share, or for the format "
-            "splat"
-        )
-    return size
 
 
 def _frame(binding: Binding, pose: Pose, rows: Float32[np.ndarray, "G P"]) -> bytes:

@@ -9,41 +9,18 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.errors import InputError
 from dynamictree.formats.motion.usd import ROOT, packed_stage
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
-from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
-
-
-def usd_splat_bytes(num_gaussians: int, num_frames: int) -> int:
-    """Least size of the file, known before it is written: what stays, as sizes may, is stored once.
-
-    Raises:
-        InputError: it would be too large.
-    """
-    bytes = 12 + 8  # a Gaussian and frame: its place in floats, its rotation in halves
-    size = bytes * num_gaussians * num_frames
-    if size > MAX_SEQUENCE_BYTES:
-        raise InputError(
-            f"{num_frames} frames of {num_gaussians:,} Gaussians as usd-splat are {size / 1e9:.1f} GB, above "
-            f"{MAX_SEQUENCE_BYTES / 1e9:.1f} GB: ask for fewer frames or a lower share"
-        )
-    return size
 
 
 def write_splat_usdz(
-    binding: Binding, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, num_frames: int, fps: float
+    binding: Binding, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, fps: float
 ) -> None:
-    """Write a time code per frame, from 0; `frames` are displacements of the binding's vertices [m].
-
-    Raises:
-        InputError: the file would be too large.
-    """
+    """Write a time code per frame, from 0; `frames` are displacements of the binding's vertices [m]."""
     from pxr import UsdGeom, UsdVol, Vt
 
     cloud = binding.cloud
-    usd_splat_bytes(cloud.num_gaussians, num_frames)
     with packed_stage(stream, fps) as (stage, _):
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, ROOT).GetPrim())
         splat = UsdVol.ParticleField3DGaussianSplat.Define(stage, f"{ROOT}/Splat")

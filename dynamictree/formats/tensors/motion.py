@@ -1,29 +1,16 @@
 """`motion.safetensors`: a mesh and the displacement of its vertices at every frame, in the input's vertex order."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32
 
-from dynamictree.byte_stream import ByteReader, ByteWriter
-from dynamictree.errors import FormatError
-from dynamictree.formats.tensors.container import file_head, number, read_tensors, take_tensor
+from dynamictree.byte_stream import ByteWriter
+from dynamictree.formats.tensors.container import file_head
 from dynamictree.mesh import Surface
 
 FORMAT = "tree-motion"
 VERSION = "1"
-MAX_FILE_BYTES = 1 << 34  # 600 frames of 2 million vertices
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshMotion:
-    """A moving mesh; frame n is `vertices + displacement[n]` at time n / fps. Metres, +Z up."""
-
-    vertices: Float32[np.ndarray, "N 3"]
-    faces: Int32[np.ndarray, "F 3"]
-    displacement: Float32[np.ndarray, "T N 3"]
-    fps: float
 
 
 def write_motion(
@@ -45,18 +32,3 @@ def write_motion(
         stream.write(frame.tobytes())
         num_written += 1
     assert num_written == num_frames, (num_written, num_frames)
-
-
-def read_motion(stream: ByteReader) -> MeshMotion:
-    """Read; undoes `write_motion` bit by bit.
-
-    Raises:
-        FormatError: the file is no motion of a known version, or anything in it is out of range.
-    """
-    tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION, max_bytes=MAX_FILE_BYTES)
-    vertices = take_tensor(tensors, "vertices", dtypes=("float32",), shape=(None, 3))
-    faces = take_tensor(tensors, "faces", dtypes=("int32",), shape=(None, 3))
-    displacement = take_tensor(tensors, "displacement", dtypes=("float32",), shape=(None, len(vertices), 3))
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise FormatError(f"a face of the motion names a vertex beyond its {len(vertices):,}")
-    return MeshMotion(vertices=vertices, faces=faces, displacement=displacement, fps=number(metadata, "fps"))

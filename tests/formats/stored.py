@@ -1,0 +1,31 @@
+"""What our files of tensors hold, read by safetensors alone, as in programs of others."""
+
+import json
+
+import numpy as np
+from safetensors.numpy import load
+
+from dynamictree.gaussian.animate import AnimatedSplat
+from dynamictree.gaussian.binding import Binding
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.source import Source
+
+
+def animated_splat(content: bytes) -> AnimatedSplat:
+    tensors, facts = load(content), json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"]
+    floats = {name: tensor.astype(np.float32) for name, tensor in tensors.items() if tensor.dtype.kind == "f"}
+    cloud = GaussianCloud(
+        **{name: floats[name] for name in ("means", "quaternions", "scales", "opacity", "sh")},
+        source=Source(up_axis=facts["source_up_axis"], scale=float(facts["source_scale"])),
+    )
+    binding = Binding(
+        cloud=cloud,
+        vertices=floats["vertices"],
+        triangles=tensors["triangles"],
+        face_of=tensors["face_of"],
+        weights=floats["weights"],
+    )
+    coefficients = np.ascontiguousarray(floats["coefficients"]).view(np.complex64)[..., 0]
+    return AnimatedSplat(
+        binding=binding, coefficients=coefficients, num_frames=int(facts["num_frames"]), fps=float(facts["fps"])
+    )
