@@ -15,7 +15,8 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
-from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.motion.ply_sequence import iter_ply_files
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.mesh import TriangleMesh
@@ -180,7 +181,7 @@ def _write(
                 if name == "motion":
                     write_motion(mesh, moved(), stream, num_frames=len(answer.q), fps=fps)
                 else:
-                    stream.writelines(iter_ply_sequence_zip(mesh, moved()))
+                    write_stored_zip(stream, iter_ply_files(mesh, moved()))
     return [output / FILE_NAMES[name] for name in wanted]
 
 

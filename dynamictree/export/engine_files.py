@@ -11,7 +11,7 @@ import numpy as np
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.gltf.skin import Packing, joint_name, write_joint_meshes_glb, write_skinned_glb
-from dynamictree.formats.stored_zip import iter_stored_zip
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
         level_mesh = replace(level.mesh, gltf=None)  # all with the same materials
         write_motion_glb(level_mesh, level.coefficients, single, num_frames=num_frames, fps=tree.loop_fps)
         files.append((f"tree-lod{number}.glb", single.getvalue()))
-    stream.writelines(iter_stored_zip((name, [content]) for name, content in files))
+    write_stored_zip(stream, ((name, [content]) for name, content in files))
     coarsest = levels[-2].error
     facts: Facts = {
         "relative_error": coarsest.relative_error,
@@ -71,7 +71,7 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
         "collision.json": _text({"unit": "m", "axes": "+Y up", "capsules": [_described(one) for one in shapes]}),
         "dynamic-wind.json": _text(dynamic_wind(skin)),
     }
-    stream.writelines(iter_stored_zip((name, [content]) for name, content in files.items()))
+    write_stored_zip(stream, ((name, [content]) for name, content in files.items()))
     return asdict(summary)
 
 
@@ -81,11 +81,11 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
     Raises:
         InputError: no texture holds the bones.
     """
-    from dynamictree.export.engine_wind import iter_engine_wind_zip
+    from dynamictree.export.engine_wind import engine_wind_files
     from dynamictree.modal.turbulence import turbulent_wind
 
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
-    stream.writelines(iter_engine_wind_zip(tree.mesh, wind, tree.rig))
+    write_stored_zip(stream, engine_wind_files(tree.mesh, wind, tree.rig))
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:

@@ -8,7 +8,7 @@ the wind's numbers inside.
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 
@@ -19,7 +19,6 @@ from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import rest_glb
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
-from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind
 from dynamictree.rig.pose import Skeleton
@@ -62,8 +61,8 @@ class BoneTexture:
         }
 
 
-def iter_engine_wind_zip(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> Iterator[bytes]:
-    """Chunks of the archive.
+def engine_wind_files(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> list[tuple[str, list[bytes]]]:
+    """The archive's files, name and content.
 
     Raises:
         InputError: no texture holds the bones.
@@ -90,14 +89,12 @@ def iter_engine_wind_zip(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> I
         "axes": "+Y up, right-handed, as in glTF",
         "wind": _described(wind),
     }
-    yield from iter_stored_zip(
-        [
-            ("wind.json", [json.dumps(facts, indent=1).encode()]),
-            ("tree-bones.glb", [rest_glb(mesh, lookup)]),
-            ("bones.exr", [_picture(skeleton, parts, texture.layout)]),
-            *((name, [shader(name, wind, texture).encode()]) for name in SHADERS),
-        ]
-    )
+    return [
+        ("wind.json", [json.dumps(facts, indent=1).encode()]),
+        ("tree-bones.glb", [rest_glb(mesh, lookup)]),
+        ("bones.exr", [_picture(skeleton, parts, texture.layout)]),
+        *((name, [shader(name, wind, texture).encode()]) for name in SHADERS),
+    ]
 
 
 def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:

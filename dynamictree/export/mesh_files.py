@@ -6,7 +6,8 @@ from typing import BinaryIO
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import write_motion_glb
-from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.motion.ply_sequence import iter_ply_files
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.rig.flutter import fluttering
 from dynamictree.rig.skin import skin_of
@@ -15,7 +16,7 @@ from dynamictree.skin import Skin, SkinSummary
 
 def write_ply_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """A PLY file per frame, in a zip."""
-    stream.writelines(iter_ply_sequence_zip(tree.mesh, tree.frames(report), first_number=tree.params.first_frame))
+    write_stored_zip(stream, iter_ply_files(tree.mesh, tree.frames(report), first_number=tree.params.first_frame))
 
 
 def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -90,16 +91,15 @@ def write_vertex_texture(tree: MovingTree, stream: BinaryIO, report: Report) -> 
         InputError: no texture can hold the motion.
     """
     from dynamictree.formats.gltf.normals import iter_normals
-    from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
+    from dynamictree.formats.motion.vertex_texture import vertex_texture_files
 
     params = tree.params
-    stream.writelines(
-        iter_vertex_texture_zip(
-            tree.mesh,
-            tree.frames(report),
-            num_frames=len(tree.phases),
-            fps=params.fps,
-            loop=params.loop and params.wind_mode == "loop",
-            normals=iter_normals(tree.mesh, tree.frames(report)) if params.normals else None,
-        )
+    files = vertex_texture_files(
+        tree.mesh,
+        tree.frames(report),
+        num_frames=len(tree.phases),
+        fps=params.fps,
+        loop=params.loop and params.wind_mode == "loop",
+        normals=iter_normals(tree.mesh, tree.frames(report)) if params.normals else None,
     )
+    write_stored_zip(stream, files)

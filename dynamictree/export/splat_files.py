@@ -4,7 +4,8 @@ from typing import BinaryIO
 
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.formats.motion.html import write_splat_html
-from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip
+from dynamictree.formats.motion.splat_sequence import iter_splat_files
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat
 
@@ -13,7 +14,7 @@ def write_splat_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> 
     """A splat PLY file per frame, in a zip."""
     assert tree.binding is not None
     frames = tree.frames(report)
-    stream.writelines(iter_splat_sequence_zip(tree.binding, frames, first_number=tree.params.first_frame))
+    write_stored_zip(stream, iter_splat_files(tree.binding, frames, first_number=tree.params.first_frame))
 
 
 def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

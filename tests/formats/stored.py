@@ -1,10 +1,14 @@
-"""What our files of tensors hold, read by safetensors alone, as in programs of others."""
+"""What our files of tensors and archives hold, read by safetensors and zipfile alone, as in programs of others."""
 
+import io
 import json
+import zipfile
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from safetensors.numpy import load
 
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.gaussian.animate import AnimatedSplat
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -29,3 +33,9 @@ def animated_splat(content: bytes) -> AnimatedSplat:
     return AnimatedSplat(
         binding=binding, coefficients=coefficients, num_frames=int(facts["num_frames"]), fps=float(facts["fps"])
     )
+
+
+def archive_of(files: Iterable[tuple[str, Sequence[bytes]]]) -> zipfile.ZipFile:
+    stream = io.BytesIO()
+    write_stored_zip(stream, files)
+    return zipfile.ZipFile(stream)

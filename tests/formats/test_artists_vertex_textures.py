@@ -3,7 +3,6 @@
 import io
 import json
 import tempfile
-import zipfile
 from collections.abc import Callable
 from typing import Any
 
@@ -12,18 +11,18 @@ import OpenEXR
 import pytest
 
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
+from dynamictree.formats.motion.vertex_texture import vertex_texture_files
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import to_motion
 from tests.formats import artists
 from tests.formats.artists import Artist, Document, document_of
 from tests.formats.looks import MODELS, coefficients_of, looks, standing, through_the_parser
+from tests.formats.stored import archive_of
 
 
 def vertex_texture(mesh: TriangleMesh, frames: np.ndarray) -> tuple[dict[str, Any], Document, np.ndarray]:
     """What `vat.json` says, the GLB at rest, and the texels [height, width, 3]."""
-    chunks = iter_vertex_texture_zip(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True)
-    archive = zipfile.ZipFile(io.BytesIO(b"".join(chunks)))
+    archive = archive_of(vertex_texture_files(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True))
     with tempfile.TemporaryDirectory() as folder:
         picture = OpenEXR.File(archive.extract("displacement.exr", folder)).channels()["RGB"].pixels
     return json.loads(archive.read("vat.json")), document_of(archive.read("tree.glb")), picture.astype(np.float64)

@@ -13,7 +13,8 @@ from dynamictree.errors import InputError
 from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
 from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.usd_skin import write_skinned_usdz
-from dynamictree.formats.motion.vertex_texture import MAX_SIDE, iter_vertex_texture_zip, texture_layout
+from dynamictree.formats.motion.vertex_texture import MAX_SIDE, texture_layout, vertex_texture_files
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rig.rig import in_bytes
 from dynamictree.rig.skin import played
@@ -29,7 +30,10 @@ def frames_of(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 7)
 
 
 def texture_zip(mesh: TriangleMesh, frames: np.ndarray) -> bytes:
-    return b"".join(iter_vertex_texture_zip(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True))
+    stream = io.BytesIO()
+    files = vertex_texture_files(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True)
+    write_stored_zip(stream, files)
+    return stream.getvalue()
 
 
 def test_a_mesh_without_texture_places_has_its_lookup_in_the_second_set(rng: np.random.Generator) -> None:

@@ -1,7 +1,6 @@
 """Normals for shading: those of the source where it has any, smooth ones otherwise, turned with the surface."""
 
 import io
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,14 @@ import trimesh
 from dynamictree.formats.gltf.normals import iter_normals, rest_normals
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
+from dynamictree.formats.motion.vertex_texture import vertex_texture_files
 from dynamictree.mesh import TriangleMesh, vertex_normals
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 from tests.formats.artists import TURNED, Artist, document_of
 from tests.formats.looks import angles_rad
 from tests.formats.meshes import trunk_and_crown
+from tests.formats.stored import archive_of
 
 ROOF = "v 0 0 0\nv 2 0 0\nv 2 1 1\nv 0 1 1\nv 2 2 0\nv 0 2 0\nvn 0 -1 1\nvn 0 1 1\n"
 
@@ -112,8 +112,8 @@ def test_the_normal_texture_has_the_normals_of_every_frame(rng: np.random.Genera
     mesh = trunk_and_crown(rng)
     motion = rng.normal(0, 0.05, (20, mesh.num_vertices, 3)).astype(np.float32)
     normals = list(iter_normals(mesh, motion))
-    chunks = iter_vertex_texture_zip(mesh, list(motion), num_frames=20, fps=24.0, loop=True, normals=normals)
-    archive = zipfile.ZipFile(io.BytesIO(b"".join(chunks)))
+    files = vertex_texture_files(mesh, list(motion), num_frames=20, fps=24.0, loop=True, normals=normals)
+    archive = archive_of(files)
     picture = OpenEXR.File(archive.extract("normal.exr", tmp_path)).channels()["RGB"].pixels.astype(np.float32)
     rows = len(picture) // 20
     for number in (0, 7):

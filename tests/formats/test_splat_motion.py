@@ -4,8 +4,8 @@ import gc
 import io
 import json
 import subprocess
+import tempfile
 import tracemalloc
-import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,8 @@ import pytest
 from benchmarks._scene import sheet
 from dynamictree.errors import InputError, NumericsError
 from dynamictree.formats.cloud_file import read_cloud
-from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip
+from dynamictree.formats.motion.splat_sequence import iter_splat_files
+from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_splat_frames, lighter, without_idle_vertices
 from dynamictree.gaussian.binding import bind
@@ -24,7 +25,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.mesh import TriangleMesh
 from dynamictree.source import Source
-from tests.formats.stored import animated_splat
+from tests.formats.stored import animated_splat, archive_of
 
 REFERENCE = Path(__file__).parents[2] / "recipes" / "animated_splat.mjs"
 
@@ -58,8 +59,7 @@ def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
 @pytest.mark.parametrize("degree", [0, 2, 3])
 def test_the_archive_holds_the_frames_where_the_capture_lay(splat: AnimatedSplat, degree: int) -> None:
     binding = lighter(splat.binding, sh_degree=degree)
-    content = b"".join(iter_splat_sequence_zip(binding, frames_of(splat), first_number=7))
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+    with archive_of(iter_splat_files(binding, frames_of(splat), first_number=7)) as archive:
         assert archive.testzip() is None
         assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(7, 11)]
         read = [
@@ -81,8 +81,8 @@ def test_the_archive_is_streamed(splat: AnimatedSplat) -> None:
     def peak(count: int) -> int:
         gc.collect()
         tracemalloc.start()
-        for _ in iter_splat_sequence_zip(splat.binding, frames_of(splat, count)):
-            pass
+        with tempfile.TemporaryFile() as stream:
+            write_stored_zip(stream, iter_splat_files(splat.binding, frames_of(splat, count)))
         taken = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return taken

@@ -1,4 +1,4 @@
-"""A cloud's motion as one 3DGS PLY a frame in a ZIP that streams: the paper's output.
+"""A cloud's motion as one 3DGS PLY a frame: the paper's output.
 
 Frames are in the source's axes and units, so that they lie where the capture lay. Only what moves is worked out anew;
 500,000 Gaussians × 100 frames of SH degree 3 are 12.4 GB and never in memory.
@@ -12,7 +12,6 @@ from jaxtyping import Float32, Float64
 
 from dynamictree.formats.splat.activations import log_from_scales
 from dynamictree.formats.splat.ply import ply_header, ply_rows
-from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.binding import Binding
@@ -20,22 +19,20 @@ from dynamictree.gaussian.deform import Pose
 from dynamictree.up_axis import up_rotation
 
 
-def iter_splat_sequence_zip(
+def iter_splat_files(
     binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]], *, first_number: int = 0
-) -> Iterator[bytes]:
-    """Chunks of the archive; displacements of the mesh's vertices [m] are asked for one by one.
+) -> Iterator[tuple[str, tuple[bytes, ...]]]:
+    """Name and content, in parts, of frame_0000.ply and so on, in the cloud's order.
 
-    Entries are frame_0000.ply and so on, in the cloud's order. For a level of detail or a lower SH degree, see
+    Displacements of the mesh's vertices [m] are asked for one by one. For a level of detail or a lower SH degree, see
     `animate.lighter`; for a range of frames, give only their displacements and the first one's number.
     """
     source, to_source = _in_source_axes(binding)
     header = ply_header(source.cloud.num_gaussians, source.cloud.sh.shape[1])
     rows = ply_rows(source.cloud)
     moved = ((displacement @ to_source).astype(np.float32) for displacement in displacements)
-    yield from iter_stored_zip(
-        (f"frame_{number:04d}.ply", (header, _frame(source, pose, rows)))
-        for number, pose in enumerate(iter_poses(source, moved), first_number)
-    )
+    for number, pose in enumerate(iter_poses(source, moved), first_number):
+        yield f"frame_{number:04d}.ply", (header, _frame(source, pose, rows))
 
 
 def _frame(binding: Binding, pose: Pose, rows: Float32[np.ndarray, "G P"]) -> bytes:

@@ -9,7 +9,7 @@ A texel is added to the position of a vertex: +Y up, metres.
 
 import io
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,6 @@ from jaxtyping import Float16, Float32
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.writer import rest_glb
 from dynamictree.formats.motion.exr import write_exr
-from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.up_axis import up_rotation
 
@@ -57,7 +56,7 @@ def texture_layout(num_vertices: int, num_frames: int) -> TextureLayout:
     )
 
 
-def iter_vertex_texture_zip(
+def vertex_texture_files(
     mesh: TriangleMesh,
     frames: Iterable[Float32[np.ndarray, "N 3"]],
     *,
@@ -65,8 +64,8 @@ def iter_vertex_texture_zip(
     fps: float,
     loop: bool,
     normals: Iterable[Float32[np.ndarray, "N 3"]] | None = None,
-) -> Iterator[bytes]:
-    """Chunks of the archive; `frames` are displacements [m], `normals` the unit normals at each frame.
+) -> list[tuple[str, list[bytes]]]:
+    """The archive's files, name and content; `frames` are displacements [m], `normals` the unit normals at each frame.
 
     Raises:
         InputError: the mesh and its frames do not fit into one texture.
@@ -98,7 +97,7 @@ def iter_vertex_texture_zip(
         facts["normal_texture"] = "normal.exr"
         files.append(("normal.exr", [_picture(_texels(layout, normals))]))
     rest = rest_glb(mesh, _lookup(layout, mesh.num_vertices))
-    yield from iter_stored_zip([("vat.json", [json.dumps(facts, indent=1).encode()]), ("tree.glb", [rest]), *files])
+    return [("vat.json", [json.dumps(facts, indent=1).encode()]), ("tree.glb", [rest]), *files]
 
 
 def _texels(layout: TextureLayout, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> Float16[np.ndarray, "H W 3"]:
