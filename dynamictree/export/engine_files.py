@@ -10,9 +10,8 @@ import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import write_motion_glb
-from dynamictree.formats.gltf.skin import Packing, joint_name, write_joint_meshes_glb, write_skinned_glb
+from dynamictree.formats.gltf.skin import Packing, joint_name, write_skinned_glb
 from dynamictree.formats.stored_zip import write_stored_zip
-from dynamictree.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from dynamictree.rig.branch_groups import Capsule
@@ -61,13 +60,10 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     skin, summary = skin_of(tree.rig, tree.mesh.vertices, engine_joints)
     report(0.5)
     shapes = capsules(few, tree.mesh.vertices, wood_vertices(tree.mesh))
-    rig, collision = io.BytesIO(), io.BytesIO()
+    rig = io.BytesIO()
     write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps, packing=Packing(False, False))
-    parts = {capsule.joint: _capsule_mesh(capsule) for capsule in shapes}
-    write_joint_meshes_glb(parts, skin, collision, fps=tree.loop_fps, name="UCP_tree")
     files = {
         "tree-rig.glb": rig.getvalue(),
-        "tree-collision.glb": collision.getvalue(),
         "collision.json": _text({"unit": "m", "axes": "+Y up", "capsules": [_described(one) for one in shapes]}),
         "dynamic-wind.json": _text(dynamic_wind(skin)),
     }
@@ -117,16 +113,6 @@ def dynamic_wind(skin: "Skin") -> dict[str, object]:
         for joint, number in enumerate(order.tolist())
     ]
     return {"Joints": joints, "SimulationGroups": groups, "bIsGroundCover": False, "GustAttenuation": 0.0}
-
-
-def _capsule_mesh(capsule: "Capsule") -> TriangleMesh:
-    import trimesh
-
-    axis = capsule.end_m.astype(np.float64) - capsule.start_m
-    shape = trimesh.creation.capsule(height=float(np.linalg.norm(axis)), radius=capsule.radius_m, count=[8, 8])
-    turned = trimesh.geometry.align_vectors([0, 0, 1], axis if np.linalg.norm(axis) > 0 else [0, 0, 1])
-    vertices = np.asarray(shape.vertices) @ turned[:3, :3].T + (capsule.start_m + capsule.end_m) / 2
-    return TriangleMesh(vertices=vertices.astype(np.float32), faces=np.asarray(shape.faces, np.int32))
 
 
 def _described(capsule: "Capsule") -> dict[str, object]:

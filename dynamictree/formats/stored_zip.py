@@ -2,10 +2,11 @@
 
 import zipfile
 from collections.abc import Iterable, Sequence
+from io import BytesIO
 from typing import BinaryIO
 
 
-def write_stored_zip(stream: BinaryIO, files: Iterable[tuple[str, Sequence[bytes]]]) -> None:
+def write_stored_zip(stream: BinaryIO | BytesIO, files: Iterable[tuple[str, Sequence[bytes]]]) -> None:
     """Write an archive to a stream that can seek. Files are name and content in parts, and are asked for one by one."""
     with zipfile.ZipFile(stream, "w") as archive:
         for name, parts in files:  # whose date is the first of 1980, whatever the clock says

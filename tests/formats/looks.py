@@ -13,8 +13,10 @@ from dynamictree.mesh import TriangleMesh, unit_vectors
 from tests.formats import artists
 from tests.formats.artists import Document, document_of
 
-UNCHANGED = [artists.wooded, artists.repeated, artists.skinned, artists.morphing, artists.quantised]
-MODELS = [*UNCHANGED, artists.instanced, artists.compressed]
+MODELS = [
+    *(artists.wooded, artists.repeated, artists.skinned, artists.morphing, artists.quantised),
+    *(artists.instanced, artists.compressed),
+]
 
 
 def coefficients_of(mesh: TriangleMesh, num_frequencies: int = 4) -> np.ndarray:

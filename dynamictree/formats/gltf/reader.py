@@ -17,7 +17,7 @@ from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, ope
 from dynamictree.formats.gltf.material import gltf_materials, texture_coordinates, texture_placement
 from dynamictree.formats.gltf.normals import turn_normals
 from dynamictree.formats.gltf.scene import MeshInstance, mesh_instances
-from dynamictree.formats.gltf.source import PlacedPrimitive, keep_source
+from dynamictree.formats.gltf.source import keep_source
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.mesh.parts import MeshPart, first_vertices, join_parts
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh, unit_vectors
@@ -48,8 +48,13 @@ def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMes
     _refuse_too_many(document, drawn)
     materials = gltf_materials(document)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found by validate_mesh
-        parts, placed = _placed_parts(document, drawn)
-        source = keep_source(document, placed)
+        parts = _placed_parts(document, drawn)
+        starts = first_vertices(parts)
+        rows = [
+            [instance.node, number, start, len(part.vertices)]
+            for (instance, (number, _)), start, part in zip(drawn, starts, parts, strict=True)
+        ]
+        source = keep_source(document, np.array(rows, np.int32))
     mesh = join_parts(parts, materials)
     return replace(mesh, gltf=source, warnings=(*mesh.warnings, *document.warnings))
 
@@ -83,15 +88,12 @@ def _refuse_too_many(document: GltfDocument, drawn: list[tuple[MeshInstance, tup
         )
 
 
-def _placed_parts(
-    document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[int, JsonObject]]]
-) -> tuple[list[MeshPart], list[PlacedPrimitive]]:
-    """The parts in their order, and what each is in the document."""
+def _placed_parts(document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[int, JsonObject]]]) -> list[MeshPart]:
+    """The parts in their order."""
     parts: list[MeshPart] = []
-    placed: list[PlacedPrimitive] = []
     shared: dict[tuple[int, str, str], int] = {}
     materials = object_list(document.root, "materials")
-    for instance, (number, primitive) in drawn:
+    for instance, (_, primitive) in drawn:
         extension = object_field(primitive, "extensions").get("KHR_draco_mesh_compression")
         attributes = object_field(primitive, "attributes")
         material = index_field(primitive, "material", materials, "materials")
@@ -103,19 +105,7 @@ def _placed_parts(
             part = replace(part, vertices_of=shared[key])
         shared.setdefault(key, len(parts))
         parts.append(part)
-        placed.append(
-            PlacedPrimitive(
-                instance=instance,
-                primitive=number,
-                first_vertex=0,
-                num_vertices=len(part.vertices),
-                decoded=None
-                if extension is None or read.indices is None
-                else {**read.attributes, "INDICES": read.indices[:, None]},
-            )
-        )
-    starts = first_vertices(parts)
-    return parts, [replace(p, first_vertex=start) for p, start in zip(placed, starts, strict=True)]
+    return parts
 
 
 def _part(

@@ -27,8 +27,6 @@ class MeshInstance:
 
     node: int
     path: str  # names of the node and of those above it, joined by slashes
-    place: int | None  # of EXT_mesh_gpu_instancing
-    placed: Float64[np.ndarray, "4 4"]  # of that place, in the node
     mesh: JsonObject
     transform: Float64[np.ndarray, "4 4"]
     joints: Float64[np.ndarray, "J 4 4"] | None
@@ -52,12 +50,10 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
         skin = index_field(nodes[index], "skin", skins, "skins")
         joints = None if skin is None else _joint_matrices(document, skins[skin], world)
         places = _instance_transforms(document, nodes[index])
-        for number, placed in enumerate(np.eye(4)[None] if places is None else places):
+        for placed in np.eye(4)[None] if places is None else places:
             yield MeshInstance(
                 node=index,
                 path=paths[index],
-                place=None if places is None else number,
-                placed=placed,
                 mesh=meshes[mesh],
                 transform=transform @ placed,
                 joints=joints,

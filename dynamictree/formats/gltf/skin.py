@@ -3,7 +3,6 @@
 What engines play most cheaply. The file tells in its `asset.extras` how far it is from the motion.
 """
 
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from dynamictree.formats.gltf.template import (
     open_document,
 )
 from dynamictree.formats.gltf.webp import webp_textures
-from dynamictree.formats.gltf.writer import GlbWriter, add_mesh
+from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.mesh import TriangleMesh
 from dynamictree.skin import Skin, SkinSummary
 from dynamictree.up_axis import up_rotation
@@ -78,21 +77,6 @@ def _with_change(summary: SkinSummary, change_m: Float64[np.ndarray, " N"]) -> S
         rms_error_m=rms_m,
         max_error_m=summary.max_error_m + float(change_m.max()),
     )
-
-
-def write_joint_meshes_glb(
-    parts: Mapping[int, TriangleMesh], skin: Skin, stream: ByteWriter, *, fps: float, name: str = "part"
-) -> None:
-    """Write meshes that joints carry, each as a node `NAME_joint_n` below its joint, with the motion of the joints."""
-    writer = GlbWriter()
-    skeleton, first = _add_joints(writer, skin.parent, _rest(skin))
-    for joint, mesh in parts.items():
-        add_mesh(writer, mesh.with_vertices(mesh.vertices - skin.joint_m[joint]))
-        node = writer.append("nodes", {"mesh": len(writer.root["meshes"]) - 1, "name": f"{name}_joint_{joint}"})
-        writer.root["nodes"][first + joint].setdefault("children", []).append(node)
-    writer.append("scenes", {"nodes": [skeleton]})
-    _add_sway(writer, skin, fps, first)
-    writer.finish(stream)
 
 
 def joint_name(joint: int) -> str:

@@ -39,11 +39,11 @@ def open_document(mesh: TriangleMesh) -> GlbWriter:
 
 
 def can_carry_joints(source: SourceGltf) -> bool:
-    """Whether a document's nodes place each of its meshes once, and none by a skin."""
+    """Whether a document's nodes place each of its meshes once, in plain accessors, and none by a skin."""
+    otherwise = (b"EXT_mesh_gpu_instancing", b"KHR_draco_mesh_compression", b"MSFT_lod")
     root = json.loads(source.document)
-    instanced = any("EXT_mesh_gpu_instancing" in node.get("extensions", {}) for node in root["nodes"])
     skinned = any("mesh" in node and "skin" in node for node in root["nodes"])
-    return not skinned and not instanced and bool(root.get("scenes"))
+    return not skinned and bool(root.get("scenes")) and not any(name in source.document for name in otherwise)
 
 
 def attach_joints(
