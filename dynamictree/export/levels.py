@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 
-from dynamictree.export.cards import CARD_VIEWS_DEG, MOST_SAMPLES, cards_of
+from dynamictree.export.cards import MOST_SAMPLES, cards_of
 from dynamictree.export.moving_tree import Report
 from dynamictree.mesh import MeshLook, TriangleMesh, connected_parts, part_bounds, weld
-from dynamictree.render import Camera, Look, Renderer
 from dynamictree.render.appearance import foliage_faces, is_leafy
 from dynamictree.spectrum import iter_motion
 
@@ -30,7 +29,6 @@ class LevelError:
     relative_error: float  # root mean square of what is missing of the motion over that of the motion
     rms_error_m: float
     max_error_m: float
-    silhouette: float  # pixels that both cover over pixels that one covers, seen from two sides at rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +56,9 @@ def levels_of(
         on_progress(number / (2 * len(SHARES)))
         meshes.append(_reduced(mesh, coefficients, leaves, share))
     meshes.append(cards_of(mesh, coefficients))
-    views = [_silhouette(mesh, azimuth, mesh) for azimuth in CARD_VIEWS_DEG]
     levels = []
     for number, (level, motion) in enumerate(meshes):
         on_progress((1 + number / len(meshes)) / 2)
-        own = [_silhouette(level, azimuth, mesh) for azimuth in CARD_VIEWS_DEG]
-        both = sum(int((a & b).sum()) for a, b in zip(views, own, strict=True))
-        either = sum(int((a | b).sum()) for a, b in zip(views, own, strict=True))
         relative, rms, largest = motion_error(mesh, coefficients, level, motion, num_frames)
         error = LevelError(
             num_triangles=level.num_faces,
@@ -72,7 +66,6 @@ def levels_of(
             relative_error=relative,
             rms_error_m=rms,
             max_error_m=largest,
-            silhouette=both / max(either, 1),
         )
         levels.append(Level(mesh=level, coefficients=motion, error=error))
     return levels
@@ -301,11 +294,3 @@ def _grown(
     attached = order[first][np.searchsorted(numbers, leaf[own])]
     vertices[own] += np.float32(growth - 1) * (mesh.vertices[own] - mesh.vertices[attached])
     return vertices
-
-
-def _silhouette(mesh: TriangleMesh, azimuth_deg: float, whole: TriangleMesh) -> Bool[np.ndarray, "H W"]:
-    """Which pixels a mesh covers, where a camera sees all of another."""
-    silhouette_px = 192
-    camera = Camera.orbit(whole.vertices, azimuth_deg=azimuth_deg, elevation_deg=0.0)
-    look = Look(width=silhouette_px, height=silhouette_px, ground=False, shadows=False)
-    return np.asarray(Renderer(mesh, look).buffers(camera).face >= 0)

@@ -12,12 +12,14 @@ from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.gaussian.animate import AnimatedSplat
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.rotation import unit_quaternions
 from dynamictree.source import Source
 
 
 def animated_splat(content: bytes) -> AnimatedSplat:
     tensors, facts = load(content), json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"]
     floats = {name: tensor.astype(np.float32) for name, tensor in tensors.items() if tensor.dtype.kind == "f"}
+    floats["quaternions"] = unit_quaternions(floats["quaternions"])
     cloud = GaussianCloud(
         **{name: floats[name] for name in ("means", "quaternions", "scales", "opacity", "sh")},
         source=Source(up_axis=facts["source_up_axis"], scale=float(facts["source_scale"])),

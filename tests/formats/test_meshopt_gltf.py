@@ -12,15 +12,12 @@ import pytest
 from benchmarks._played import accessor, played_skin, z_up
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.write import write_products
-from dynamictree.formats.gltf import meshopt as packing
 from dynamictree.formats.gltf.document import open_gltf
-from dynamictree.formats.gltf.template import open_document
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from lab.dataset.sample import make_sample, voxel_spectrum
-from tests.formats import artists
 from tests.formats.artists import document_of
 from tests.formats.meshes import gltf_bytes
 from tests.js_tools import by_node
@@ -70,24 +67,6 @@ def test_a_compressed_file_is_read_as_the_mesh_that_it_holds(files: Files, tree:
     np.testing.assert_allclose(mesh.vertices, tree[0].vertices, atol=1e-4)
     assert mesh.gltf is not None
     assert b"meshopt" not in mesh.gltf.document
-
-
-def test_normals_stay_where_the_source_states_no_target_of_its_views() -> None:
-    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
-    read = []
-    for compressed in (False, True):
-        writer = open_document(mesh)
-        if compressed:
-            packing.compress(writer)
-        stream = io.BytesIO()
-        writer.finish(stream)
-        read.append(open_gltf(stream.getvalue(), companions={}))
-    primitives = [part for entry in json.loads(json.dumps(read[0].root))["meshes"] for part in entry["primitives"]]
-    with_normals = [primitive for primitive in primitives if "NORMAL" in primitive["attributes"]]
-    assert with_normals
-    for primitive in with_normals:
-        plain, packed = (document.accessor(primitive["attributes"]["NORMAL"]) for document in read)
-        np.testing.assert_allclose(packed, plain, atol=0.01)
 
 
 def changed(content: bytes, change: dict[str, object], *, cut: int = 0) -> bytes:

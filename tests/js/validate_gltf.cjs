@@ -6,7 +6,7 @@ const validator = createRequire(process.argv[2] + "/")("gltf-validator");
 (async () => {
   const reports = [];
   for (const path of process.argv.slice(3)) {
-    const report = await validator.validateBytes(new Uint8Array(readFileSync(path)), { maxIssues: 20 });
+    const report = await validator.validateBytes(new Uint8Array(readFileSync(path)), { maxIssues: 200 });
     reports.push(report.issues);
   }
   console.log(JSON.stringify(reports));

@@ -5,14 +5,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_762,
+    "lines in dynamictree": 32_637,
     "lines in lab": 6_321,
     "lines in service, jobs and worker": 13_496,
-    "lines in tests": 39_542,
+    "lines in tests": 39_532,
     "names bound to numbers in dynamictree": 563,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
-    "lines of documents": 2_993,
+    "lines of documents": 2_992,
 }
 _MOST_ARGUMENTS = 6
 _COMPILED = ("compiled", "compiled_fused", "compiled_reordered", "intrinsic")

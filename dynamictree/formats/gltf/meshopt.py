@@ -4,8 +4,8 @@ Positions and texture coordinates become floats of fewer bits, normals become oc
 faces and keys stay as they are. A reader gets plain views back, by `decompressed`.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -35,13 +35,12 @@ _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 20, 15, 12
 
 @dataclass(frozen=True, kw_only=True)
 class _Stream:
-    """A view as it is stored, and what its one accessor becomes."""
+    """A view as it is stored, and what its accessor becomes."""
 
     rows: Shaped[np.ndarray, "count stride"]  # before the encoder, filtered if there is a filter
     mode: str = "ATTRIBUTES"
     filter: str = "NONE"
     accessor: tuple[tuple[str, object], ...] = ()  # fields that change
-    change: Float32[np.ndarray, "count width"] | None = None  # of the decoded values
 
 
 def load_meshopt() -> ModuleType:
@@ -57,34 +56,32 @@ def load_meshopt() -> ModuleType:
     return meshopt  # type: ignore[no-any-return]
 
 
-def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]:
-    """Replace the views of a document under construction by compressed ones; give the changes by accessor.
+def compress(writer: GlbWriter) -> Float32[np.ndarray, "N 3"]:
+    """Replace the views of a document of one mesh by compressed ones; give the changes of its positions.
+
+    Each accessor has a view of its own but for those of keys, which may share one.
 
     Raises:
         InputError: the binding of meshoptimizer is not installed.
     """
-    meshopt = load_meshopt()
-    content = b"".join(writer.chunks)
-    views: list[dict[str, Any]] = writer.root.get("bufferViews", [])
-    roles = _roles(writer.root)
-    changes: dict[int, Float32[np.ndarray, "count width"]] = {}
-    of_view = _accessor_of_view(writer.root, roles)
+    meshopt, root, content = load_meshopt(), writer.root, b"".join(writer.chunks)
+    primitives = root["meshes"][0]["primitives"]
+    names = {index: name for name, index in primitives[0]["attributes"].items()}
+    names |= {primitive["indices"]: "faces" for primitive in primitives}
+    of_view: dict[int, int] = {}
+    for index, accessor in enumerate(root["accessors"]):
+        of_view.setdefault(accessor["bufferView"], index)
+    before = _positions(root, content)
+    after = before
     writer.chunks, writer.num_bytes, unpacked = [], 0, 0
-    for number, view in enumerate(views):
-        start, length = view.get("byteOffset", 0), view["byteLength"]
-        index = of_view.get(number)
-        stream = None
-        if index is not None and index in roles:
-            accessor = writer.root["accessors"][index]
-            if roles[index] == "keys":  # of all joints
-                size = COMPONENTS[accessor["componentType"]].itemsize * WIDTHS.get(accessor["type"], 0)
-                accessor = accessor | {"count": length // max(size, 1)}
-            stream = _stream(meshopt, accessor, view, content, roles[index])
+    for number, view in enumerate(root["bufferViews"]):
+        start, length = view["byteOffset"], view["byteLength"]
+        index, stored = of_view.get(number, -1), content[start : start + length]
+        stream = None if index < 0 else _stream(meshopt, root["accessors"][index], names.get(index, "keys"), stored)
         packed = b"" if stream is None else meshopt.encode_gltf_buffer(stream.rows, stream.mode)
         if stream is None or not packed or len(packed) >= length:
-            view["byteOffset"] = writer.add_bytes(content[start : start + length])
+            view["byteOffset"] = writer.add_bytes(stored)
             continue
-        assert index is not None
         count, stride = stream.rows.shape[0], stream.rows.itemsize * stream.rows.shape[1]
         view["extensions"] = {
             MESHOPT: {
@@ -98,14 +95,14 @@ def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]
             }
         }
         view |= {"buffer": 1, "byteOffset": unpacked, "byteLength": count * stride}
-        if roles[index] not in ("faces", "keys"):  # whether or not the source states the view's target
+        if index in names and names[index] != "faces":
             view["byteStride"] = stride
         unpacked += count * stride + -(count * stride) % 4
-        writer.root["accessors"][index] |= dict(stream.accessor)
-        if stream.change is not None:
-            changes[index] = stream.change
-    _declare(writer.root, unpacked)
-    return changes
+        root["accessors"][index] |= dict(stream.accessor)
+        if names.get(index) == "POSITION":
+            after = _unfiltered(meshopt, stream.rows, stream.filter).view(np.float32)
+    _declare(root, unpacked)
+    return np.asarray(after - before)
 
 
 def decompressed(root: JsonObject, buffers: Sequence[bytes]) -> tuple[JsonObject, tuple[bytes, ...]]:
@@ -186,108 +183,28 @@ def _declare(root: dict[str, Any], unpacked: int) -> None:
         root[name] = [*root.get(name, []), *(new for new in (MESHOPT, QUANTIZATION) if new not in root.get(name, []))]
 
 
-def _roles(root: dict[str, Any]) -> dict[int, str]:
-    """What the accessors are for that can be packed; those with several uses are left out."""
-    triangle_list = 4
-    uses: dict[int, set[str]] = {}
-
-    def use(index: object, role: str) -> None:
-        if isinstance(index, int):
-            uses.setdefault(index, set()).add(role)
-
-    for mesh in root.get("meshes", []):
-        for primitive in mesh["primitives"]:
-            mode = primitive.get("mode", triangle_list)
-            use(primitive.get("indices"), "faces" if mode == triangle_list else "plain")
-            for name, index in primitive["attributes"].items():
-                use(index, name.partition("_")[0])
-            for target in primitive.get("targets", []):
-                for index in target.values():
-                    use(index, "target")
-    for skin in root.get("skins", []):
-        use(skin.get("inverseBindMatrices"), "keys")
-    for animation in root.get("animations", []):
-        for sampler in animation["samplers"]:
-            use(sampler["input"], "keys")
-            use(sampler["output"], "keys")
-    return {index: roles.pop() for index, roles in uses.items() if len(roles) == 1}
+def _positions(root: dict[str, Any], content: bytes) -> Float32[np.ndarray, "N 3"]:
+    accessor = root["accessors"][root["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    start: int = root["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    count: int = accessor["count"]
+    positions: Float32[np.ndarray, "N 3"] = np.frombuffer(content, np.float32, 3 * count, start).reshape(count, 3)
+    return positions
 
 
-def _accessor_of_view(root: dict[str, Any], roles: Mapping[int, str]) -> dict[int, int]:
-    """The accessor of each view that only one uses, from its first byte; the first of several of keys alike."""
-    users: dict[int, list[int]] = {}
-    for index, accessor in enumerate(root.get("accessors", [])):
-        if "bufferView" in accessor:
-            users.setdefault(accessor["bufferView"], []).append(index)
-        for part in accessor.get("sparse", {}).values() if isinstance(accessor.get("sparse"), dict) else ():
-            if isinstance(part, dict):
-                users.setdefault(part["bufferView"], []).extend([-1, -1])
-    kinds = [(roles.get(row), entry["componentType"], entry["type"]) for row, entry in enumerate(root["accessors"])]
-    single = {
-        view: rows[0]
-        for view, rows in users.items()
-        if len(rows) == 1 or (min(rows) >= 0 and [kind[0] for kind in {kinds[row] for row in rows}] == ["keys"])
-    }
-    return {
-        view: index
-        for view, index in single.items()
-        if not root["accessors"][index].get("byteOffset", 0) and "sparse" not in root["accessors"][index]
-    }
-
-
-def _rows(accessor: dict[str, Any], view: dict[str, Any], content: bytes) -> Shaped[np.ndarray, "count stride"] | None:
-    """The bytes of each element; None where the view holds more than its accessor."""
-    size = COMPONENTS[accessor["componentType"]].itemsize * WIDTHS.get(accessor["type"], 0)
-    stride = view.get("byteStride", size)
-    count = accessor["count"]
-    if not size or not count or view["byteLength"] not in (count * stride, stride * (count - 1) + size):
-        return None
-    start = view.get("byteOffset", 0)
-    padded = content[start : start + view["byteLength"]].ljust(count * stride, b"\0")
-    return np.frombuffer(padded, np.uint8).reshape(count, stride)
-
-
-def _floats(accessor: dict[str, Any], rows: Shaped[np.ndarray, "count stride"]) -> Float32[np.ndarray, "n w"] | None:
-    width = WIDTHS[accessor["type"]]
-    if COMPONENTS[accessor["componentType"]] != np.float32 or rows.shape[1] != 4 * width:
-        return None
-    values: Float32[np.ndarray, "n w"] = np.ascontiguousarray(rows).view(np.float32)
-    return values if np.isfinite(values).all() else None
-
-
-def _stream(
-    meshopt: ModuleType, accessor: dict[str, Any], view: dict[str, Any], content: bytes, role: str
-) -> _Stream | None:
-    """How the view of an accessor is stored; None where it stays as it is."""
-    rows = _rows(accessor, view, content)
-    if rows is None:
-        return None
-    if role == "faces":
-        kind = COMPONENTS[accessor["componentType"]]
-        if kind not in (np.uint16, np.uint32) or accessor["count"] % 3:
-            return None
-        return _Stream(rows=rows.view(kind), mode="TRIANGLES")
-    values = _floats(accessor, rows)
-    if values is not None:
-        if role == "POSITION":
-            stream = _exponential(meshopt, values, _POSITION_BITS)
-            decoded = values + stream.change
-            bounds = (("min", decoded.min(axis=0).tolist()), ("max", decoded.max(axis=0).tolist()))
-            return replace(stream, accessor=bounds)
-        if role == "TEXCOORD":
-            return _exponential(meshopt, values, _UV_BITS)
-        if role == "NORMAL" and values.shape[1] == 3:
-            return _octahedral(meshopt, values)
-    if role == "plain" or rows.shape[1] % 4 or rows.shape[1] > 256:
-        return None
-    return _Stream(rows=rows)
-
-
-def _exponential(meshopt: ModuleType, values: Float32[np.ndarray, "n w"], bits: int) -> _Stream:
-    """Floats with mantissas of so many bits, and one exponent a component."""
-    filtered = meshopt.encode_filter_exp(values, bits, "SharedComponent")
-    decoded = _unfiltered(meshopt, filtered, "EXPONENTIAL").view(np.float32)
-    return _Stream(rows=filtered, filter="EXPONENTIAL", change=decoded - values)
+def _stream(meshopt: ModuleType, accessor: dict[str, Any], name: str, content: bytes) -> _Stream:
+    """How the view of an accessor is stored, by the name of its attribute."""
+    values = np.frombuffer(content, COMPONENTS[accessor["componentType"]]).reshape(-1, WIDTHS[accessor["type"]])
+    if name == "faces":
+        return _Stream(rows=values, mode="TRIANGLES")
+    bits = {"POSITION": _POSITION_BITS, "TEXCOORD_0": _UV_BITS}
+    if name in bits and np.isfinite(values).all():
+        filtered = meshopt.encode_filter_exp(values, bits[name], "SharedComponent")  # one exponent per component
+        decoded = _unfiltered(meshopt, filtered, "EXPONENTIAL").view(np.float32)
+        bounds = (("min", decoded.min(axis=0).tolist()), ("max", decoded.max(axis=0).tolist()))
+        return _Stream(rows=filtered, filter="EXPONENTIAL", accessor=bounds if name == "POSITION" else ())
+    if name == "NORMAL":
+        return _octahedral(meshopt, values)
+    return _Stream(rows=values.view(np.uint8))
 
 
 def _octahedral(meshopt: ModuleType, normals: Float32[np.ndarray, "n 3"]) -> _Stream:

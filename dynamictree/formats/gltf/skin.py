@@ -12,12 +12,11 @@ from jaxtyping import Float64, Int32
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.gltf.meshopt import compress
 from dynamictree.formats.gltf.template import (
-    SkinnedPrimitive,
     add_mesh_joints,
     attach_joints,
     can_carry_joints,
-    moved_by,
     open_document,
+    plain_document,
 )
 from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import GlbWriter
@@ -38,31 +37,29 @@ def write_skinned_glb(
 ) -> SkinSummary:
     """Write one period with linear keys, the last equal to the first; give the errors with those of the packing.
 
-    A mesh that was read from glTF stays in its document, unless that places it by a skin or by instances of its own.
+    A mesh that was read from glTF stays in its document, unless that has a skin of its own or is packed, or is to be.
     """
-    document = mesh.gltf if mesh.gltf is not None and can_carry_joints(mesh.gltf) else None
-    writer = open_document(replace(mesh, gltf=document))
+    document = None if packing.compressed or mesh.gltf is None or not can_carry_joints(mesh.gltf) else mesh.gltf
+    writer = plain_document(mesh) if document is None else open_document(mesh)
     source, rest = mesh.source, _rest(skin)
     if document is not None:  # to the document's own origin
         rest = rest + source.scale * up_rotation(source.up_axis) @ np.array(source.offset) @ up_rotation("+Y")
     skeleton, first = _add_joints(writer, skin.parent, rest)
     if document is not None:
-        nodes, carried = attach_joints(writer, document, skin, lambda placed: _add_skin(writer, rest, first, placed))
+        nodes = attach_joints(writer, document, skin, lambda placed: _add_skin(writer, rest, first, placed))
         scene = writer.root["scenes"][writer.root.get("scene", 0)]
         scene["nodes"] = [*scene["nodes"], *nodes, skeleton]
     else:
-        attributes, primitives = add_mesh_joints(writer, skin), writer.root["meshes"][0]["primitives"]
-        for primitive in primitives:
+        attributes = add_mesh_joints(writer, skin)
+        for primitive in writer.root["meshes"][0]["primitives"]:
             primitive["attributes"] |= attributes
-        positions = primitives[0]["attributes"]["POSITION"]
-        carried = [SkinnedPrimitive(rows=slice(None), positions=positions, placed=np.eye(4))]
         writer.root["nodes"][0]["skin"] = _add_skin(writer, rest, first, np.eye(4))
         writer.append("scenes", {"nodes": [0, skeleton]})
     _add_sway(writer, skin, fps, first)
     if packing.as_webp:
         webp_textures(writer)
     if packing.compressed:
-        summary = _with_change(summary, moved_by(compress(writer), carried, mesh.num_vertices))
+        summary = _with_change(summary, np.linalg.norm(compress(writer).astype(np.float64), axis=1))
     writer.extras = asdict(summary) | source.extras
     writer.finish(stream)
     return summary

@@ -1,12 +1,11 @@
 """The document that a skin is added to: the mesh's source document, or a new one."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from dynamictree.formats.gltf.scene import local_transform
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
@@ -15,26 +14,22 @@ from dynamictree.skin import Skin
 from dynamictree.up_axis import up_rotation
 
 
-@dataclass(frozen=True, kw_only=True)
-class SkinnedPrimitive:
-    """A primitive of the file that joints carry."""
-
-    rows: slice  # of the mesh's vertices
-    positions: int  # accessor
-    placed: Float64[np.ndarray, "4 4"]  # where its node puts it, in metres and +Y up
-
-
 def open_document(mesh: TriangleMesh) -> GlbWriter:
     """The document of the mesh's source, upright in metres; else one mesh in one node."""
     if mesh.gltf is None:
-        writer = GlbWriter()
-        add_mesh(writer, mesh)
-        writer.append("nodes", {"mesh": 0, "name": "tree"})
-        return writer
+        return plain_document(mesh)
     chunks = list(mesh.gltf.binary)
     writer = GlbWriter(root=json.loads(mesh.gltf.document), chunks=chunks, num_bytes=sum(map(len, chunks)))
     if mesh.source.up_axis != "+Y" or mesh.source.scale != 1.0:
         _stand_upright(writer.root, mesh.source.scale * up_rotation(mesh.source.up_axis))
+    return writer
+
+
+def plain_document(mesh: TriangleMesh) -> GlbWriter:
+    """One mesh in one node, +Y up and in metres."""
+    writer = GlbWriter()
+    add_mesh(writer, mesh)
+    writer.append("nodes", {"mesh": 0, "name": "tree"})
     return writer
 
 
@@ -48,36 +43,30 @@ def can_carry_joints(source: SourceGltf) -> bool:
 
 def attach_joints(
     writer: GlbWriter, source: SourceGltf, skin: Skin, skin_for: Callable[[Float64[np.ndarray, "4 4"]], int]
-) -> tuple[list[int], list[SkinnedPrimitive]]:
-    """Attach joints and weights to what moves of a source's document.
+) -> list[int]:
+    """Attach joints and weights to what moves of a source's document; gives the nodes, which the scene itself has.
 
     `skin_for` adds a skin for meshes that a matrix places in the scene, and gives its number.
-
-    Returns:
-        The nodes that show it, which belong to the scene itself, and the primitives that they show.
     """
     root, world = writer.root, _placed(writer.root)
     by_node: dict[int, dict[int, slice]] = {}
     for node, primitive, first, count in source.primitives.tolist():
         by_node.setdefault(node, {})[primitive] = slice(first, first + count)
     skins: dict[bytes, int] = {}
-    nodes, carried = list[int](), list[SkinnedPrimitive]()
+    nodes = list[int]()
     for node, rows_of in by_node.items():
         if not any((skin.rows[rows] * skin.weights[rows]).any() for rows in rows_of.values()):
             continue
         for number, primitive in enumerate(_own_mesh(writer, node)["primitives"]):
-            positions = primitive["attributes"]["POSITION"]
-            rows = rows_of.get(number)
-            primitive["attributes"] |= add_mesh_joints(writer, skin, rows, root["accessors"][positions]["count"])
-            if rows is not None:
-                carried.append(SkinnedPrimitive(rows=rows, positions=positions, placed=world[node]))
+            count = root["accessors"][primitive["attributes"]["POSITION"]]["count"]
+            primitive["attributes"] |= add_mesh_joints(writer, skin, rows_of.get(number), count)
         key = world[node].tobytes()
         if key not in skins:
             skins[key] = skin_for(world[node])
         entry = root["nodes"][node]
         fields = {name: entry.pop(name) for name in ("mesh", "weights") if name in entry}
         nodes.append(writer.append("nodes", {"name": "tree", "skin": skins[key], **fields}))
-    return nodes, carried
+    return nodes
 
 
 def add_mesh_joints(writer: GlbWriter, skin: Skin, rows: slice | None = slice(None), count: int = 0) -> dict[str, int]:
@@ -93,17 +82,6 @@ def add_mesh_joints(writer: GlbWriter, skin: Skin, rows: slice | None = slice(No
         "JOINTS_0": writer.add_accessor(joints.astype(small), target=VERTEX_BUFFER),
         "WEIGHTS_0": writer.add_accessor(shares, target=VERTEX_BUFFER, normalized=True),
     }
-
-
-def moved_by(
-    changed: dict[int, Float32[np.ndarray, "n w"]], carried: Sequence[SkinnedPrimitive], num_vertices: int
-) -> Float64[np.ndarray, " N"]:
-    """How far changes of accessors move each vertex at rest [m]."""
-    gap = np.zeros(num_vertices)
-    for one in carried:
-        if one.positions in changed:
-            gap[one.rows] = np.linalg.norm(changed[one.positions] @ one.placed[:3, :3].T, axis=1)
-    return gap
 
 
 def _own_mesh(writer: GlbWriter, node: int) -> dict[str, Any]:

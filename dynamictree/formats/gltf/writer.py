@@ -144,7 +144,12 @@ def add_mesh(
 def _add_materials(writer: GlbWriter, mesh: TriangleMesh) -> None:
     """The mesh's materials: as its glTF has them where their textures lie as the mesh's one, else the base colours."""
     root = {} if mesh.gltf is None else json.loads(mesh.gltf.document)
-    entries = [None if _lies_otherwise(entry) else entry for entry in root.get("materials", [])]
+    has_uv = mesh.look.uv is not None
+
+    def fits(texture: dict[str, Any]) -> bool:
+        return has_uv and not texture.get("texCoord") and "KHR_texture_transform" not in texture.get("extensions", {})
+
+    entries = [entry if all(map(fits, _textures(entry))) else None for entry in root.get("materials", [])]
     if mesh.gltf is not None and any(entry is not None for entry in entries):
         content = b"".join(mesh.gltf.binary)
         writer.root |= {name: root[name] for name in ("textures", "samplers") if name in root}
@@ -159,14 +164,7 @@ def _add_materials(writer: GlbWriter, mesh: TriangleMesh) -> None:
             writer.root |= {listed: needed} if needed else {}
     entries += [None] * (len(mesh.look.materials) - len(entries))
     for material, entry in zip(mesh.look.materials, entries, strict=True):
-        writer.append("materials", _material(writer, material) if entry is None else entry)
-
-
-def _lies_otherwise(material: dict[str, Any]) -> bool:
-    """Whether a texture of a material has other coordinates than the first ones as they are."""
-    return any(
-        one.get("texCoord") or "KHR_texture_transform" in one.get("extensions", {}) for one in _textures(material)
-    )
+        writer.append("materials", _material(writer, material, has_uv) if entry is None else entry)
 
 
 def _textures(entry: object) -> Iterator[dict[str, Any]]:
@@ -178,13 +176,13 @@ def _textures(entry: object) -> Iterator[dict[str, Any]]:
         yield from _textures(one)
 
 
-def _material(writer: GlbWriter, material: Material) -> dict[str, object]:
+def _material(writer: GlbWriter, material: Material, has_uv: bool) -> dict[str, object]:
     surface: dict[str, object] = {
         "baseColorFactor": list(material.base_color),
         "metallicFactor": 0.0,
         "roughnessFactor": 1.0,
     }
-    if material.texture_png is not None:
+    if material.texture_png is not None and has_uv:
         image = writer.append("images", {"bufferView": writer.add_view(material.texture_png), "mimeType": "image/png"})
         surface["baseColorTexture"] = {"index": writer.append("textures", {"source": image})}
     entry: dict[str, object] = {"pbrMetallicRoughness": surface, "doubleSided": material.double_sided}
