@@ -7,7 +7,7 @@ A coefficient is a length in metres (`norm="forward"`). The displacement at fram
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64, Int32
@@ -27,7 +27,6 @@ UNKNOWN_FOLIAGE = 0.6
 """Where neither a request nor the shape tells it: a damping ratio of 0.08, between bare trees and trees in leaf."""
 
 Rest = Literal["unloaded", "first-frame", "mean"]
-RESTS: tuple[Rest, ...] = get_args(Rest)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,20 +15,11 @@ def parse_object(text: bytes, what: str) -> JsonObject:
     Raises:
         FormatError: it is not JSON, nested too deeply, or no object.
     """
-    return as_object(parse_value(text, what), what)
-
-
-def parse_value(text: bytes | str, what: str) -> object:
-    """Any JSON value.
-
-    Raises:
-        FormatError: it is not JSON, or nested too deeply.
-    """
     try:
         value: object = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FormatError(f"the JSON of the {what} cannot be read: {str(error)[:120]}") from error
-    return value
+    return as_object(value, what)
 
 
 def as_object(value: object, what: str) -> JsonObject:

@@ -74,8 +74,8 @@ def test_a_mesh_that_cannot_be_used_is_refused(change: dict[str, np.ndarray]) ->
     [
         b"\x89 is no UTF-8",
         b"[]",
-        b'{"version": 2}',
-        b'{"version": 2, "TriangleMesh": {"vertices": {"tensor": "99"}}}',
+        json.dumps({"version": VERSION}).encode(),
+        json.dumps({"version": VERSION, "TriangleMesh": {"vertices": {"tensor": "99"}}}).encode(),
         json.dumps({"version": VERSION, "TriangleMesh": {"vertices": [[0, 0, 0]], "faces": {"tensor": "1"}}}).encode(),
         json.dumps(
             {"version": VERSION, "TriangleMesh": {"vertices": {"tensor": "1"}, "faces": {"tensor": "0"}}}

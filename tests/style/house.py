@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_637,
+    "lines in dynamictree": 32_612,
     "lines in lab": 6_321,
     "lines in service, jobs and worker": 13_496,
     "lines in tests": 39_532,

@@ -2,25 +2,19 @@
 
 import json
 import math
-import re
 from collections.abc import Mapping
+from typing import Annotated, TypeVar
 
 import numpy as np
 from jaxtyping import Int32, Shaped
+from pydantic import BaseModel, Field, Json, ValidationError
 from safetensors import SafetensorError, deserialize
 
 from dynamictree.axis_names import UP_AXIS_PATTERN
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.json_fields import (
-    JsonObject,
-    integer_field,
-    number_field,
-    numbers_field,
-    object_field,
-    parse_value,
-)
 from dynamictree.formats.seekable import SeekableReader
+from dynamictree.request_model import Finite
 from dynamictree.source import Source
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -134,20 +128,15 @@ def grid_metadata(grid: VoxelGrid) -> dict[str, str]:
     }
 
 
-def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mapping[str, str]) -> VoxelGrid:
+def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], facts: "GridFacts") -> VoxelGrid:
     """The grid of a file.
 
     Raises:
-        FormatError: a field is missing or out of range.
         InputError: the voxels are none, outside of the cube, not unique or not in order.
     """
     coords = take_tensor(tensors, "coords", dtypes=("int32",), shape=(None, 3))
-    x, y, z = number_list(metadata, "origin_m", 3)
     return VoxelGrid(
-        coords=coords,
-        origin_m=(x, y, z),
-        voxel_size_m=number(metadata, "voxel_size_m"),
-        resolution=integer(metadata, "resolution", low=1, high=MAX_RESOLUTION),
+        coords=coords, origin_m=facts.origin_m, voxel_size_m=facts.voxel_size_m, resolution=facts.resolution
     )
 
 
@@ -166,7 +155,7 @@ def tree_numbers(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: i
 
 
 def source_metadata(source: Source) -> dict[str, str]:
-    """What a shape was read from as strings; undone by `source_of`."""
+    """What a shape was read from as strings; undone by `SourceFacts`."""
     if not source.up_axis:
         return {"source_sha256": source.sha256}
     return {
@@ -178,70 +167,51 @@ def source_metadata(source: Source) -> dict[str, str]:
     }
 
 
-def source_of(metadata: Mapping[str, str]) -> Source:
-    """What the shape of a file was read from.
+Facts = TypeVar("Facts", bound=BaseModel)
+
+
+def facts_of(metadata: Mapping[str, str], model: type[Facts]) -> Facts:
+    """The fields of a file's metadata, which are texts, some of them JSON; others are passed over.
 
     Raises:
-        FormatError: a field is out of range.
+        FormatError: one is missing, or not what it may be.
     """
-    confidence, scale = (
-        1.0 if metadata.get(name, "null") == "null" else number(metadata, name)
-        for name in ("source_up_confidence", "source_scale")
-    )
-    return Source(
-        sha256=text(metadata, "source_sha256", r"([0-9a-f]{64})?"),
-        up_axis=text(metadata, "source_up_axis", rf"({UP_AXIS_PATTERN})?"),
-        up_confidence=confidence,
-        scale=scale,
-        offset=offset_of(metadata),
-    )
+    max_field_chars = 4096  # a hostile field must not exhaust the JSON parser
+    for name in model.model_fields:
+        if (length := len(metadata.get(name, ""))) > max_field_chars:
+            raise FormatError(f"metadata {name!r} has {length} characters; at most {max_field_chars} are allowed")
+    try:
+        return model.model_validate(metadata)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name = ".".join(map(str, first["loc"]))
+        raise FormatError(f"metadata {name!r} is {str(first['input'])[:80]!r}: {first['msg']}") from None
 
 
-def offset_of(metadata: Mapping[str, str]) -> tuple[float, float, float]:
-    """What was subtracted from a source's coordinates; 0 in files of before it was written.
+class SourceFacts(BaseModel):
+    """What the shape of a file was read from."""
 
-    Raises:
-        FormatError: it is not three finite numbers.
-    """
-    x, y, z = number_list({"source_offset": "[0, 0, 0]"} | dict(metadata), "source_offset", 3)
-    return x, y, z
+    source_sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
+    source_up_axis: Annotated[str, Field(pattern=f"^({UP_AXIS_PATTERN})?$")] = ""
+    source_up_confidence: Json[Finite | None] = None
+    source_scale: Json[Finite | None] = None
+    source_offset: Json[tuple[Finite, Finite, Finite]] = (0.0, 0.0, 0.0)  # files of before it was written have none
 
-
-def text(metadata: Mapping[str, str], name: str, allowed: str) -> str:
-    """A field that matches a regular expression as a whole; empty where it is missing."""
-    value = metadata.get(name, "")
-    if not re.fullmatch(allowed, value):
-        raise FormatError(f"metadata {name!r} is {value[:80]!r}; what matches {allowed} is allowed")
-    return value
-
-
-def number(metadata: Mapping[str, str], name: str) -> float:
-    """A finite number."""
-    return number_field(_parsed(metadata, name), name)
+    @property
+    def source(self) -> Source:
+        """The same as a value."""
+        return Source(
+            sha256=self.source_sha256,
+            up_axis=self.source_up_axis,
+            up_confidence=1.0 if self.source_up_confidence is None else self.source_up_confidence,
+            scale=1.0 if self.source_scale is None else self.source_scale,
+            offset=self.source_offset,
+        )
 
 
-def number_list(metadata: Mapping[str, str], name: str, length: int) -> list[float]:
-    """A JSON list of finite numbers."""
-    return numbers_field(_parsed(metadata, name), name, length)
+class GridFacts(SourceFacts):
+    """The frame of a grid as well; undoes `grid_metadata`."""
 
-
-def number_fields(metadata: Mapping[str, str], name: str, keys: tuple[str, ...]) -> dict[str, float]:
-    """A JSON object of finite numbers under exactly these keys."""
-    values = object_field(_parsed(metadata, name), name)
-    if set(values) != set(keys):
-        raise FormatError(f"{name} has the fields {', '.join(values)[:80]!r}; {', '.join(keys)} are needed")
-    return {key: number_field({f"{name}.{key}": values[key]}, f"{name}.{key}") for key in keys}
-
-
-def integer(metadata: Mapping[str, str], name: str, *, low: int, high: int) -> int:
-    """A whole number within bounds."""
-    return integer_field(_parsed(metadata, name), name, low=low, high=high)
-
-
-def _parsed(metadata: Mapping[str, str], name: str) -> JsonObject:
-    """The field alone, its text parsed as JSON."""
-    max_field_chars = 4096  # of a metadata field; a hostile one must not exhaust the JSON parser
-    text = metadata.get(name, "")
-    if not 0 < len(text) <= max_field_chars:
-        raise FormatError(f"metadata {name!r} has {len(text)} characters; 1 to {max_field_chars} are allowed")
-    return {name: parse_value(text, f"metadata {name!r}")}
+    resolution: Annotated[int, Field(ge=1, le=MAX_RESOLUTION)]
+    origin_m: Json[tuple[Finite, Finite, Finite]]
+    voxel_size_m: Finite

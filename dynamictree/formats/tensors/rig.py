@@ -1,14 +1,21 @@
 """`tree.rig.safetensors`: bones, their turn modes, and what they carry. See docs/formats.md."""
 
+from typing import Annotated
+
 import numpy as np
+from pydantic import BaseModel, Field
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.tensors.container import MAX_FRAMES, integer, read_tensors, take_tensor, write_tensors
+from dynamictree.formats.tensors.container import MAX_FRAMES, facts_of, read_tensors, take_tensor, write_tensors
 from dynamictree.rig.pose import Skeleton, Weights
 from dynamictree.rig.rig import BONES_A_VOXEL, Rig, turn_steps
 
 FORMAT, VERSION = "tree-rig", "1"
+
+
+class _Facts(BaseModel):
+    num_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
 
 
 def write_rig(rig: Rig, stream: ByteWriter) -> None:
@@ -65,7 +72,7 @@ def read_rig(stream: ByteReader) -> Rig:
             shares=np.stack([1 - of_parent, of_parent], axis=1).astype(np.float32),
         ),
         voxels=Weights(rows=voxel_bones, shares=(voxel_shares / np.float32(255)).astype(np.float32)),
-        num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
+        num_frames=facts_of(metadata, _Facts).num_frames,
     )
 
 

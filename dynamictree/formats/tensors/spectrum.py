@@ -3,32 +3,51 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, Json
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
-from dynamictree.errors import FormatError, NumericsError
+from dynamictree.errors import NumericsError
 from dynamictree.formats.tensors.container import (
     MAX_FRAMES,
+    GridFacts,
+    facts_of,
     grid_metadata,
-    integer,
-    number,
-    number_fields,
     read_grid,
     read_tensors,
     source_metadata,
-    source_of,
     take_tensor,
-    text,
     tree_numbers,
     write_tensors,
 )
-from dynamictree.spectrum import RESTS, Rest, SparseVoxelSpectrum, Wind
+from dynamictree.request_model import Finite
+from dynamictree.spectrum import Rest, SparseVoxelSpectrum, Wind
 from dynamictree.wind_bands import WindBands
 
 FORMAT = "sparse-voxel-spectrum"
 VERSION = "1"
+
+
+class _WindFacts(BaseModel):
+    """Any wind, also one that no request may ask for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    speed_m_s: Finite
+    direction_deg: Finite
+    gust: Finite
+
+
+class _Facts(GridFacts):
+    fps: Finite
+    num_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
+    rest: Rest = "unloaded"
+    model: Annotated[str, Field(pattern=r"^[^\x00-\x1f]{0,200}$")] = ""
+    seed: Annotated[int, Field(ge=-(2**63), le=2**64 - 1)]
+    wind: Json[_WindFacts | None] = None
+    foliage: Finite | None = None
 
 
 def write_spectrum(
@@ -73,24 +92,24 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
     Raises:
         InputError: the file is no spectrum of a known version, or anything in it is out of range.
     """
-    max_text_chars = 200  # of the model's name
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
-    grid = read_grid(tensors, metadata)
+    facts = facts_of(metadata, _Facts)
+    grid = read_grid(tensors, facts)
     parts = take_tensor(tensors, "coefficients", dtypes=("float16", "float32"), shape=(len(grid), None, 3, 2))
     coefficients = np.ascontiguousarray(parts, np.float32).view(np.complex64)[..., 0]  # [V, K, 3]
     return SparseVoxelSpectrum(
         grid=grid,
         coefficients=coefficients,
         tree=tree_numbers(tensors, len(grid)),
-        fps=number(metadata, "fps"),
-        num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
-        rest=_rest(metadata),
-        model=text(metadata, "model", rf"[^\x00-\x1f]{{0,{max_text_chars}}}"),
-        seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
-        wind=_wind(metadata),
-        foliage=number(metadata, "foliage") if "foliage" in metadata else None,
+        fps=facts.fps,
+        num_frames=facts.num_frames,
+        rest=facts.rest,
+        model=facts.model,
+        seed=facts.seed,
+        wind=None if facts.wind is None else Wind(**facts.wind.model_dump()),
+        foliage=facts.foliage,
         bands=_bands(tensors, coefficients.shape[1]),
-        source=source_of(metadata),
+        source=facts.source,
     )
 
 
@@ -109,16 +128,3 @@ def _bands(tensors: Mapping[str, np.ndarray], num_frequencies: int) -> WindBands
     speeds = take_tensor(tensors, "band_speeds_m_s", dtypes=("float32",), shape=(None,))
     gains = take_tensor(tensors, "band_gains", dtypes=("float32",), shape=(len(speeds), num_frequencies))
     return WindBands(speeds_m_s=tuple(speeds.tolist()), gains=tuple(map(tuple, gains.tolist())))
-
-
-def _rest(metadata: Mapping[str, str]) -> Rest:
-    rest = metadata.get("rest", "unloaded")
-    if rest not in RESTS:
-        raise FormatError(f"metadata 'rest' is {rest[:80]!r}; {', '.join(RESTS)} are allowed")
-    return rest
-
-
-def _wind(metadata: Mapping[str, str]) -> Wind | None:
-    if metadata.get("wind", "null") == "null":
-        return None
-    return Wind(**number_fields(metadata, "wind", ("speed_m_s", "direction_deg", "gust")))

@@ -8,11 +8,12 @@ from jaxtyping import Float32, Shaped
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.tensors.container import (
+    GridFacts,
+    facts_of,
     grid_metadata,
     read_grid,
     read_tensors,
     source_metadata,
-    source_of,
     take_tensor,
     tree_numbers,
     write_tensors,
@@ -40,13 +41,14 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     """
     longest_normal = 1.01  # unit length and rounding; zero says that the direction is not known
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
-    grid = read_grid(tensors, metadata)
+    facts = facts_of(metadata, GridFacts)
+    grid = read_grid(tensors, facts)
     normals = take_tensor(tensors, "normals", dtypes=("float32",), shape=(len(grid), 3))
     longest = float(np.linalg.norm(normals, axis=1).max())
     if longest > longest_normal:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
     moments, tree = _moments(tensors, len(grid)), tree_numbers(tensors, len(grid))
-    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source_of(metadata))
+    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=facts.source)
 
 
 def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Float32[np.ndarray, "V 16"] | None:
