@@ -18,7 +18,6 @@ from dynamictree.formats.gltf.template import (
     open_document,
     plain_document,
 )
-from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.mesh import TriangleMesh
 from dynamictree.skin import Skin, SkinSummary
@@ -39,8 +38,8 @@ def write_skinned_glb(
 
     A mesh that was read from glTF stays in its document, unless that has a skin of its own or is packed, or is to be.
     """
-    document = None if packing.compressed or mesh.gltf is None or not can_carry_joints(mesh.gltf) else mesh.gltf
-    writer = plain_document(mesh) if document is None else open_document(mesh)
+    document = None if any(packing) or mesh.gltf is None or not can_carry_joints(mesh.gltf) else mesh.gltf
+    writer = plain_document(mesh, as_webp=packing.as_webp) if document is None else open_document(mesh)
     source, rest = mesh.source, _rest(skin)
     if document is not None:  # to the document's own origin
         rest = rest + source.scale * up_rotation(source.up_axis) @ np.array(source.offset) @ up_rotation("+Y")
@@ -56,8 +55,6 @@ def write_skinned_glb(
         writer.root["nodes"][0]["skin"] = _add_skin(writer, rest, first, np.eye(4))
         writer.append("scenes", {"nodes": [0, skeleton]})
     _add_sway(writer, skin, fps, first)
-    if packing.as_webp:
-        webp_textures(writer)
     if packing.compressed:
         summary = _with_change(summary, np.linalg.norm(compress(writer).astype(np.float64), axis=1))
     writer.extras = asdict(summary) | source.extras

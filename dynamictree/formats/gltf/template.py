@@ -25,10 +25,10 @@ def open_document(mesh: TriangleMesh) -> GlbWriter:
     return writer
 
 
-def plain_document(mesh: TriangleMesh) -> GlbWriter:
+def plain_document(mesh: TriangleMesh, *, as_webp: bool = False) -> GlbWriter:
     """One mesh in one node, +Y up and in metres."""
     writer = GlbWriter()
-    add_mesh(writer, mesh)
+    add_mesh(writer, mesh, as_webp=as_webp)
     writer.append("nodes", {"mesh": 0, "name": "tree"})
     return writer
 

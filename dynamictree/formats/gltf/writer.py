@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from dynamictree.byte_stream import ByteWriter
 from dynamictree.color import srgb_to_linear
 from dynamictree.formats.gltf.layout import component_number, type_name
 from dynamictree.formats.gltf.normals import rest_normals
+from dynamictree.formats.gltf.webp import named_textures, webp_textures
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.up_axis import up_rotation, vertices_in_source_axes
 
@@ -112,6 +113,7 @@ def add_mesh(
     *,
     targets: Sequence[dict[str, int]] = (),
     more_attributes: Mapping[str, int] | None = None,
+    as_webp: bool = False,
 ) -> None:
     """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share."""
     attributes = {
@@ -125,7 +127,7 @@ def add_mesh(
         colors = linear_colors(mesh.look.vertex_colors)
         attributes["COLOR_0"] = writer.add_accessor(colors, target=VERTEX_BUFFER, normalized=True)
     attributes |= more_attributes or {}
-    _add_materials(writer, mesh)
+    _add_materials(writer, mesh, as_webp=as_webp)
     primitives = []
     for number in np.unique(mesh.material_of_face):
         corners = mesh.faces[mesh.material_of_face == number].reshape(-1, 1).astype(np.uint32)
@@ -141,50 +143,53 @@ def add_mesh(
     writer.append("meshes", {"name": "tree", "primitives": primitives})
 
 
-def _add_materials(writer: GlbWriter, mesh: TriangleMesh) -> None:
+def _add_materials(writer: GlbWriter, mesh: TriangleMesh, *, as_webp: bool) -> None:
     """The mesh's materials: as its glTF has them where their textures lie as the mesh's one, else the base colours."""
-    root = {} if mesh.gltf is None else json.loads(mesh.gltf.document)
+    source = {} if mesh.gltf is None else json.loads(mesh.gltf.document)
     has_uv = mesh.look.uv is not None
 
-    def fits(texture: dict[str, Any]) -> bool:
-        return has_uv and not texture.get("texCoord") and "KHR_texture_transform" not in texture.get("extensions", {})
+    def fits(material: object) -> bool:
+        textures = [one for _, one in named_textures(material)]
+        moved = any(one.get("texCoord") or "KHR_texture_transform" in one.get("extensions", {}) for one in textures)
+        return has_uv >= bool(textures) and not moved
 
-    entries = [entry if all(map(fits, _textures(entry))) else None for entry in root.get("materials", [])]
+    entries = [entry if fits(entry) else None for entry in source.get("materials", [])]
+    root: dict[str, Any] = {"materials": []}
+    contents = list[bytes]()
     if mesh.gltf is not None and any(entry is not None for entry in entries):
-        content = b"".join(mesh.gltf.binary)
-        writer.root |= {name: root[name] for name in ("textures", "samplers") if name in root}
+        binary = b"".join(mesh.gltf.binary)
+        root |= {name: source[name] for name in ("textures", "samplers", "images") if name in source}
         for image in root.get("images", []):
-            view = root["bufferViews"][image["bufferView"]]
+            view = source["bufferViews"][image["bufferView"]]
             start = view.get("byteOffset", 0)
-            own = writer.add_view(content[start : start + view["byteLength"]])
-            writer.append("images", image | {"bufferView": own})
+            contents.append(binary[start : start + view["byteLength"]])
         text = json.dumps([entries, root.get("textures", [])])
         for listed in ("extensionsUsed", "extensionsRequired"):
-            needed = [name for name in root.get(listed, []) if f'"{name}"' in text]
-            writer.root |= {listed: needed} if needed else {}
+            needed = [name for name in source.get(listed, []) if f'"{name}"' in text]
+            root |= {listed: needed} if needed else {}
     entries += [None] * (len(mesh.look.materials) - len(entries))
     for material, entry in zip(mesh.look.materials, entries, strict=True):
-        writer.append("materials", _material(writer, material, has_uv) if entry is None else entry)
+        root["materials"].append(_material(root, contents, material, has_uv=has_uv) if entry is None else entry)
+    if as_webp:
+        webp_textures(root, contents)
+    for image, content in zip(root.get("images", []), contents, strict=True):
+        image["bufferView"] = writer.add_view(content)
+    writer.root |= root if root["materials"] else {}
 
 
-def _textures(entry: object) -> Iterator[dict[str, Any]]:
-    """Where materials name a texture."""
-    below = entry.items() if isinstance(entry, dict) else enumerate(entry) if isinstance(entry, list) else ()
-    for name, one in below:
-        if str(name).endswith("Texture") and isinstance(one, dict):
-            yield one
-        yield from _textures(one)
-
-
-def _material(writer: GlbWriter, material: Material, has_uv: bool) -> dict[str, object]:
+def _material(root: dict[str, Any], contents: list[bytes], material: Material, *, has_uv: bool) -> dict[str, object]:
+    """A material of the base colour alone, whose texture is added."""
     surface: dict[str, object] = {
         "baseColorFactor": list(material.base_color),
         "metallicFactor": 0.0,
         "roughnessFactor": 1.0,
     }
     if material.texture_png is not None and has_uv:
-        image = writer.append("images", {"bufferView": writer.add_view(material.texture_png), "mimeType": "image/png"})
-        surface["baseColorTexture"] = {"index": writer.append("textures", {"source": image})}
+        textures, images = root.setdefault("textures", []), root.setdefault("images", [])
+        surface["baseColorTexture"] = {"index": len(textures)}
+        textures.append({"source": len(images)})
+        images.append({"mimeType": "image/png"})
+        contents.append(material.texture_png)
     entry: dict[str, object] = {"pbrMetallicRoughness": surface, "doubleSided": material.double_sided}
     if material.name:
         entry["name"] = material.name
