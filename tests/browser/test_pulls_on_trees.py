@@ -47,12 +47,11 @@ WATCH = """async () => {
         const u = displaced(tree, vertex);
         const at = of("position").map((x, c) => x + u[c]);
         if (!tree.groups.length) return at;
-        const [bones, weights] = [of("boneRows"), of("boneWeights")];
-        const left = 1 - weights.reduce((sum, w) => sum + w, 0);
-        return at.map((x, c) => bones.reduce((sum, b, i) => {
-            const m = tree.jointMotion.subarray(12 * b + 4 * c);
-            return sum + weights[i] * (m[0] * at[0] + m[1] * at[1] + m[2] * at[2] + m[3]);
-        }, left * x));
+        const [first, second, share] = of("joints");
+        return at.map((_, c) => [[first, 1 - share], [second, share]].reduce((sum, [j, weight]) => {
+            const m = tree.jointMotion.subarray(12 * j + 4 * c);
+            return sum + weight * (m[0] * at[0] + m[1] * at[1] + m[2] * at[2] + m[3]);
+        }, 0));
     };
     const low = ({ V, centres, voxelSize, joint_place_m: [, , , x, y] }) => { // of the trunk: joint 0 is the ground
         const all = [...Array(V).keys()], at = (v) => centres.subarray(3 * v, 3 * v + 3);
@@ -133,7 +132,6 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
         page.locator("#speed").fill(str(wind_m_s))
         page.wait_for_timeout(2000)  # the wind follows
         rows[wind_m_s] = pulled(viewer, pictures, touch=touch)
-    PICTURES.mkdir(parents=True, exist_ok=True)
     beside(pictures, columns=len(WAY) + 3).save(PICTURES / f"pull-{name}.png")
     (PICTURES / f"pull-{name}.json").write_text(json.dumps({wind: figures(of) for wind, of in rows.items()}))
     for wind_m_s, of in rows.items():

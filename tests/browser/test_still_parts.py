@@ -43,7 +43,7 @@ DISPLACEMENTS = """async (spectrum) => {
         most[kind] = Math.max(most[kind], Math.hypot(texels[4 * v], texels[4 * v + 1], texels[4 * v + 2]));
         if (!surface.still[v]) continue;
         most.count++;
-        for (let i = 0; i < 4; i++) most.bones = Math.max(most.bones, surface.bone_weights[4 * v + i]);
+        for (let i = 0; i < 3; i++) most.bones = Math.max(most.bones, surface.joints[3 * v + i]); // 0 is the ground
     }
     return most;
 }"""

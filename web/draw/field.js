@@ -105,13 +105,16 @@ function texturesOf({ vertices, turn_parent, turn_foot_m, turn_bone, turn_share 
 /** Places [P, 3] as a texture; `fourth(row)` goes to alpha. */
 function placesTexture(places, fourth) {
   const P = places.length / 3;
-  const texels = new Float32Array(4 * WIDTH * Math.ceil(P / WIDTH));
+  const texels = floats(4 * P);
   for (let row = 0; row < P; row++) {
     texels.set(places.subarray(3 * row, 3 * row + 3), 4 * row);
     texels[4 * row + 3] = fourth(row);
   }
   return texture(texels);
 }
+
+/** Room for so many numbers, in whole rows of a texture. */
+export const floats = (count) => new Float32Array(4 * WIDTH * Math.max(1, Math.ceil(count / 4 / WIDTH)));
 
 /** Whole rows of texels, of four floats each unless `type` says otherwise. */
 export function texture(texels, type = /** @type {THREE.TextureDataType} */ (THREE.FloatType)) {
@@ -132,33 +135,7 @@ vec3 movedAt(int vertex) { return texelFetch(moved, ivec2(vertex % ${WIDTH}, ver
 #else
 vec3 movedAt(int vertex) { return texelFetch(moved, ivec2(vertex % ${WIDTH}, vertex / ${WIDTH}), 0).xyz; }
 #endif
+vec4 poseRow(int at) { return texelFetch(poses, ivec2(at % ${WIDTH}, at / ${WIDTH}), 0); }
 mat4 poseOf(int bone) {
-  ivec2 at = ivec2(3 * (bone % 256), bone / 256);
-  return transpose(mat4(texelFetch(poses, at, 0), texelFetch(poses, at + ivec2(1, 0), 0), texelFetch(poses, at + ivec2(2, 0), 0), vec4(0.0, 0.0, 0.0, 1.0)));
+  return transpose(mat4(poseRow(3 * bone), poseRow(3 * bone + 1), poseRow(3 * bone + 2), vec4(0.0, 0.0, 0.0, 1.0)));
 }`;
-
-/** Poses of bones in a texture, 256 a row. */
-export class PoseTexture {
-  constructor(B) {
-    const rows = Math.ceil(B / 256);
-    this.values = new Float32Array(256 * 12 * rows);
-    this.texture = new THREE.DataTexture(this.values, 768, rows, THREE.RGBAFormat, THREE.FloatType);
-    this.texture.needsUpdate = true;
-  }
-
-  set(poses) {
-    this.values.set(poses);
-    this.texture.needsUpdate = true;
-  }
-
-  dispose() {
-    this.texture.dispose();
-  }
-}
-
-/** Zero displacement, until there are modes. */
-export function zeroTexture() {
-  const one = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
-  one.needsUpdate = true;
-  return one;
-}

@@ -9,21 +9,13 @@ import { DISPLACE } from "./field.js";
  * it (`poseOfPoint`), and where it is at rest (`restPoint`).
  */
 const KINDS = {
-  /** Each vertex has its own displacement; what is pushed carries it by the weighted mean of four bones. */
+  /** Each vertex has its own displacement; what is pushed carries it by two joints and the share of the second. */
   surface: /* glsl */ `
 attribute float still, share;
-attribute vec4 boneRows; attribute vec4 boneWeights;
+attribute vec3 joints;
 varying float vShare, vStill;
 vec3 fieldOfPoint() { vShare = share; vStill = still; return movedAt(gl_VertexID); }
-mat4 poseOfPoint() {
-  mat4 pose = mat4(0.0);
-  float carried = 0.0; // 0 for what is no plant
-  for (int i = 0; i < 4; i++) {
-    pose += boneWeights[i] * poseOf(int(boneRows[i] + 0.5));
-    carried += boneWeights[i];
-  }
-  return pose + mat4(1.0 - carried);
-}
+mat4 poseOfPoint() { return (1.0 - joints.z) * poseOf(int(joints.x + 0.5)) + joints.z * poseOf(int(joints.y + 0.5)); }
 vec3 restPoint() { return position; }`,
 
   /** A box with the motion of a vertex and the pose of a bone. */

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { readTensors } from "../motion/tensors.js";
 import { rowOf } from "../motion/vectors.js";
-import { texture, WIDTH } from "./field.js";
+import { floats, texture, WIDTH } from "./field.js";
 import { halvesOf, modifier } from "./splat_shader.js";
 
 const SAME_PLACE = 1e-6; // of the tree's size: a camera that has moved less stands still
@@ -78,7 +78,7 @@ export class SplatView {
       bent: dynoFloat(0),
       corners: dynoSampler2D(this.textures.corners),
       rest: dynoSampler2D(this.textures.rest),
-      bones: dynoSampler2D(this.textures.bones),
+      joints: dynoSampler2D(this.textures.joints),
       sh: dynoSampler2D(this.textures.sh),
       eye: dynoVec3(new THREE.Vector3()),
     };
@@ -143,14 +143,13 @@ function texturesOf(splat, surface, harmonics) {
     corners.set([...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g)], 8 * g);
   }
   const rest = floats(4 * surface.N);
-  const bones = floats(8 * surface.N);
+  const joints = floats(4 * surface.N);
   for (let v = 0; v < surface.N; v++) {
     rest.set(rowOf(surface.vertices, v), 4 * v);
-    bones.set(surface.bone_rows.subarray(4 * v, 4 * v + 4), 8 * v);
-    for (let i = 0; i < 4; i++) bones[8 * v + 4 + i] = surface.bone_weights[4 * v + i] / 255;
+    joints.set(rowOf(surface.joints, v), 4 * v);
   }
   const sh = harmonicsTexture(splat, harmonics);
-  return { corners: texture(corners), rest: texture(rest), bones: texture(bones), sh };
+  return { corners: texture(corners), rest: texture(rest), joints: texture(joints), sh };
 }
 
 /** The surface's vertex in the place of each of the splat's, which are of the same mesh. */
@@ -159,6 +158,3 @@ function rowsOnSurface({ vertices }, surface) {
   const at = new Map(Array.from({ length: surface.N }, (_, v) => [key(surface.vertices, v), v]));
   return Array.from({ length: vertices.length / 3 }, (_, v) => at.get(key(vertices, v)));
 }
-
-/** Room for so many numbers, in whole rows of a texture. */
-const floats = (count) => new Float32Array(4 * WIDTH * Math.max(1, Math.ceil(count / 4 / WIDTH)));

@@ -44,19 +44,13 @@ vec3 treeColour(sampler2D sh, int g, vec3 at, mat3 R, vec3 eye) {
 
 const GLSL = (harmonics) => /* glsl */ `
 vec4 treeTexel(sampler2D texels, int i) { return texelFetch(texels, ivec2(i % ${WIDTH}, i / ${WIDTH}), 0); }
-vec3 treeVertex(int v, vec3 at, sampler2D moved, sampler2D poses, float bent, sampler2D bones) {
-  vec3 x = at + treeTexel(moved, v).xyz;
-  if (bent < 0.5) return x;
-  vec4 row = treeTexel(bones, 2 * v), weight = treeTexel(bones, 2 * v + 1);
-  if (dot(weight, vec4(1.0)) < 0.5) return x; // of what is no plant
-  vec3 sum = vec3(0.0);
-  for (int i = 0; i < 4; i++) {
-    int bone = int(row[i] + 0.5);
-    ivec2 p = ivec2(3 * (bone % 256), bone / 256);
-    vec4 h = vec4(x, 1.0);
-    sum += weight[i] * vec3(dot(texelFetch(poses, p, 0), h), dot(texelFetch(poses, p + ivec2(1, 0), 0), h), dot(texelFetch(poses, p + ivec2(2, 0), 0), h));
-  }
-  return sum;
+vec3 treePosed(sampler2D poses, float joint, vec4 x) {
+  int at = 3 * int(joint + 0.5);
+  return vec3(dot(treeTexel(poses, at), x), dot(treeTexel(poses, at + 1), x), dot(treeTexel(poses, at + 2), x));
+}
+vec3 treeVertex(int v, vec3 at, sampler2D moved, sampler2D poses, float bent, sampler2D joints) {
+  vec4 x = vec4(at + treeTexel(moved, v).xyz, 1.0), of = treeTexel(joints, v);
+  return bent < 0.5 ? x.xyz : mix(treePosed(poses, of.x, x), treePosed(poses, of.y, x), of.z);
 }
 // edge, in-plane normal to it, face normal
 mat3 treeFrame(vec3 a, vec3 b, vec3 c) {
@@ -71,7 +65,7 @@ vec4 treeTurn(mat3 m) { // rotation to quaternion x, y, z, w
   return normalize(vec4(m[2][0] + m[0][2], m[1][2] + m[2][1], s.z, m[0][1] - m[1][0]));
 }
 ${colourShader(harmonics)}
-Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sampler2D corners, sampler2D rest, sampler2D bones, sampler2D sh, vec3 eye) {
+Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sampler2D corners, sampler2D rest, sampler2D joints, sampler2D sh, vec3 eye) {
   vec4 corner = treeTexel(corners, 2 * g.index);
   if (corner.w < 0.5) {
     g.rgba.rgb = treeColour(sh, g.index, g.center, mat3(1.0), eye);
@@ -82,7 +76,7 @@ Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sample
   for (int i = 0; i < 3; i++) {
     int at = int(corner[i] + 0.5);
     v[i] = treeTexel(rest, at).xyz;
-    w[i] = treeVertex(at, v[i], moved, poses, bent, bones);
+    w[i] = treeVertex(at, v[i], moved, poses, bent, joints);
   }
   mat3 T = treeFrame(v[0], v[1], v[2]), S = treeFrame(w[0], w[1], w[2]);
   // in the planes of the faces: corner 1 is (l, 0), corner 2 is (x, y)
@@ -112,7 +106,7 @@ const INPUTS = {
   bent: "float",
   corners: "sampler2D",
   rest: "sampler2D",
-  bones: "sampler2D",
+  joints: "sampler2D",
   sh: "sampler2D",
   eye: "vec3",
 };

@@ -34,7 +34,8 @@ function buildGeometry(surface) {
   if (surface.uv) geometry.setAttribute("uv", new THREE.BufferAttribute(surface.uv, 2));
   geometry.setAttribute("still", new THREE.BufferAttribute(surface.still ?? new Uint8Array(surface.N), 1));
   geometry.setAttribute("share", new THREE.BufferAttribute(new Float32Array(surface.N), 1));
-  setBones(geometry, surface);
+  surface.joints = new Float32Array(3 * surface.N); // WebGL takes no 32-bit integers here
+  geometry.setAttribute("joints", new THREE.BufferAttribute(surface.joints, 3));
   const { index, groups } = byMaterial(surface);
   geometry.setIndex(new THREE.BufferAttribute(index, 1));
   for (const [start, count, material] of groups) geometry.addGroup(start, count, material);
@@ -60,24 +61,13 @@ export function nearBox(box, whole) {
   return near.intersect(whole).union(box);
 }
 
-function setBones(geometry, surface) {
-  surface.bone_rows ??= new Float32Array(4 * surface.N); // WebGL takes no 32-bit integers here
-  surface.bone_weights ??= new Uint8Array(4 * surface.N);
-  geometry.setAttribute("boneRows", new THREE.BufferAttribute(surface.bone_rows, 4));
-  geometry.setAttribute("boneWeights", new THREE.BufferAttribute(surface.bone_weights, 4, true));
-}
-
-/** The joints of what is pulled that carry each vertex; none for what is no plant. */
+/** The joints of what is pulled that carry each vertex, and the share of the second; the ground's of what is no plant. */
 export function carryByJoints(surface, modes) {
-  const { N, bone_rows, bone_weights, turn_bone, geometry } = surface;
-  for (let v = 0; v < N; v++) {
-    if (!turn_bone[v]) continue;
-    const [joints, weights] = carriersOf(modes, surface, v);
-    bone_rows.set(joints, 4 * v);
-    const bytes = weights.map((w) => Math.round(255 * w));
-    bone_weights.set(bytes, 4 * v);
+  for (let v = 0; v < surface.N; v++) {
+    const [joints, [, share]] = carriersOf(modes, surface, v);
+    surface.joints.set([...joints, share], 3 * v);
   }
-  geometry.attributes.boneRows.needsUpdate = geometry.attributes.boneWeights.needsUpdate = true;
+  surface.geometry.attributes.joints.needsUpdate = true;
 }
 
 /** Faces sorted by material: one draw each. */

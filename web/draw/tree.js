@@ -7,7 +7,7 @@ import { binSizes, displaced } from "../motion/swing.js";
 import { plus, rowOf } from "../motion/vectors.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
-import { Field, PoseTexture, zeroTexture } from "./field.js";
+import { Field, floats, texture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { LEAST } from "./resolution.js";
 import { leavesItsShadow, sampleMotion } from "./shadow.js";
@@ -17,7 +17,7 @@ export class Tree {
   constructor(stage) {
     Object.assign(this, { stage, group: new THREE.Group() });
     stage.scene.add(this.group);
-    this.still = zeroTexture();
+    this.still = texture(floats(0)); // zero, until there are modes
     this.ofVoxels = null; // once they are asked for
     this.uniforms = {
       moved: { value: /** @type {THREE.Texture} */ (this.still) },
@@ -80,8 +80,8 @@ export class Tree {
 
   setModes(modes) {
     this.modes = modes;
-    this.poses = new PoseTexture(modes.J);
-    this.uniforms.poses.value = this.poses.texture;
+    this.poses = texture(floats(12 * modes.J));
+    this.uniforms.poses.value = this.poses;
     carryByJoints(this.surface, modes);
     this.field = new Field(this.surface);
     this.uniforms.moved.value = this.field.texture;
@@ -186,8 +186,8 @@ export class Tree {
     this.groups = groups;
     this.uniforms.bent.value = groups.length ? 1 : 0;
     if (groups.length) {
-      this.jointMotion ??= new Float32Array(12 * this.modes.J);
-      this.poses.set(this.modes.poses(groups, this.jointMotion));
+      this.jointMotion = this.modes.poses(groups, this.poses.image.data);
+      this.poses.needsUpdate = true;
     }
     Object.assign(this.stage, { stale: true, swift: groups.length > 0 || this.blown || leavesItsShadow(this) });
   }
