@@ -39,26 +39,21 @@ class OpenStreams:
 
     def __init__(self, total: int) -> None:
         self.total = total
-        self._open: Counter[str] = Counter()
-
-    @property
-    def num_open(self) -> int:
-        """Streams that are open."""
-        return self._open.total()
+        self.open: Counter[str] = Counter()
 
     @contextmanager
     def opened(self, caller: Caller) -> Iterator[None]:
         """Context manager that counts one stream while it is open."""
         owner = caller.owner or ""
         allowed = min(caller.limits.get("streams", self.total), self.total)
-        if self._open[owner] >= allowed or self._open.total() >= self.total:
-            detail = f"{self._open[owner]} of your streams are open; {allowed} are allowed: close one"
+        if self.open[owner] >= allowed or self.open.total() >= self.total:
+            detail = f"{self.open[owner]} of your streams are open; {allowed} are allowed: close one"
             raise ProblemError("rate-limited", detail, headers={"Retry-After": "5"})
-        self._open[owner] += 1
+        self.open[owner] += 1
         try:
             yield
         finally:
-            self._open[owner] -= 1
+            self.open[owner] -= 1
 
 
 async def until_revoked(store: Store, caller: Caller) -> None:

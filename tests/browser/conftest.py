@@ -24,6 +24,7 @@ MOVING = "body[data-state=moving]"
 JOB_MS = 240_000.0
 AXE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/axe-core/axe.min.js"
 PICTURES = Path(__file__).parents[2] / "build" / "browser"
+PICTURES.mkdir(parents=True, exist_ok=True)
 """Where screenshots go."""
 
 
@@ -58,17 +59,10 @@ def animated(url: str, mesh: Path, **options: Any) -> str:
     return str(job_of(url, mesh, **options)["id"])
 
 
-class Silent(SimpleHTTPRequestHandler):
-    """A plain file server that prints nothing."""
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 @contextmanager
 def web_server(folder: Path) -> Iterator[str]:
     """Serve a folder as any web server does; gives its address."""
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(folder))) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(folder))) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}"
         server.shutdown()

@@ -41,7 +41,6 @@ def visit(display: None, url: str, tree: Path, monkeypatch: pytest.MonkeyPatch) 
     if installed is None:
         pytest.skip("Firefox is not there: install Debian's firefox-esr, or set FIREFOX_PATH")
     monkeypatch.setenv("FIREFOX_PATH", installed)
-    PICTURES.mkdir(parents=True, exist_ok=True)
     seen: dict[str, Any] = json.loads(by_node("firefox.mjs", url, tree, PICTURES, package="puppeteer-core"))
     return seen
 

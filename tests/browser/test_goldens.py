@@ -50,7 +50,6 @@ def compare(name: str, picture: np.ndarray) -> str:
     off = difference(now, golden)
     if off <= TOLERANCE:
         return ""
-    PICTURES.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.concatenate([golden, now], axis=1)).save(PICTURES / f"golden-{name}.png")
     return f"{name}: off by {off:.1f} of 255, more than {TOLERANCE}; golden and now are in {PICTURES}/golden-{name}.png"
 

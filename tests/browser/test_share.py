@@ -160,7 +160,6 @@ def test_a_recorded_loop_closes_and_a_picture_has_all_pixels(
         page.locator("#save-video").click()
     assert saved.value.suggested_filename == "sapling.webm"
     content = saved.value.path().read_bytes()
-    PICTURES.mkdir(parents=True, exist_ok=True)
     (PICTURES / "loop.webm").write_bytes(content)
     reader = browser.new_page()
     duration, width, height, pictures = reader.evaluate(

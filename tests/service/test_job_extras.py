@@ -198,7 +198,7 @@ def test_a_stream_whose_head_is_not_taken_gives_its_place_back(
     scope = {"type": "http", "method": "GET", "path": path, "query_string": b"", "headers": [(b"host", b"localhost")]}
     with pytest.raises(BaseException, match=r"unhandled errors|gone"):
         client.portal.call(client.app, scope, connected, gone)
-    assert services.streams.num_open == 0
+    assert services.streams.open.total() == 0
 
 
 def test_a_job_goes_to_the_workers_that_it_needs(client: TestClient, asset: AssetRecord, services: Services) -> None:

@@ -293,7 +293,7 @@ def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord,
     assert rest.text.count("event: job") == 1
     assert client.get(url, headers={"Last-Event-ID": events[1]["id"]}).text == ""
     assert client.get(f"/v1/jobs/{new_id()}/events").status_code == 404
-    assert services.streams.num_open == 0
+    assert services.streams.open.total() == 0
 
 
 def test_a_format_without_its_library_is_neither_offered_nor_accepted(
