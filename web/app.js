@@ -38,10 +38,10 @@ export class App {
   /** `parts` are those that page/begin.js made: stage, hand, player, scene, live. */
   constructor(parts) {
     Object.assign(this, parts);
-    const { stage, player, scene } = parts;
+    const { stage, player, scene, fetch } = parts;
     const onProblem = (error) => this.onProblem(error);
     const name = () => this.treeName;
-    this.client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage });
+    this.client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage, fetch });
     this.limits = this.client.json("GET", "/v1/limits");
     this.machine = new Machine((...change) => this.onState(...change));
     this.shownProblem = null; // one that was closed stays closed

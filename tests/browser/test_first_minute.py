@@ -182,12 +182,18 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
     size = page.evaluate("(({ naturalWidth, naturalHeight }) => [naturalWidth, naturalHeight])(poster)")
     assert tuple(size) == STRIP_PX
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
-    while not waiting:
-        page.wait_for_timeout(100)
     for route in waiting:
         route.continue_()  # type: ignore[attr-defined]
     page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
     expect(page.locator("#poster")).to_be_hidden()
+    page.unroute_all()
+    sent: list[str] = []
+    page.on("request", lambda request: sent.append(request.url.removeprefix(url)))
+    page.reload()
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    spectra = [path for path in sent if path.startswith("/v1/spectra/")]
+    assert len(set(spectra)) == len(spectra)
+    assert not any(path.startswith("/v1/artifacts/") for path in sent), "a still's file is as large as the motion"
     assert viewer.complaints == []
 
 

@@ -3,7 +3,6 @@
 import { Problem } from "../client/problem.js";
 import { Stage } from "../draw/stage.js";
 import { $ } from "./dom.js";
-import { linkedJob } from "./example.js";
 import { runFrames } from "./frames.js";
 import { Hand } from "./hand.js";
 import { layOut, showGrips } from "./layout.js";
@@ -16,8 +15,8 @@ import { applyTheme, dress } from "./theme.js";
 
 const LATEST_MS = 2000; // neither picture nor rest waits longer for the tree, without which the page works as well
 
-/** Draw the welcome's tree from its `files` (null where a job is opened); gives the page's parts. */
-export async function begin(files) {
+/** Draw the welcome's tree from its `files`, or open a job by a `fetch` that has asked for it; gives the page's parts. */
+export async function begin({ files = null, fetch = null }) {
   translate();
   applyTheme();
   const stage = newStage();
@@ -31,7 +30,7 @@ export async function begin(files) {
       document.body.dataset.live = "true";
     },
   });
-  const parts = { stage, hand, player, scene, live };
+  const parts = { stage, hand, player, scene, live, fetch };
   parts.onDraw = async () => {
     parts.onDraw = () => {};
     const { App } = await import("../app.js");
@@ -40,7 +39,7 @@ export async function begin(files) {
   dress(stage);
   layOut(stage, "welcome");
   setTimeout(() => parts.onDraw(), LATEST_MS);
-  if (linkedJob()) parts.onDraw();
+  if (fetch) parts.onDraw();
   else await Promise.race([live.show(), new Promise((resolve) => setTimeout(resolve, LATEST_MS))]).catch(() => {});
   runFrames(parts);
   return parts;

@@ -5,9 +5,9 @@
 import { fetchExample, fetchMotion, linkedJob } from "./example.js";
 
 const job = linkedJob();
-/** The files of the welcome's tree; null where the page opens with a job. */
-const files = job ? null : fetchExample();
-for (const begun of job ? [fetchMotion(job), import("../app.js")] : [files]) begun.catch(() => {}); // it works without
+/** The files of the welcome's tree, or the `fetch` of a job that the page opens with. */
+const begun = job ? { fetch: fetchMotion(job) } : { files: fetchExample() };
+(job ? import("../app.js") : begun.files).catch(() => {}); // it works without
 
 /** The page's parts, for tests. */
-export const page = import("./begin.js").then(({ begin }) => begin(files));
+export const page = import("./begin.js").then(({ begin }) => begin(begun));

@@ -15,13 +15,30 @@ export async function contentsOf(paths, read = bytesOf) {
   return Object.fromEntries(await Promise.all(files));
 }
 
-/** Ask for the motion of a job before the page does: by then the browser has it. */
-export async function fetchMotion(job) {
+/** Ask for what a job's tree moves by before the page does. A `fetch` that gives each of these answers, once. */
+export function fetchMotion(job) {
   const key = sessionStorage.getItem("key");
-  const ask = (path) => fetch(path, { headers: key ? { Authorization: `Bearer ${key}` } : {} });
-  const { spectrum_id: id } = (await (await ask(`/v1/jobs/${job}`)).json()).result;
-  const asked = (id ? ["modes?shapes=false", "surface"] : []).map((part) => ask(`/v1/spectra/${id}/${part}`));
-  for (const response of asked) await (await response).arrayBuffer();
+  const asked = new Map();
+  const ask = (path) => {
+    const answer = fetch(path, { headers: key ? { Authorization: `Bearer ${key}` } : {} });
+    asked.set(
+      path,
+      answer.then(async (response) => new Response(await response.arrayBuffer(), response)),
+    );
+    return asked.get(path);
+  };
+  const askAll = async () => {
+    const { asset_id: asset, result } = await (await ask(`/v1/jobs/${job}`)).clone().json();
+    const spectrum = `/v1/spectra/${result.spectrum_id}`;
+    const parts = [`${spectrum}/modes?shapes=false`, `${spectrum}/surface`, spectrum, `/v1/assets/${asset}`];
+    if (result.spectrum_id) await Promise.all(parts.map(ask));
+  };
+  askAll().catch(() => {}); // the page asks again
+  return (path, options) => {
+    const answer = asked.get(path) ?? fetch(path, options);
+    asked.delete(path);
+    return answer;
+  };
 }
 
 export async function bytesOf(path) {

@@ -13,6 +13,7 @@ const TALLEST_M = 120; // of trees
 const DRAFT = "draft.splat"; // of photos, while it is learned
 const LEARNED = "splat.ply"; // of photos, at rest and in metres
 const DRAFT_MS = 5000; // so often they are asked for
+const LATE_MS = 1000; // then the service has yet to find how a tree moves
 const MOVING_SPLAT = "tree.animated-splat.safetensors";
 
 export class Scene {
@@ -152,11 +153,10 @@ export class Scene {
     this.nextDraft = 0;
     if (hidden && !hasEnded) await this.learned(job, signal).catch(() => {}); // only a preview
     const id = job.result.spectrum_id;
-    const [spectrum, modes, surface] = await Promise.all([
-      this.client.spectrum(id),
-      this.client.modes(id, { signal }),
-      this.client.surface(id, { signal }),
-    ]);
+    const asked = [this.client.spectrum(id), this.client.modes(id, { signal }), this.client.surface(id, { signal })];
+    const late = setTimeout(() => this.poster(job, signal).catch(() => {}), LATE_MS); // only a preview
+    asked[1].finally(() => clearTimeout(late)).catch(() => {}); // a still's file takes as long as the rest
+    const [spectrum, modes, surface] = await Promise.all(asked);
     const read = await readSurface(surface);
     if (signal.aborted) return;
     const tree = this.stand(read, new Modes(modes), { hidden });

@@ -49,7 +49,6 @@ export class Session {
       const job = await patiently(() => this.client.job(jobId), run);
       const asset = await this.client.asset(job.asset_id).catch(() => null); // it may have expired
       run.update({ job, asset, name: asset ? nameOf(asset) : "" });
-      this.scene.poster(job, run.signal).catch(() => {}); // only a preview
       // a cloud's points also stand in for its Gaussians, which come last
       if (asset && (asset.kind === "cloud" || !job.result?.spectrum_id)) this._showRest(asset, run);
       await this._follow(jobId, run, job);
