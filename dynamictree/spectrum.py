@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Int32
+from jaxtyping import Complex64, Float32, Float64, Int16, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.requests import Wind as Wind
@@ -21,6 +21,7 @@ from dynamictree.wind_bands import WindBands, power_law
 NUM_FREQUENCIES = 16  # K, paper section 3.2
 NUM_FRAMES = 100  # T, paper section 5
 FPS = 24.0  # Blender's default, in which the paper's dataset was baked
+STEPS = 32767  # of the largest of some numbers, which 16 bits hold
 _FRAMES_AT_ONCE, _VALUES_AT_ONCE = 16, 4_000_000
 
 UNKNOWN_FOLIAGE = 0.6
@@ -100,6 +101,15 @@ def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " 
     if num_frames % 2 == 0 and num_frequencies > num_frames // 2:
         weights[num_frames // 2] = 1.0
     return weights
+
+
+def in_steps(
+    modes: Complex64[np.ndarray, "N M 3"],
+) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
+    """Modes in 16 bits, and what a step of each is."""
+    parts = np.stack([modes.real, modes.imag], axis=-1)
+    step = np.maximum(np.abs(parts).max(axis=(0, 2, 3), initial=0) / STEPS, np.finfo(np.float32).tiny)  # [M]
+    return np.clip(np.rint(parts / step[:, None, None]), -STEPS, STEPS).astype(np.int16), step
 
 
 def from_motion(

@@ -13,9 +13,10 @@ import json
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Int16
+from jaxtyping import Int16
 
 from dynamictree.modal.system import ModalSystem
+from dynamictree.spectrum import in_steps
 
 if TYPE_CHECKING:  # what brings numba
     from dynamictree.modal.bones import Bones
@@ -38,7 +39,7 @@ def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shape
     }
     if not shapes:
         return tensors
-    (steps, scale), (turns, scale_rad) = quantised(system.shapes), quantised(bones.shapes)
+    (steps, scale), (turns, scale_rad) = in_steps(system.shapes), in_steps(bones.shapes)
     return tensors | {
         "shapes": _from_bin_zero(steps),
         "scale_m": np.concatenate([[0], scale]).astype(np.float32),
@@ -60,16 +61,6 @@ def mode_metadata(system: ModalSystem) -> dict[str, str]:
         "up_axis": "+Z",
         "unit": "m",
     }
-
-
-def quantised(
-    shapes: Complex64[np.ndarray, "N M 3"],
-) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
-    """Shapes in 16 bits, and the metres of a step of each mode."""
-    largest = 32767
-    parts = np.stack([shapes.real, shapes.imag], axis=-1)
-    scale = np.maximum(np.abs(parts).max(axis=(0, 2, 3)) / largest, np.finfo(np.float32).tiny)  # [M]
-    return np.clip(np.rint(parts / scale[:, None, None]), -largest, largest).astype(np.int16), scale
 
 
 def _from_bin_zero(shapes: Int16[np.ndarray, "N M 3 2"]) -> Int16[np.ndarray, "N K 3 2"]:

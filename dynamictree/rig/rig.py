@@ -13,14 +13,12 @@ from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth, carried, p
 from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
 from dynamictree.rig.turn_fit import fit_turns
 from dynamictree.rig.turn_matrices import Target
-from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, iter_motion
+from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, in_steps, iter_motion
 from dynamictree.voxel.voxelize import surface_average, voxel_trees
 
 BONES_A_VOXEL = 4
 """A voxel is the mean of what lies in it; its strongest bones carry it, as many as an engine's vertex takes."""
 _POINTS_AT_ONCE = 10_000  # 12 MB of frames
-STEPS = 32767
-"""Of a turn's largest value in a bin: 16 bits. A step turns a bone by less than 0.1 mm per metre of its length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +65,15 @@ class Rig:
         """Displacement of points that the bones carry where they turn by θ [m]."""
         return carried(self.skeleton, poses(self.skeleton, theta[None]), 0, points, weights)
 
+    def levers_m(self, points: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " B"]:
+        """Of each bone its reach, or how far one of its vertices is; times the root of the number of bones on it."""
+        skeleton, rows = self.skeleton, self.vertices.rows.T
+        reach, count = np.linalg.norm(skeleton.reach_m, axis=1).astype(np.float64), np.ones(len(skeleton))
+        np.maximum.at(reach, rows, np.linalg.norm(points - skeleton.foot_m[rows[0]], axis=1))
+        for level in reversed(skeleton.levels):
+            np.add.at(count, skeleton.above[level], count[level])
+        return np.asarray(reach * np.sqrt(count))
+
 
 def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float], None] = lambda done: None) -> Rig:
     """Find the bones of a mesh and fit their turns to the spectrum of its voxels, telling `report` the share done.
@@ -94,18 +101,6 @@ def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float
     return _together(every, mesh.num_vertices, len(spectrum.grid))
 
 
-def turn_steps(turns: Complex64[np.ndarray, "B K 3"]) -> Float32[np.ndarray, " K"]:
-    """The step [rad] in which turns of each bin are stored in 16 bits."""
-    parts = np.maximum(np.abs(turns.real), np.abs(turns.imag)).max(axis=(0, 2), initial=0)
-    return np.asarray(np.maximum(parts / STEPS, np.finfo(np.float32).tiny), np.float32)
-
-
-def in_steps(turns: Complex64[np.ndarray, "B K 3"]) -> Complex64[np.ndarray, "B K 3"]:
-    """Turns as the file has them, so that whoever reads it shows the same places."""
-    steps = turn_steps(turns)[:, None]
-    return np.asarray(np.rint(turns.real / steps) * steps + 1j * np.rint(turns.imag / steps) * steps, np.complex64)
-
-
 def in_bytes(shares: Float64[np.ndarray, "n W"]) -> Float32[np.ndarray, "n W"]:
     """Shares in steps of 1/255, which sum to 1; what rounding leaves over goes to the first."""
     whole = np.rint(255 * shares / shares.sum(axis=1, keepdims=True))
@@ -126,7 +121,9 @@ def _of_one(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[floa
         voxel_m=float(np.ptp(mesh.vertices[np.unique(moving.faces)], axis=0).max()) / FINENESS,
     )
     with single_thread():  # the products are small: BLAS's other threads would only wait
-        turns = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
+        steps, step_rad = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
+    parts = steps * step_rad[:, None, None]  # as the file has them, so that whoever reads it shows the same places
+    turns = parts[..., 0] + 1j * parts[..., 1]
     voxels = _strongest(mean, bones.vertices, len(bones.skeleton))
     return Rig(skeleton=bones.skeleton, turns=turns, vertices=bones.vertices, voxels=voxels, num_frames=num_frames)
 

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.rig.pose import Poses, Skeleton, Weights, by_depth, carried, poses
-from dynamictree.rig.rig import STEPS, Rig
+from dynamictree.rig.rig import Rig
 from dynamictree.rotation import matrix_quaternions, quaternion_matrices
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
-from dynamictree.spectrum import bin_weights
+from dynamictree.spectrum import STEPS, bin_weights
 
 
 def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> tuple[Skin, SkinSummary]:

@@ -375,7 +375,7 @@ test("gains are the model's at its speeds, rise between them, and stay above the
 
 test("a voxel whose vertex moves in one bin alone sways at its frequency", () => {
   const surface = bent();
-  const K = surface.turn_scale_rad.length;
+  const K = 2;
   surface.turn_shapes.fill(0);
   surface.turn_shapes[6 * (2 * K + 1)] = 100; // the upper bone, bin 1
   const modes = { K, frequencies_hz: [0, 0.5] };
@@ -498,7 +498,7 @@ const bent = () => ({
   turn_parent: Int32Array.from([-1, 0, 1]),
   turn_foot_m: Float32Array.from([0, 0, 0, 0, 0, 0, 0.2, 0.1, 1.5]),
   turn_direction: Float32Array.from([0, 0, 1, 0, 0, 1, 0, 0, 1]),
-  turn_scale_rad: Float32Array.from([2e-6, 3e-6]),
+  turn_step_rad: Float32Array.from([2e-6, 2e-6, 3e-6]),
   turn_shapes: Int16Array.from({ length: 36 }, (_, i) => (i < 12 ? 0 : ((i * 7919) % 6000) - 3000)),
   turn_bone: Int32Array.from([1, 2, 2]),
   turn_share: Float32Array.from([0, 0.5, 0]),

@@ -7,6 +7,7 @@ from safetensors.numpy import load
 
 from dynamictree.wind_bands import drag
 from recipes.wind_reference import feet, half_turns, turned
+from service.routes.surface import ZERO
 from tests.browser.conftest import Open
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -42,12 +43,13 @@ def test_the_page_bends_as_the_library_does(view: Open, url: str, job_id: str) -
         spectrum = client.get(f"/v1/jobs/{job_id}").json()["result"]["spectrum_id"]
         path = f"/v1/spectra/{spectrum}/surface"
         tensors = load(client.get(path).content)
-    num_bins = len(tensors["turn_scale_rad"])
+    num_bins = tensors["turn_shapes"].shape[2]
     q = STORM_GAIN * np.exp(2j * np.pi * 0.3 * np.arange(num_bins))
     given = {"path": path, "q": np.stack([q.real, q.imag], axis=1).ravel().tolist(), "turn": TURN_RAD}
     there = np.array(viewer.page.evaluate(DISPLACED, given)).reshape(4, -1, 4)[:, :, :3]
 
-    modes = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None].astype(np.float64)
+    steps = np.tensordot([1, 256], tensors["turn_shapes"], 1) - ZERO
+    modes = steps * tensors["turn_step_rad"][:, None, None, None].astype(np.float64)
     theta = np.einsum("bkc,k->bc", modes[..., 0] + 1j * modes[..., 1], q).real
     half = half_turns(theta, tensors["turn_direction"].astype(np.float64), TURN_RAD)
     parent, foot = tensors["turn_parent"], tensors["turn_foot_m"].astype(np.float64)

@@ -34,7 +34,7 @@ import { displaced, swingBones } from "WEB/motion/swing.js";
 const file = readFileSync(process.argv[2]);
 const { tensors } = readTensors(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
 const { vertices, times } = JSON.parse(readFileSync(process.argv[3], "utf8"));
-const K = tensors.turn_scale_rad.length;
+const K = tensors.turn_shapes.length / tensors.turn_parent.length / 6;
 const swings = new Float32Array(8 * tensors.turn_parent.length);
 const at = (phase) => {
   swingBones(tensors, windCoordinates(K, phase), 0, swings);

@@ -264,9 +264,11 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(
     rig = rig_of(grown.mesh, spectrum)
     skeleton, turns = rig.skeleton, rig.turns.copy()
     turns[:, 1:] *= 2
-    parts = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None]  # [B, K, 3, 2]
-    apart = np.abs(parts[..., 0] + 1j * parts[..., 1] - turns).max(axis=(0, 2))
-    assert (apart <= 1e-3 * np.abs(turns).max(axis=(0, 2)) + 1e-6).all()
+    step_rad = tensors["turn_step_rad"]
+    parts = (np.tensordot([1, 256], tensors["turn_shapes"], 1) - surface.ZERO) * step_rad[:, None, None, None]
+    apart = np.abs(parts - np.stack([turns.real, turns.imag], axis=-1)).max(axis=(1, 2, 3))
+    assert (apart <= 0.501 * step_rad).all()
+    assert (step_rad * np.linalg.norm(skeleton.reach_m, axis=1)).max() < 1e-5 * grown.mesh.height_m
     rows, shares = rig.vertices.rows[:, 0], rig.vertices.shares[:, 1]
     for name, expected in (("parent", skeleton.parent), ("bone", rows), ("share", shares)):
         np.testing.assert_allclose(tensors[f"turn_{name}"], expected, atol=1e-6)

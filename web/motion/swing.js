@@ -32,12 +32,13 @@ export function displaced({ turn_parent, turn_foot_m, turn_bone, turn_share, ver
 
 /** How far bin k alone moves each of these vertices where turns are small [m]: the root of the squares of both its parts. */
 export function binSizes(surface, k, vertices) {
-  const { turn_shapes, turn_scale_rad, turn_parent, turn_foot_m, turn_bone, turn_share } = surface;
+  const { turn_shapes, turn_step_rad, turn_parent, turn_foot_m, turn_bone, turn_share } = surface;
+  const K = turn_shapes.length / turn_parent.length / 6;
   const sizes = new Float32Array(vertices.length);
   for (const part of [0, 1]) {
     const turn = (bone) => {
-      const at = 6 * (bone * turn_scale_rad.length + k) + part;
-      return scaled([turn_shapes[at], turn_shapes[at + 2], turn_shapes[at + 4]], turn_scale_rad[k]);
+      const at = 6 * (bone * K + k) + part;
+      return scaled([turn_shapes[at], turn_shapes[at + 2], turn_shapes[at + 4]], turn_step_rad[bone]);
     };
     const feet = [];
     turn_parent.forEach((above, b) => {
@@ -56,9 +57,9 @@ export function binSizes(surface, k, vertices) {
 }
 
 /** A bone's turn: its axis times the sine of half the angle. */
-function halfTurnOf({ turn_shapes, turn_scale_rad, turn_direction }, b, q, turn) {
+function halfTurnOf({ turn_shapes, turn_step_rad, turn_direction }, b, q, turn) {
   const direction = rowOf(turn_direction, b);
-  const own = modeSum(turn_shapes, turn_scale_rad, b, q);
+  const own = scaled(modeSum(turn_shapes, b, q), turn_step_rad[b]);
   const across = cross(direction, turnedUpright(cross(own, direction), turn));
   const theta = plus(across, scaled(direction, dot(own, direction)));
   const c = 1 / Math.sqrt(1 + dot(theta, theta)); // cosine of the angle, atan |theta|
@@ -71,13 +72,11 @@ function swung(half, arm) {
   return scaled(cross(half, plus(cross(half, arm), scaled(arm, real))), 2);
 }
 
-/** Re Σ_k φ_k q_k of one row of `shapes` [rows, K, 3, 2], in steps of `scale` [K]; q is [2K]. */
-function modeSum(shapes, scale, row, q) {
+/** Re Σ_k φ_k q_k of one row of `shapes` [rows, K, 3, 2]; q is [2K]. */
+function modeSum(shapes, row, q) {
   let [x, y, z] = [0, 0, 0];
-  const K = scale.length;
-  for (let k = 0; k < K; k++) {
-    const [re, im] = [scale[k] * q[2 * k], scale[k] * q[2 * k + 1]];
-    const at = 6 * (row * K + k);
+  for (let i = 0, at = 3 * q.length * row; i < q.length; i += 2, at += 6) {
+    const [re, im] = [q[i], q[i + 1]];
     x += shapes[at] * re - shapes[at + 1] * im;
     y += shapes[at + 2] * re - shapes[at + 3] * im;
     z += shapes[at + 4] * re - shapes[at + 5] * im;

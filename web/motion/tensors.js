@@ -11,7 +11,7 @@ const KINDS = {
 
 /**
  * The tensors of a safetensors file by name, the `shape` of each, and the strings of its metadata. Half floats become
- * single floats, except for the tensors named in `halves`.
+ * single floats, except for the tensors named in `halves`; the `planes` of the metadata become integers again.
  */
 export function readTensors(buffer, { halves = [] } = {}) {
   const size = Number(new DataView(buffer).getBigUint64(0, true));
@@ -25,7 +25,18 @@ export function readTensors(buffer, { halves = [] } = {}) {
     tensors[name] = entry.dtype === "F16" && !halves.includes(name) ? Float32Array.from(stored, half) : stored;
     shape[name] = entry.shape;
   }
+  for (const [name, zero] of Object.entries(JSON.parse(metadata.planes ?? "{}"))) {
+    tensors[name] = joined(tensors[name], zero);
+    shape[name].shift();
+  }
   return { tensors, shape, metadata };
+}
+
+/** Integers of 16 bits from the plane of their low bytes and that of their high bytes. */
+function joined(planes, zero) {
+  const numbers = new Int16Array(planes.length / 2);
+  for (let i = 0; i < numbers.length; i++) numbers[i] = planes[i] + 256 * planes[numbers.length + i] - zero;
+  return numbers;
 }
 
 /** IEEE 754 half precision to a number. */

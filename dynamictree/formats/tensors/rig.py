@@ -9,7 +9,8 @@ from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.tensors.container import MAX_FRAMES, facts_of, read_tensors, take_tensor, write_tensors
 from dynamictree.rig.pose import Skeleton, Weights
-from dynamictree.rig.rig import BONES_A_VOXEL, Rig, turn_steps
+from dynamictree.rig.rig import BONES_A_VOXEL, Rig
+from dynamictree.spectrum import in_steps
 
 FORMAT, VERSION = "tree-rig", "1"
 
@@ -20,14 +21,13 @@ class _Facts(BaseModel):
 
 def write_rig(rig: Rig, stream: ByteWriter) -> None:
     """Write; undone bit by bit by `read_rig` for rigs of `rig_of`, whose numbers are in the file's steps."""
-    steps = turn_steps(rig.turns)
-    parts = np.stack([rig.turns.real, rig.turns.imag], axis=-1) / steps[:, None, None]  # [B, K, 3, 2]
+    turns, steps = in_steps(rig.turns)
     tensors = {
         "parent": rig.skeleton.parent,
         "foot_m": rig.skeleton.foot_m,
         "reach_m": rig.skeleton.reach_m,
         "in_surface": rig.skeleton.in_surface.astype(np.uint8),
-        "turns": np.rint(parts).astype(np.int16),
+        "turns": turns,
         "turn_step_rad": steps,
         "vertex_bone": rig.vertices.rows[:, 0],
         "vertex_parent_share": _bytes(rig.vertices.shares[:, 1]),
