@@ -83,7 +83,7 @@ export class App {
     this._watch(parts);
     paintRanges();
     this.look();
-    this.onState("welcome", {}, null);
+    if (!linkedJob()) this.onState("welcome", {}, null);
     buildSound(() => player.motion);
     parts.onDraw = () => this.company.place();
     this.route();

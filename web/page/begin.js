@@ -39,8 +39,8 @@ export async function begin({ files = null, fetch = null }) {
   dress(stage);
   layOut(stage, "welcome");
   setTimeout(() => parts.onDraw(), LATEST_MS);
-  if (fetch) parts.onDraw();
-  else await Promise.race([live.show(), new Promise((resolve) => setTimeout(resolve, LATEST_MS))]).catch(() => {});
+  const begun = fetch ? parts.onDraw() : live.show(); // an empty stage is not drawn before
+  await Promise.race([begun, new Promise((resolve) => setTimeout(resolve, LATEST_MS))]).catch(() => {});
   runFrames(parts);
   return parts;
 }

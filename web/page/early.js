@@ -5,6 +5,7 @@
 import { fetchExample, fetchMotion, linkedJob } from "./example.js";
 
 const job = linkedJob();
+if (job) document.body.dataset.state = "queued"; // the welcome is not drawn before
 /** The files of the welcome's tree, or the `fetch` of a job that the page opens with. */
 const begun = job ? { fetch: fetchMotion(job) } : { files: fetchExample() };
 (job ? import("../app.js") : begun.files).catch(() => {}); // it works without
