@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from safetensors.numpy import save
-from starlette.datastructures import Headers
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
@@ -14,11 +13,6 @@ from service.http.routing import CACHED
 
 LEVEL = 1
 """Of gzip, for tensors: what it leaves is 5 % more than with level 6, and takes a fifth of the time."""
-
-
-def takes_gzip(headers: Headers) -> bool:
-    """Whether the request names gzip."""
-    return "gzip" in headers.get("accept-encoding", "")
 
 
 class PackedResponse(Response):

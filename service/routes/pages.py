@@ -11,7 +11,6 @@ from importlib import resources
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.http.packing import takes_gzip
 from service.http.problems import ProblemError
 from service.http.request_headers import SAFETENSORS, matches
 
@@ -56,7 +55,7 @@ def answer(request: Request, page: Page, headers: dict[str, str]) -> Response:
     headers = {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"} | headers
     if matches(request.headers.get("if-none-match"), page.etag):
         return Response(None, 304, headers)
-    if page.packed is page.content or not takes_gzip(request.headers):
+    if page.packed is page.content or "gzip" not in request.headers.get("accept-encoding", ""):
         return Response(page.content, 200, headers, page.media_type)
     return Response(page.packed, 200, headers | {"Content-Encoding": "gzip"}, page.media_type)
 
