@@ -49,12 +49,11 @@ class MovingTree:
     params: ExportParams
     binding: Binding | None = None
     captured: bool = False  # whether pictures show the splat of the binding, or the mesh
-    stride: int = 1  # of every so many frames one is written
 
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:
         """Phases of the frames to write, in periods."""
-        return frame_phases(self.params, self.spectrum.period_s)[:: self.stride]
+        return frame_phases(self.params, self.spectrum.period_s)
 
     @property
     def loop_fps(self) -> float:

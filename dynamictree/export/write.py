@@ -1,7 +1,7 @@
 """Write the requested products of one motion into a folder."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind
 from dynamictree.mesh import AnyMesh, TriangleMesh, triangle_mesh
 from dynamictree.plant.capture import Capture, moving_part
-from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
+from dynamictree.requests import CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 RIG_SHARE = 0.5
@@ -113,20 +113,11 @@ def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_
 
 
 def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) -> None:
-    """Write the products that are made of pictures, which are drawn once.
+    """Write the products that are made of pictures, which are drawn once; a video alone is written as it is drawn."""
+    from dynamictree.render.video import spooled
 
-    A film longer than `MAX_FRAMES` is not stored: the video is written as it is drawn, a sheet gets every n-th frame.
-    """
-    from dynamictree.render.video import spooled, write_mp4
-
-    stride = -(-len(tree.phases) // MAX_FRAMES)
-    if stride > 1 and "mp4" in paths:
-        with paths["mp4"].open("wb") as stream:
-            write_mp4(draw(tree, report), stream, tree.params.fps)
-        paths = {name: path for name, path in paths.items() if name != "mp4"}
-    if not paths:
-        return
-    with spooled(draw(replace(tree, stride=stride), report)) as film:
+    drawn = draw(tree, report)
+    with spooled(drawn) if len(paths) > 1 else nullcontext(drawn) as film:
         for name, path in paths.items():
             write_film = PRODUCTS[name].write_film
             assert write_film is not None
