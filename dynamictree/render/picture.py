@@ -43,7 +43,6 @@ class Buffers(NamedTuple):
     """What a camera sees at the centre of each pixel, without colour."""
 
     depth_m: Float32[np.ndarray, "H W"]  # along the camera's axis; infinite where nothing is
-    normals: Float32[np.ndarray, "H W 3"]  # of the face, in the world, towards the camera; 0 where nothing is
     face: Int32[np.ndarray, "H W"]  # -1 where nothing is
 
 
@@ -122,18 +121,12 @@ class Renderer:
         return picture
 
     def buffers(self, camera: Camera | None = None) -> Buffers:
-        """Depth, normals and faces of the rest pose, one sample a pixel."""
+        """Depth and faces of the rest pose, one sample a pixel."""
         camera = camera or self.camera
         _, visible = self._see(self._surface, camera, 1)
         seen = visible.face >= 0
         depth = np.where(seen, 1 / np.where(seen, visible.nearness, 1), np.inf).astype(np.float32)
-        a, b, c = (self.mesh.vertices[self.mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
-        normals = np.cross(b - a, c - a)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        away = np.einsum("fc,fc->f", normals, a - camera.position_m) > 0
-        normals[away] *= -1
-        picture = np.where(seen[..., None], normals[visible.face], 0).astype(np.float32)
-        return Buffers(depth_m=depth, normals=picture, face=visible.face)
+        return Buffers(depth_m=depth, face=visible.face)
 
     def _shadow_of(self, vertices: Float32[np.ndarray, "N 3"]) -> SunMap:
         if not self.look.shadows:

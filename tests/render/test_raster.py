@@ -80,13 +80,3 @@ def test_the_order_of_faces_does_not_matter(two_balls):
     camera = Camera.orbit(two_balls.vertices)
     first, second = (Renderer(mesh, Look(width=SIZE, height=SIZE)).buffers(camera) for mesh in (two_balls, turned))
     assert np.array_equal(first.depth_m, second.depth_m)
-
-
-def test_normals_have_unit_length_and_face_the_camera(two_balls):
-    camera = Camera.orbit(two_balls.vertices)
-    buffers = Renderer(two_balls, Look(width=SIZE, height=SIZE)).buffers(camera)
-    seen = buffers.face >= 0
-    assert np.allclose(np.linalg.norm(buffers.normals[seen], axis=1), 1, atol=1e-5)
-    middles = two_balls.vertices[two_balls.faces].mean(axis=1)[buffers.face[seen]]
-    assert ((buffers.normals[seen] * (camera.position_m - middles)).sum(axis=1) > 0).all()
-    assert (buffers.normals[~seen] == 0).all()
