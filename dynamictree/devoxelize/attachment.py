@@ -58,8 +58,8 @@ class Attachments:
     weights: Float32[np.ndarray, "B 2 3"]  # and where in these, barycentric
 
 
-def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> Attachments:
-    """Find the attachments in a welded mesh and its grid; `pieces` are those of both, if they are there."""
+def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
+    """Find the attachments in a welded mesh and its grid."""
     part = connected_parts(mesh.faces, mesh.num_vertices)
     low, high = part_bounds(part, mesh.vertices)
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
@@ -71,7 +71,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | Non
     rank[np.lexsort((extent, ~card))] = np.arange(len(extent))  # whatever its size, a stem carries cards
     stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk never hangs on its crown
     loose = (small | few) & ~stands
-    pieces = pieces or grid_pieces(mesh, grid)
+    pieces = grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
     everything = np.ones(len(extent), bool)

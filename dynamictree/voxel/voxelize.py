@@ -73,17 +73,8 @@ def voxel_trees(mesh: Surface, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:
     """Of a mesh of several trees, the one that has most of the surface in each voxel; -1 where there is none."""
     mesh = mesh.moving_part
     assert mesh.face_tree is not None
-    pieces = grid_pieces(mesh, grid)
-    keys = grid.keys
-    rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
-    in_grid = keys[rows] == pieces.keys
-    pieces = SurfacePieces(
-        keys=pieces.keys[in_grid],
-        faces=pieces.faces[in_grid],
-        areas=pieces.areas[in_grid],
-        centroids=pieces.centroids[in_grid],
-    )
-    return _largest_share(mesh.face_tree, pieces, rows[in_grid], len(grid))
+    pieces, rows = _pieces_in(mesh, grid)
+    return _largest_share(mesh.face_tree, pieces, rows, len(grid))
 
 
 def _largest_share(
@@ -100,26 +91,22 @@ def _largest_share(
 
 def surface_moments(mesh: Surface, grid: VoxelGrid) -> Float32[np.ndarray, "V 16"]:
     """The moments that `voxelize` gives of this mesh, which made the grid."""
-    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
-    return moments_of(mesh, grid, pieces, np.searchsorted(grid.keys, pieces.keys))
+    return moments_of(mesh, grid, *_pieces_in(mesh, grid))
 
 
-def surface_average(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> scipy.sparse.csr_array:
+def surface_average(mesh: Surface, grid: VoxelGrid) -> scipy.sparse.csr_array:
     """Weights [V, N] that turn values at vertices into their mean over the surface in each voxel; rows sum to 1.
 
     Exact for values that are linear on each face. Paper appendix A averages the vertices of a voxel instead, which
-    leaves voxels in the middle of large faces without a value. `pieces` are those of `grid_pieces`, if they are there.
+    leaves voxels in the middle of large faces without a value.
 
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
-    pieces = pieces or grid_pieces(mesh, grid)
-    keys = grid.keys
-    rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
-    in_grid = keys[rows] == pieces.keys
-    rows = np.repeat(rows[in_grid], 3)
-    columns = mesh.faces[pieces.faces[in_grid]].ravel()
-    weights = (pieces.areas[in_grid, None] * pieces.centroids[in_grid]).ravel()
+    pieces, rows = _pieces_in(mesh, grid)
+    rows = np.repeat(rows, 3)
+    columns = mesh.faces[pieces.faces].ravel()
+    weights = (pieces.areas[:, None] * pieces.centroids).ravel()
     total = np.bincount(rows, weights, minlength=len(grid))
     if (total <= 0).any():
         row = int(np.argmin(total))
@@ -128,6 +115,14 @@ def surface_average(mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces | None
         )
     average = scipy.sparse.coo_array((weights / total[rows], (rows, columns)), shape=(len(grid), mesh.num_vertices))
     return average.tocsr().astype(np.float32)
+
+
+def _pieces_in(mesh: Surface, grid: VoxelGrid) -> tuple[SurfacePieces, Int64[np.ndarray, " P"]]:
+    """Pieces of faces in the occupied voxels of a grid, and the row of each."""
+    pieces, keys = grid_pieces(mesh, grid), grid.keys
+    rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
+    there = keys[rows] == pieces.keys
+    return SurfacePieces(**{name: part[there] for name, part in vars(pieces).items()}), rows[there]
 
 
 def grid_pieces(mesh: Surface, grid: VoxelGrid) -> SurfacePieces:

@@ -3,12 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from dynamictree import method
 from dynamictree.devoxelize.nearest import nearest_rows
-from dynamictree.errors import InputError
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh, edges_of, joined
 from dynamictree.spectrum import SparseVoxelSpectrum, from_motion
 from dynamictree.voxel.voxelize import surface_average, voxelize
 
@@ -33,10 +31,7 @@ def tube(start: list[float], end: list[float], radius: float, *, rings: int = 40
 
 def merged(*meshes: TriangleMesh) -> tuple[TriangleMesh, np.ndarray]:
     """One mesh, and which of them each vertex is from."""
-    starts = np.cumsum([0, *(m.num_vertices for m in meshes)])
-    faces = np.concatenate([m.faces + start for m, start in zip(meshes, starts[:-1], strict=True)]).astype(np.int32)
-    owner = np.repeat(np.arange(len(meshes)), [m.num_vertices for m in meshes])
-    return TriangleMesh(vertices=np.concatenate([m.vertices for m in meshes]), faces=faces), owner
+    return joined(meshes), np.repeat(np.arange(len(meshes)), [m.num_vertices for m in meshes])
 
 
 def two_close_twigs() -> tuple[TriangleMesh, np.ndarray]:
@@ -117,10 +112,3 @@ def test_nearest_is_the_voxel_that_a_point_lies_in() -> None:
     grid = voxelize(mesh, 128).grid
     rows = nearest_rows(grid, mesh.vertices)
     np.testing.assert_array_equal(rows, grid.rows_of(grid.coords_of(mesh.vertices)))
-
-
-def test_a_grid_of_another_mesh_is_refused() -> None:
-    mesh, _ = two_close_twigs()
-    other = replace(mesh, vertices=mesh.vertices * np.float32(0.5))
-    with pytest.raises(InputError, match="voxelize this mesh"):
-        surface_average(other, voxelize(mesh, 64).grid)

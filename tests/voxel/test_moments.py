@@ -5,23 +5,18 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD, coarse_moments, moments_of
 from dynamictree.voxel.voxelize import grid_pieces, surface_moments, voxelize
+from tests.devoxelize.test_interpolation import tube
 
 
-def tube(radius_m: float, height_m: float, sides: int) -> TriangleMesh:
+def pole(radius_m: float, height_m: float, sides: int) -> TriangleMesh:
     """Upright on the origin; and a speck aside, so that the axis runs through the middles of voxels of 4 / 64."""
-    angle = 2 * np.pi * np.arange(sides) / sides
-    low = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.zeros(sides)], axis=1)
-    high = low + np.array([0, 0, height_m])
-    aside = np.array([[0.0725, 0.0725, 0], [0.0725, 0.07, 0], [0.07, 0.0725, 0]])
-    first = np.arange(sides)
-    after = (first + 1) % sides
-    walls = [np.stack([first, after, first + sides], 1), np.stack([after, after + sides, first + sides], 1)]
-    faces = np.concatenate([*walls, [2 * sides + np.arange(3)]])
-    return TriangleMesh(vertices=np.concatenate([low, high, aside]).astype(np.float32), faces=faces.astype(np.int32))
+    aside = np.array([[0.0725, 0.0725, 0], [0.0725, 0.07, 0], [0.07, 0.0725, 0]], np.float32)
+    speck = TriangleMesh(vertices=aside, faces=np.array([[0, 1, 2]], np.int32))
+    return joined([tube([0, 0, 0], [0, 0, height_m], radius_m, rings=2, sides=sides), speck])
 
 
 def card(edge_m: float) -> TriangleMesh:
@@ -31,7 +26,7 @@ def card(edge_m: float) -> TriangleMesh:
 
 
 def test_a_card_has_one_normal_and_a_tube_two() -> None:
-    flat, round_ = voxelize(card(4.0), 64), voxelize(tube(0.01, 4.0, 5), 64)
+    flat, round_ = voxelize(card(4.0), 64), voxelize(pole(0.01, 4.0, 5), 64)
     on_axis = np.abs(round_.grid.centres_m[:, :2]).max(axis=1) < 0.01
     assert flat.moments is not None
     assert round_.moments is not None
@@ -55,7 +50,7 @@ def ranks(six: np.ndarray) -> np.ndarray:
 
 
 def test_the_centroid_is_the_surfaces() -> None:
-    voxels = voxelize(tube(0.01, 4.0, 8), 64)
+    voxels = voxelize(pole(0.01, 4.0, 8), 64)
     assert voxels.moments is not None
     place = (voxels.grid.coords + 0.5 + voxels.moments[:, OFFSET]) * voxels.grid.voxel_size_m + voxels.grid.origin_m
     on_axis = np.abs(voxels.grid.centres_m[:, :2]).max(axis=1) < 0.01
@@ -70,7 +65,7 @@ def test_a_mesh_has_the_moments_that_its_voxels_were_made_with() -> None:
     np.testing.assert_allclose(surface_moments(mesh, voxels.grid), voxels.moments)
 
 
-@pytest.mark.parametrize("mesh", [card(3.0), tube(0.02, 3.0, 6)])
+@pytest.mark.parametrize("mesh", [card(3.0), pole(0.02, 3.0, 6)])
 def test_moments_of_larger_voxels_follow_from_the_finer_ones(mesh: TriangleMesh) -> None:
     fine = voxelize(mesh, 128)
     assert fine.moments is not None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import InputError, MeshError
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.voxel import voxelize as voxelize_module
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average, voxelize
@@ -20,12 +20,6 @@ def square(z: float = 0.0, flip: bool = False) -> TriangleMesh:
     vertices = np.array([[0, 0, z], [1, 0, z], [1, 1, z], [0, 1, z]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     return TriangleMesh(vertices=vertices, faces=np.ascontiguousarray(faces[:, ::-1]) if flip else faces)
-
-
-def merged(*meshes: TriangleMesh) -> TriangleMesh:
-    starts = np.cumsum([0, *(m.num_vertices for m in meshes)])
-    faces = np.concatenate([m.faces + start for m, start in zip(meshes, starts[:-1], strict=True)]).astype(np.int32)
-    return TriangleMesh(vertices=np.concatenate([m.vertices for m in meshes]), faces=faces)
 
 
 def dense_samples(mesh: TriangleMesh, step_m: float) -> np.ndarray:
@@ -93,7 +87,7 @@ def test_every_resolution_holds_every_vertex(rng: np.random.Generator, resolutio
 
 
 def test_a_surface_in_a_boundary_plane_fills_one_layer() -> None:
-    mesh = merged(square(0.0), square(1.0))
+    mesh = joined([square(0.0), square(1.0)])
     grid = voxelize(mesh, 32).grid
     assert len(np.unique(grid.coords[:, 2])) == 2
 
@@ -142,7 +136,7 @@ def test_normals_are_unit_and_follow_the_winding() -> None:
 
 
 def test_the_sides_of_a_two_sided_card_do_not_cancel() -> None:
-    card = merged(square(), square(flip=True))
+    card = joined([square(), square(flip=True)])
     normals = voxelize(card, 32).normals
     np.testing.assert_allclose(np.abs(normals @ [0, 0, 1]), 1, atol=1e-6)
 
@@ -152,7 +146,7 @@ def test_normals_average_by_area() -> None:
         vertices=np.array([[0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]], np.float32),
         faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
     )
-    voxels = voxelize(merged(square(), wall), 32)
+    voxels = voxelize(joined([square(), wall]), 32)
     corner = np.linalg.norm(voxels.normals - np.array([0.5**0.5, 0, 0.5**0.5]), axis=1) < 0.3
     assert 25 <= corner.sum() <= 40  # the row of voxels where floor and wall meet
 
