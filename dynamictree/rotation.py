@@ -9,13 +9,7 @@ from dynamictree.errors import InputError
 
 def quaternion_matrices(quaternions: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:
     """The rotation matrix of each unit quaternion; its columns are the turned axes."""
-    w, x, y, z = quaternions.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.ascontiguousarray(np.array(rows, quaternions.dtype).transpose(2, 0, 1))  # [G, 3, 3]
+    return np.asarray(Rotation.from_quat(quaternions, scalar_first=True).as_matrix(), quaternions.dtype)
 
 
 def matrix_quaternions(rotations: Float[np.ndarray, "G 3 3"]) -> Float[np.ndarray, "G 4"]:
