@@ -5,7 +5,6 @@ w_k Re θ_k and w_k Im θ_k of each further bin, its foot and its parent), `wind
 the wind's numbers inside.
 """
 
-import io
 import json
 import re
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ from jaxtyping import Float32
 
 from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import rest_glb
-from dynamictree.formats.motion.exr import write_exr
+from dynamictree.formats.motion.exr import exr_of
 from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind
@@ -109,9 +108,7 @@ def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: Te
     texels[:, : len(parent)] = np.concatenate(
         [parts @ y_up, [skeleton.foot_m @ y_up, skeleton.directions @ y_up, parent]]
     )
-    stream = io.BytesIO()
-    write_exr(texels.reshape(layout.height, layout.width, 3), stream)
-    return stream.getvalue()
+    return exr_of(texels.reshape(layout.height, layout.width, 3))
 
 
 def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:

@@ -7,13 +7,14 @@ thinned, and those that stay grow about their attachment by as much as keeps the
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Complex64, Float32, Int32, Int64
 
 from dynamictree.export.cards import MOST_SAMPLES, cards_of
 from dynamictree.export.moving_tree import Report
 from dynamictree.mesh import MeshLook, TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.render.appearance import foliage_faces, is_leafy
 from dynamictree.spectrum import iter_motion
+from dynamictree.voxel.grid import morton_order
 
 SHARES = (1.0, 0.4, 0.15, 0.05)
 """Of the triangles, level by level."""
@@ -134,19 +135,12 @@ def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
         / np.bincount(own)[:, None]
     )
     rank = np.empty(len(numbers), np.int64)
-    rank[np.argsort(_curve(centre), kind="stable")] = np.arange(len(numbers))
+    extent = np.maximum(np.ptp(centre, axis=0), 1e-9)
+    cells = np.floor((centre - centre.min(axis=0)) / extent * 1023).astype(np.int64)
+    rank[morton_order(cells)] = np.arange(len(numbers))
     result = np.full(mesh.num_faces, -1)
     result[leaf] = rank[own]
     return result
-
-
-def _curve(points: Float64[np.ndarray, "P 3"]) -> Int64[np.ndarray, " P"]:
-    """Places on a Morton curve: neighbours on it are neighbours in space."""
-    extent = np.maximum(np.ptp(points, axis=0), 1e-9)
-    cell = np.floor((points - points.min(axis=0)) / extent * 1023).astype(np.int64)
-    return np.asarray(
-        sum(((cell[:, axis] >> bit) & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3)), np.int64
-    )
 
 
 def _reduced(

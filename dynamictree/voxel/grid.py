@@ -99,6 +99,15 @@ def distinct(keys: Int64[np.ndarray, " M"]) -> Int64[np.ndarray, " D"]:
     return first
 
 
+def morton_order(cells: Int64[np.ndarray, "M 3"]) -> Int64[np.ndarray, " M"]:
+    """The order of cells, below 65,536, along a curve on which neighbours are neighbours in space."""
+    key = np.zeros(len(cells), np.int64)
+    for bit in range(16):
+        for axis in range(3):
+            key |= (cells[:, axis] >> bit & 1) << 3 * bit + axis
+    return np.argsort(key, kind="stable")
+
+
 def _keys(coords: Int32[np.ndarray, "M 3"], resolution: int) -> Int64[np.ndarray, " M"]:
     x, y, z = coords.astype(np.int64).T
     keys: Int64[np.ndarray, " M"] = (x * resolution + y) * resolution + z

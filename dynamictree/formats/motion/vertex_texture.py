@@ -7,7 +7,6 @@ texels, frame 0 on top.
 A texel is added to the position of a vertex: +Y up, metres.
 """
 
-import io
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from jaxtyping import Float16, Float32
 
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.writer import rest_glb
-from dynamictree.formats.motion.exr import write_exr
+from dynamictree.formats.motion.exr import exr_of
 from dynamictree.mesh import TriangleMesh
 from dynamictree.up_axis import up_rotation
 
@@ -92,10 +91,10 @@ def vertex_texture_files(
         "max_displacement_m": float(largest),
         "half_float_error_m": float(np.spacing(largest)) / 2,  # in any direction
     }
-    files = [("displacement.exr", [_picture(texels)])]
+    files = [("displacement.exr", [exr_of(texels)])]
     if normals is not None:
         facts["normal_texture"] = "normal.exr"
-        files.append(("normal.exr", [_picture(_texels(layout, normals))]))
+        files.append(("normal.exr", [exr_of(_texels(layout, normals))]))
     rest = rest_glb(mesh, _lookup(layout, mesh.num_vertices))
     return [("vat.json", [json.dumps(facts, indent=1).encode()]), ("tree.glb", [rest]), *files]
 
@@ -114,9 +113,3 @@ def _lookup(layout: TextureLayout, num_vertices: int) -> Float32[np.ndarray, "N 
     number = np.arange(num_vertices)
     column, row = number % layout.width, number // layout.width
     return np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.height], axis=1).astype(np.float32)
-
-
-def _picture(texels: Float16[np.ndarray, "H W 3"]) -> bytes:
-    stream = io.BytesIO()
-    write_exr(texels, stream)
-    return stream.getvalue()

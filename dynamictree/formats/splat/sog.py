@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float32, Int, Shaped, UInt8
+from jaxtyping import Float32, Shaped, UInt8
 from PIL import Image
 
 from dynamictree.byte_stream import ByteWriter, read_all
@@ -37,6 +37,7 @@ from dynamictree.formats.texture import decoded_image
 from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
+from dynamictree.voxel.grid import morton_order
 
 META = SOG_FOLDER_FILE
 UP_AXIS = "-Y"
@@ -108,7 +109,7 @@ def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
     log_places = np.sign(source.means) * np.log1p(np.abs(source.means.astype(np.float64)))
     low, high = log_places.min(axis=0), log_places.max(axis=0)
     steps = np.rint((log_places - low) / np.maximum(high - low, 1e-30) * _STEPS).astype(np.int64)
-    order = _morton_order(steps)
+    order = morton_order(steps)  # neighbours in space are neighbours in the pictures, which then take less
     source, steps = source.subset(order), steps[order]
     scale_codes, scale_book = codes_of(log_from_scales(source.scales))
     color_codes, color_book = codes_of(source.sh[:, 0])
@@ -255,16 +256,6 @@ def _write_harmonics(cloud: GaussianCloud, files: dict[str, bytes]) -> dict[str,
     }
     files |= {name: _webp(pixels, columns) for name, (pixels, columns) in pictures.items()}
     return {"count": len(codes), "bands": cloud.sh_degree, "codebook": book.tolist(), "files": list(pictures)}
-
-
-def _morton_order(steps: Int[np.ndarray, "G 3"]) -> Int[np.ndarray, " G"]:
-    """Neighbours in space become neighbours in the pictures, which then take less."""
-    key = np.zeros(len(steps), np.int64)
-    for bit in range(16):
-        for axis in range(3):
-            key |= (steps[:, axis] >> bit & 1) << 3 * bit + axis
-    result: Int[np.ndarray, " G"] = np.argsort(key, kind="stable")
-    return result
 
 
 def _opaque(channels: Shaped[np.ndarray, "P 3"]) -> UInt8[np.ndarray, "P 4"]:
