@@ -26,8 +26,9 @@ from tests.formats.ksplat_bytes import ksplat_bytes
 Write = Callable[[GaussianCloud, BinaryIO], None]
 
 
-def make_cloud(rng: np.random.Generator, *, degree: int, up_axis: str = "-Y", unit_m: float = 1.0) -> GaussianCloud:
-    count = 300
+def make_cloud(
+    rng: np.random.Generator, count: int = 300, *, degree: int = 1, up_axis: str = "-Y", unit_m: float = 1.0
+) -> GaussianCloud:
     quaternions = rng.normal(size=(count, 4))
     cloud = GaussianCloud(
         means=rng.normal(size=(count, 3)).astype(np.float32),

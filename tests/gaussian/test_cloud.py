@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, area_m2, check_count, look_level, validate_cloud
-
-
-def make_cloud(rng: np.random.Generator, count: int = 100, degree: int = 1) -> GaussianCloud:
-    quaternions = rng.normal(size=(count, 4))
-    return GaussianCloud(
-        means=rng.normal(size=(count, 3)).astype(np.float32),
-        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
-        scales=np.exp(rng.normal(size=(count, 3)) - 3).astype(np.float32),
-        opacity=rng.uniform(0.05, 0.95, count).astype(np.float32),
-        sh=(rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.3).astype(np.float32),
-    )
+from dynamictree.gaussian.cloud import MAX_GAUSSIANS, area_m2, check_count, look_level, validate_cloud
+from tests.formats.test_cloud_round_trips import make_cloud
 
 
 @pytest.mark.parametrize("name", ["means", "quaternions", "scales", "opacity", "sh"])
