@@ -28,25 +28,15 @@ def branch_orders(parent: Int32[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
 
     A joint's branch goes on in the child that carries most joints.
     """
-    order = np.zeros(len(parent), np.int64)
-    leads = _goes_on(parent)
-    for joint, above in enumerate(parent):
-        if above >= 0:
-            order[joint] = order[above] if leads[joint] else min(order[above] + 1, MAX_ORDER)
-    return order
-
-
-def _goes_on(parent: Int32[np.ndarray, " B"]) -> Bool[np.ndarray, " B"]:
-    """Whether a joint goes on in its parent's branch: it carries more joints than the parent's other children."""
-    size = np.ones(len(parent), np.int64)
+    order, size = np.zeros(len(parent), np.int64), np.ones(len(parent), np.int64)
     for joint in range(len(parent) - 1, -1, -1):  # children come after their parents
         if parent[joint] >= 0:
             size[parent[joint]] += size[joint]
-    leads = np.zeros(len(parent), np.bool_)
-    for above in np.unique(parent[parent >= 0]):
-        siblings = np.flatnonzero(parent == above)
-        leads[siblings[np.argmax(size[siblings])]] = True
-    return leads
+    heir = {parent[joint]: joint for joint in np.lexsort((-np.arange(len(parent)), size))}  # the largest comes last
+    for joint, above in enumerate(parent):
+        if above >= 0:
+            order[joint] = order[above] if heir[above] == joint else min(order[above] + 1, MAX_ORDER)
+    return order
 
 
 def bending_rad(skin: Skin) -> Float64[np.ndarray, " B"]:

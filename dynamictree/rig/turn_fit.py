@@ -46,6 +46,7 @@ _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of 
 
 Solution = Complex64[np.ndarray, "U K"]
 """Displacements of the B feet, turns, and feet in a side wind of the bones that bend; three numbers each."""
+Prices = tuple[Float64[np.ndarray, " B"] | float, Float64[np.ndarray, " E"] | float]  # of turns, and of edges
 Stacked = Complex64[np.ndarray, "B4 3 K"]
 """Of each bone its foot, then the columns of its rotation, less those at rest: what `matrices.placing` multiplies."""
 
@@ -55,11 +56,12 @@ def fit_turns(
 ) -> Complex64[np.ndarray, "B K 3"]:
     """Turn modes [rad] of the bones that carry the target's points; `report` gets the share done."""
     voxels = _Voxels(skeleton, weights, target)
-    turns, dearer = np.zeros((len(skeleton), 1, 3), np.complex64), np.ones(len(skeleton))
+    turns = np.zeros((len(skeleton), 1, 3), np.complex64)
+    prices: Prices = (1.0, 1.0)
     stages = 2 * [(1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)]
     done, whole = 0, sum(len(rounds) for _, rounds in stages)
     for num_frequencies, rounds in stages:
-        problem = _Problem(skeleton, weights, target, voxels, turns[:, 0].real, dearer)
+        problem = _Problem(skeleton, weights, target, voxels, turns[:, 0].real, prices)
         solution = problem.solution(turns[:, :1], num_frequencies)
         played = solution, *problem.played(solution)
         for most in rounds:
@@ -68,7 +70,7 @@ def fit_turns(
             now = _descended(problem, problem.read(*played), most)
             played = now.solution, now.stacked, now.growth
         turns = problem.turns(now.solution)
-        if num_frequencies > 1 and (dearer := problem.dearer(now.growth)).max() == 1:
+        if num_frequencies > 1 and np.hstack(prices := problem.prices(now.growth)).max() == 1:
             break
         del problem  # its factor, hundreds of megabytes, before the next is made
     return turns
@@ -145,11 +147,12 @@ class _Problem:
         target: Target,
         voxels: _Voxels,
         about: Float32[np.ndarray, "B 3"],
-        dearer: Float64[np.ndarray, " B"],
+        prices: Prices,
     ) -> None:
         self.skeleton, self.voxels, num_bones = skeleton, voxels, len(skeleton)
         at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
         ends, self.length, self.scale = matrices.edge_ends(skeleton, weights, target)
+        self.scale = self.scale * np.sqrt(prices[1])
         self.vectors = (ends @ voxels.placing).tocsr()  # [E, 4B]
         self.price = STRETCH * len(voxels.coefficients) / max(len(target.fitted_edges), 1)
         self.bends = np.zeros(num_bones, np.bool_)
@@ -170,7 +173,8 @@ class _Problem:
         side_growth, side_chain = matrices.linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
         aside = self._lengthening(at_rest) @ side_growth
         apart = matrices.apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
-        price = np.append(dearer[1:], np.ones(apart.shape[0] // 3 + 1 - num_bones)).repeat(3)  # children come first
+        price = np.ones(apart.shape[0])
+        price[: 3 * (num_bones - 1)] = np.repeat(np.broadcast_to(prices[0], num_bones)[1:], 3)  # children come first
         prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ scipy.sparse.diags_array(price) @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
@@ -259,20 +263,25 @@ class _Problem:
         turns[GROUND] = 0
         return step
 
-    def dearer(self, growth: Complex64[np.ndarray, "E K"]) -> Float64[np.ndarray, " B"]:
-        """How many times dearer a bone's turn against its parent shall be, by how much edges between them grow.
+    def prices(self, growth: Complex64[np.ndarray, "E K"]) -> Prices:
+        """How many times dearer turns and edges shall be where one edge in twenty grows by more than `strained`.
 
-        Wood breaks at 0.01: where one edge in twenty grows by more than `strained`, root mean square of the loop, noise
-        of voxels asks for it, and prices grow with the square.
+        Root mean square of the loop; wood breaks at 0.01, and noise of voxels asks for more.
         """
-        strained, quiet = 0.004, 0.0005
-        often = bin_weights(growth.shape[1], self.voxels.num_frames)
-        bone = np.maximum.reduceat(self.vectors.indices % len(self.skeleton), self.vectors.indptr[:-1])  # the deepest
-        square = np.abs(growth) ** 2 @ often / (self.scale * self.length) ** 2 * ~self.skeleton.in_surface[bone]
-        if len(square) == 0 or np.percentile(square, 95) < strained**2:
-            return np.ones(len(self.skeleton))
-        total, count = (np.bincount(bone, each, len(self.skeleton)) for each in (square, np.ones_like(square)))
-        return np.asarray(np.maximum(total / np.maximum(count, 1) / quiet**2, 1))
+        strained, gentle, quiet, most = 0.004, 0.003, 0.0005, 10
+        power = np.abs(growth) ** 2 @ bin_weights(growth.shape[1], self.voxels.num_frames)
+        square = power / (self.scale * self.length) ** 2
+        turns, edges = np.ones(len(self.skeleton)), np.ones(len(square))
+        bone, first, width = self.vectors.indices % len(turns), self.vectors.indptr[:-1], np.diff(self.vectors.indptr)
+        in_surface = self.skeleton.in_surface[np.maximum.reduceat(bone, first)]
+        of_wood, of_surface = square * ~in_surface, square * in_surface
+        if len(square) and np.percentile(of_wood, 95) > strained**2:
+            bears = bone == np.repeat(np.minimum.reduceat(bone, first), width)
+            total, count = (np.bincount(bone, np.repeat(each, width) * ~bears, len(turns)) for each in (of_wood, edges))
+            turns = np.maximum(total / np.maximum(count, 1) / quiet**2, 1)
+        if len(square) and np.percentile(of_surface, 95) > strained**2:
+            edges = np.clip(of_surface / gentle**2, 1, most)
+        return turns, edges
 
     def with_side_feet(self, solution: Solution) -> Solution:
         """The same turns, with the feet that a side wind then moves."""

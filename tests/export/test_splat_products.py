@@ -64,12 +64,12 @@ def mesh(capture: Capture) -> TriangleMesh:
 
 @pytest.fixture(scope="module")
 def spectrum(mesh: TriangleMesh) -> SparseVoxelSpectrum:
-    """Bends along +X as the square of the height, four frames a loop; its sections turn as those of a rod do."""
+    """Bends along +X as the square of the height, four frames a loop, sections as a rod's; no fibre breaks (0.5 %)."""
     grid = voxelize(mesh, 32).grid
     coefficients = np.zeros((len(grid), 2, 3), np.complex64)
     x, _, z = grid.centres_m.T
-    coefficients[:, 1, 0] = 0.05 * z**2
-    coefficients[:, 1, 2] = -0.1 * z * x
+    coefficients[:, 1, 0] = 0.0125 * z**2
+    coefficients[:, 1, 2] = -0.025 * z * x
     return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, fps=24.0, num_frames=4, model="test")
 
 
@@ -111,8 +111,8 @@ def test_all_products_show_one_motion(
     for frame in frames:
         np.testing.assert_allclose(frame.means[~tree], cloud.means[~tree], atol=1e-6)  # the pot stays
     moved = frames[0].means[tree] - cloud.means[tree]
-    expected = 0.1 * cloud.means[tree, 2] ** 2  # w c cos 0, w = 2
-    assert np.abs(moved[:, 0] - expected).max() < 0.015
+    expected = 0.025 * cloud.means[tree, 2] ** 2  # w c cos 0, w = 2
+    assert np.abs(moved[:, 0] - expected).max() < 0.00375
     stated = sequence_bytes(("splat-ply",), 4, options, cloud=(3000, 0))["splat-ply"]
     assert 1 < paths["splat-ply"].stat().st_size / stated < 1.02
     assert animated_splat(paths["splat"].read_bytes()).binding.cloud.num_gaussians == 3000
@@ -150,7 +150,7 @@ def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
         frame = read_cloud(io.BytesIO(archive.read("frame_0002.ply")), file_type="ply")
     assert frame.num_gaussians == 300
     top = frame.means[(frame.means[:, 2] > 0.9) & (frame.means[:, 0] < 0.5)]
-    assert top[:, 0].mean() < -0.05  # half a loop on: to the left
+    assert top[:, 0].mean() < -0.0125  # half a loop on: to the left
     stated = sequence_bytes(("splat-ply",), 1, options, cloud=(3000, 0))["splat-ply"]
     assert 1 < paths["splat-ply"].stat().st_size / stated < 1.1
 
@@ -314,7 +314,7 @@ def test_usd_has_every_pose_of_the_splat(
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     binding = bind(capture.cloud, mesh, mask=moving_part(capture, choice))
     poses = list(iter_poses(binding, method.move(spectrum, mesh, num_frames=4)))
-    assert np.abs(poses[0].means - poses[2].means).max() > 0.1
+    assert np.abs(poses[0].means - poses[2].means).max() > 0.025
     for code, pose in enumerate(poses):
         np.testing.assert_allclose(np.array(splat.GetPositionsAttr().Get(code)), pose.means, atol=1e-6)
         np.testing.assert_allclose(np.array(splat.GetScaleshAttr().Get(code)), pose.scales, rtol=1e-3)

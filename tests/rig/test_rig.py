@@ -133,8 +133,8 @@ def test_the_foot_of_a_trunk_moves_as_its_voxels_whatever_its_crown_misses() -> 
 
 
 def test_a_storm_of_the_model_breaks_no_wood() -> None:
-    """Limbs that followed noise of voxels made edges grow by 1.7 %."""
-    mesh = make_sample(4, "pine").mesh
+    """Limbs that followed noise of voxels made edges grow by 1.7 %: where a branch forks, both stems pull at edges."""
+    mesh = make_sample(0, "weeping").mesh
     spectrum = method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=20.0), seed=0)
     rig = rig_of(mesh, spectrum)
     motion = [rig.displacement(theta, mesh.vertices, rig.vertices) for theta in rig.theta(np.arange(8) / 8)]
@@ -182,7 +182,7 @@ def test_what_is_no_plant_stands_still_and_changes_no_bone(tree: Tree) -> None:
 
 
 def test_a_crown_that_is_one_surface_does_not_tear_when_the_wind_turns() -> None:
-    """The field itself stretches by 15 %: bones that only turn cannot follow it, and stretch alike in turned wind."""
+    """The field itself stretches by 15 %. Bones that followed it as far as they could did by 10 %, turned by 12."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     vertices = np.add(ball.vertices, [0, 0, 1]).astype(np.float32)
     mesh = TriangleMesh(vertices=vertices, faces=ball.faces.astype(np.int32))
@@ -194,13 +194,12 @@ def test_a_crown_that_is_one_surface_does_not_tear_when_the_wind_turns() -> None
     modes[:, 3, 0] = 0.008 * z * np.exp(4j * y)
     rig = rig_of(mesh, SparseVoxelSpectrum(grid=grid, coefficients=modes))
     assert rig.skeleton.in_surface.mean() > 0.9
-    turn = trimesh.transformations.rotation_matrix(np.radians(30), [0, 0, 1])[:3, :3].astype(np.float32)
-    typical, thetas = [], list(rig.theta(np.arange(8) / 8))
-    for wind in (np.eye(3, dtype=np.float32), turn):
-        motion = [rig.displacement(rig.in_wind(theta, wind), vertices, rig.vertices) for theta in thetas]
-        typical.append(np.percentile(list(_growths(mesh, motion)), 99))
-    assert 0.001 < typical[0] < 0.12  # the motion asked for stretches by 0.15
-    assert typical[1] < 1.2 * typical[0]
+    turn = np.float32(trimesh.transformations.rotation_matrix(np.radians(30), [0, 0, 1])[:3, :3])
+    loop = list(rig.theta(np.arange(8) / 8))
+    winds = ([rig.in_wind(theta, wind) for theta in loop] for wind in (np.eye(3, dtype=np.float32), turn))
+    motions = ([rig.displacement(theta, vertices, rig.vertices) for theta in thetas] for thetas in winds)
+    own, turned = (np.percentile(list(_growths(mesh, motion)), 99) for motion in motions)
+    assert 0.001 < own <= max(own, turned) < 0.035
 
 
 def test_each_of_two_trees_has_its_bones_and_moves_by_itself(tree: Tree) -> None:
