@@ -11,6 +11,7 @@ from pathlib import Path
 import obstore
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
+from dynamictree.memory import return_freed_memory
 from dynamictree.photo_requests import LearningParams
 from dynamictree.request_model import Request
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
@@ -25,7 +26,6 @@ from jobs.storage.object_storage import open_objects, reporting_refusals
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS
 from worker.cancellation import Watch
 from worker.half_done import alone_in, half_done_folder
-from worker.memory_limit import return_freed_memory
 from worker.runtime import Runtime
 
 logger = logging.getLogger(__name__)

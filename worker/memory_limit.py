@@ -1,12 +1,7 @@
-"""Bound the memory of the process that runs jobs, so that a job that needs too much fails and its worker lives on.
+"""Bound the memory of the process that runs jobs, so that a job that needs too much fails and its worker lives on."""
 
-Between jobs, freed memory is returned to the system.
-"""
-
-import ctypes
 import os
 import resource
-from contextlib import suppress
 from pathlib import Path
 
 from jobs.settings import Settings
@@ -35,15 +30,6 @@ def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
         if path.is_file() and (text := path.read_text().strip()).isdecimal():
             available = min(available, int(text))
     return available
-
-
-def return_freed_memory() -> None:
-    """Return freed memory to the system: glibc retains about 400 MiB after a job, more after a large one.
-
-    Does nothing where the C library has no `malloc_trim`.
-    """
-    with suppress(AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def is_out_of_memory(error: BaseException) -> bool:

@@ -12,6 +12,7 @@ from celery import Task, signals
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
+from dynamictree.memory import return_freed_memory
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
 from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, hand_back, report_alive, succeed
 from jobs.lifecycle.maintenance import RUN_JOB
@@ -24,7 +25,7 @@ from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
 from worker.half_done import half_done_folder
-from worker.memory_limit import is_out_of_memory, limit_memory, return_freed_memory
+from worker.memory_limit import is_out_of_memory, limit_memory
 from worker.runtime import Runtime, close_runtime, runtime
 
 logger = logging.getLogger(__name__)

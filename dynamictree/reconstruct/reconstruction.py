@@ -11,6 +11,7 @@ from jaxtyping import Bool
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.memory import return_freed_memory
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
@@ -132,6 +133,7 @@ def reconstruct(
                 scene.matched, scene.depths, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
             )
         scene = replace(scene, sky=None)  # hundreds of megabytes, which a mesh does without
+        return_freed_memory()  # photos at the sizes that were learned from
         with clock.stage("mesh"):
             cloud = cloud_of(fit.table)
             mesh, mesh_by = best_mesh_of(fit.table, scene, fit.figures["held_out"])

@@ -39,7 +39,7 @@ import os
 import threading
 
 from tests.faults.soak import anonymous_bytes
-from worker.memory_limit import return_freed_memory
+from dynamictree.memory import return_freed_memory
 
 before = anonymous_bytes(os.getpid())
 large = b"x" * 30 * 2**20
