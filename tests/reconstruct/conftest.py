@@ -1,8 +1,10 @@
 """Photos of a thing whose shape and cameras are known: taken by the project's own renderer."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +12,23 @@ from PIL import Image
 from scipy.ndimage import zoom
 
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
+from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Camera, Look, Renderer
 
 WIDTH, HEIGHT = 400, 300
 POT_M = 0.55
+
+
+def sparse_model(views: Sequence[View] = (), points: Any = (), seen: Any = (), colors: Any = None) -> SparseModel:
+    """As structure from motion gives it: points and pairs of a view's and a point's row; black unless stated."""
+    places = np.reshape(points, (-1, 3))
+    return SparseModel(
+        views=tuple(views),
+        points=places,
+        colors=np.zeros_like(places, np.uint8) if colors is None else colors.astype(np.uint8),
+        seen=np.reshape(seen, (-1, 2)).astype(np.int64),
+        reprojection_error_px=0.5,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

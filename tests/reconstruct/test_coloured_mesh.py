@@ -17,7 +17,7 @@ from dynamictree.reconstruct.stage import camera_up, find_stage
 from dynamictree.reconstruct.stereo import Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
-from tests.reconstruct.conftest import Orbit
+from tests.reconstruct.conftest import Orbit, sparse_model
 
 SIDE = 220
 
@@ -43,13 +43,7 @@ def model_of(orbit: Orbit, rng: np.random.Generator) -> SparseModel:
     points = np.concatenate([on_stump, on_ground]) + rng.normal(scale=0.002, size=(1000, 3))
     views = views_of(orbit)
     seen = np.stack(np.meshgrid(np.arange(len(views)), np.arange(1000), indexing="ij"), axis=2).reshape(-1, 2)
-    return SparseModel(
-        views=views,
-        points=points,
-        colors=np.zeros((1000, 3), np.uint8),
-        seen=seen[rng.random(len(seen)) < 0.4],
-        reprojection_error_px=0.5,
-    )
+    return sparse_model(views, points, seen[rng.random(len(seen)) < 0.4])
 
 
 def test_stereo_finds_the_depth_that_the_renderer_has(orbit):
@@ -210,14 +204,7 @@ def test_up_is_level_whatever_the_pitch(orbit):
 
 def test_without_ground_up_is_the_cameras_own(orbit, rng):
     model = model_of(orbit, rng)
-    keep = np.flatnonzero(model.points[:, 2] > 0.05)[:40]
-    few = SparseModel(
-        views=model.views,
-        points=model.points[keep],
-        colors=model.colors[keep],
-        seen=np.zeros((0, 2), np.int64),
-        reprojection_error_px=0.5,
-    )
+    few = sparse_model(model.views, model.points[model.points[:, 2] > 0.05][:40])
     stage = find_stage(few, np.random.default_rng(0))
     assert not stage.ground_found
     assert stage.up[2] > 0.95
@@ -248,10 +235,7 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
     blank = tuple(
         View(source=view.source, image=np.full((90, 120, 3), 128, np.uint8), camera=view.camera) for view in model.views
     )
-    plain = SparseModel(
-        views=blank, points=model.points, colors=model.colors, seen=model.seen, reprojection_error_px=0.5
-    )
-    scene = find_scene(plain)
+    scene = find_scene(replace(model, views=blank))
     with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
         coloured(stereo_surface(scene), scene)
 

@@ -11,7 +11,7 @@ from dynamictree.reconstruct import draft as drafts
 from dynamictree.reconstruct.draft import DRAFT, Draft
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import table_of_points
-from dynamictree.reconstruct.views import SparseModel
+from tests.reconstruct.conftest import sparse_model
 
 OPACITY = 0.1
 
@@ -50,16 +50,12 @@ def table_of(points: np.ndarray) -> np.ndarray:
 def test_the_points_that_photos_share_are_shown_upright_and_without_the_background(draft, published, rng):
     stem = column(rng)
     points = np.concatenate([stem, rng.normal(loc=(8, 0, 0), size=(500, 3))])
-    colors = np.full((len(points), 3), 128, np.uint8)
-    empty = np.zeros((0, 2), np.int64)
-    draft.show_points(SparseModel(views=(), points=points, colors=colors, seen=empty, reprojection_error_px=0.5))
+    draft.show_points(sparse_model(points=points))
     assert np.allclose(np.sort(published[0].means[:, 2]), np.sort(stem[:, 2]), atol=1e-5)
 
 
 def test_two_points_are_no_draft(draft, published):
-    empty = np.zeros((0, 2), np.int64)
-    points, colors = np.zeros((2, 3)), np.zeros((2, 3), np.uint8)
-    draft.show_points(SparseModel(views=(), points=points, colors=colors, seen=empty, reprojection_error_px=0.5))
+    draft.show_points(sparse_model(points=np.zeros((2, 3))))
     assert published == []
 
 

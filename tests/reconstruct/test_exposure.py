@@ -1,11 +1,14 @@
 """Photos that a camera exposed differently are brought into one light; photos in one light stay as they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dynamictree.reconstruct.exposure import evenly_exposed, log_gains
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
+from tests.reconstruct.conftest import sparse_model
 
 SIDE_PX, NUM_VIEWS, NUM_POINTS = 400, 12, 400
 
@@ -29,13 +32,7 @@ def photographed(gains: np.ndarray) -> SparseModel:
         near = np.flatnonzero(depth < 3.6)
         seen += [(row, point) for point in near]
         views.append(View(source=f"{row}.jpg", image=np.rint(image).astype(np.uint8), camera=camera))
-    return SparseModel(
-        views=tuple(views),
-        points=points,
-        colors=colors.astype(np.uint8),
-        seen=np.array(seen, np.int64),
-        reprojection_error_px=0.5,
-    )
+    return sparse_model(views, points, seen, colors)
 
 
 def test_gains_are_those_of_the_camera() -> None:
@@ -61,5 +58,4 @@ def test_a_photo_of_few_points_stays_as_it_is(share: float) -> None:
     dark = photographed(np.array([[0.5] * 3, *[[1.0] * 3] * (NUM_VIEWS - 1)]))
     few = model.seen[:, 0] > 0
     few[np.flatnonzero(~few)[: int(share * NUM_POINTS)]] = True
-    sparse = SparseModel(**{**vars(dark), "seen": model.seen[few]})
-    assert np.array_equal(evenly_exposed(sparse).views[0].image, dark.views[0].image)
+    assert np.array_equal(evenly_exposed(replace(dark, seen=model.seen[few])).views[0].image, dark.views[0].image)

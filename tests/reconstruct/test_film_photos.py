@@ -23,6 +23,7 @@ from dynamictree.reconstruct.film_photos import (
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
 from dynamictree.render.video import write_mp4
+from tests.reconstruct.conftest import sparse_model
 
 NUM_FRAMES, NUM_CHOSEN, SHARP_EVERY = 80, 8, 5
 FRAMES = list(range(4, 310, 10))  # of a film of 310 frames, one walk around
@@ -39,13 +40,7 @@ def model(frames: Sequence[int]) -> SparseModel:
             position_m=turn @ camera.position_m, world_to_camera=camera.world_to_camera @ turn.T, focal=camera.focal
         )
         views.append(View(source=frame_name(frame), image=np.zeros((30, 40, 3), np.uint8), camera=turned))
-    return SparseModel(
-        views=tuple(views),
-        points=np.zeros((0, 3)),
-        colors=np.zeros((0, 3), np.uint8),
-        seen=np.zeros((0, 2), np.int64),
-        reprojection_error_px=0.3,
-    )
+    return sparse_model(views)
 
 
 class Recorder:

@@ -18,10 +18,10 @@ from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, pla
 from dynamictree.reconstruct.markers import SHEET_EDGES_M, Marker, metres_per_unit
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.recut import recut
-from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.reconstruct.views import View
 from dynamictree.render import Camera, Look, Renderer
 from recipes.marker_sheet import SHEET, marker_cells, sheet
-from tests.reconstruct.conftest import stump_and_ground
+from tests.reconstruct.conftest import sparse_model, stump_and_ground
 from tests.reconstruct.finished import write_finished
 
 NUMBER, EDGE_M = 585, 0.1
@@ -94,14 +94,7 @@ def test_a_marker_in_photos_has_its_size(sightings: list[Sighting]) -> None:
 
 def test_the_scale_is_that_of_the_cameras() -> None:
     marker = Marker(number=3, edge=0.2, num_photos=9)
-    model = SparseModel(
-        views=(),
-        points=np.zeros((0, 3)),
-        colors=np.zeros((0, 3), np.uint8),
-        seen=np.zeros((0, 2), np.int64),
-        reprojection_error_px=0.1,
-        markers=(marker,),
-    )
+    model = replace(sparse_model(), markers=(marker,))
     assert model.transformed(7.0, np.eye(3), np.zeros(3)).markers == (replace(marker, edge=7 * 0.2),)
 
 
