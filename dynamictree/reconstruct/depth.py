@@ -98,8 +98,7 @@ def _matched(model: SparseModel, views: list[StereoView], number: int, mask: Boo
     points = model.points[model.seen[model.seen[:, 0] == number, 1]]
     if len(points) < min_points or len(views) == 1:
         return guess
-    depth = points @ views[0].to_pixel[2, :3] + views[0].to_pixel[2, 3]
-    low, high = np.percentile(depth, depth_percentiles)
+    low, high = np.percentile(views[0].pixels(points)[1], depth_percentiles)
     bounds = float(low) / depth_slack, float(high) * depth_slack
     return match_view(views, guess, bounds, mask, num_iterations=3, seed=number)
 
@@ -107,14 +106,13 @@ def _matched(model: SparseModel, views: list[StereoView], number: int, mask: Boo
 def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypotheses:
     height, width = view.grey.shape
     points = model.points[model.seen[model.seen[:, 0] == number, 1]]
-    in_picture = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ view.to_pixel.T
-    in_picture = in_picture[in_picture[:, 2] > 0]
+    places, depth = view.pixels(points)
+    ahead = depth > 0
     inverse = np.ones((height, width), np.float32)
-    if len(in_picture):
-        column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        pixels = np.stack([column.ravel(), row.ravel()], axis=1)
-        nearest = cKDTree(in_picture[:, :2] / in_picture[:, 2:]).query(pixels)[1]
-        inverse = (1 / in_picture[nearest, 2]).reshape(height, width).astype(np.float32)
+    if ahead.any():
+        row, column = np.indices((height, width)).reshape(2, -1) + 0.5
+        nearest = cKDTree(places[ahead]).query(np.stack([column, row], axis=1))[1]
+        inverse = (1 / depth[ahead][nearest]).reshape(height, width).astype(np.float32)
     return Hypotheses(inverse, np.zeros((height, width, 2), np.float32), np.full((height, width), 3, np.float32))
 
 

@@ -84,8 +84,7 @@ def points_of_depths(
     images = [view.image for view in model.views] if sky is None else [view.image for view in sky]
     for image, stereo, depth in zip(images, depths.views, depths.depths, strict=True):
         row, column = np.nonzero(depth > 0)
-        pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=1)
-        points.append(stereo.position + depth[row, column, None] * (pixels @ stereo.to_ray.T))
+        points.append(stereo.places(np.stack([column + 0.5, row + 0.5], axis=1), depth[row, column]))
         height, width = image.shape[:2]
         at = row * height // depth.shape[0], column * width // depth.shape[1]
         colors.append(image[at] / np.float32(255))

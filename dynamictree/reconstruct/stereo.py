@@ -7,7 +7,7 @@ affine in the picture, so a hypothesis moves to a neighbour by adding, and a pix
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 
 from dynamictree.parallel import compiled, in_bands
 
@@ -27,6 +27,20 @@ class StereoView(NamedTuple):
     to_pixel: Float64[np.ndarray, "3 4"]  # world to pixel times depth
     to_ray: Float64[np.ndarray, "3 3"]  # pixel to direction in the world, of depth 1
     position: Float64[np.ndarray, "3"]
+
+    def places(self, pixels: Float64[np.ndarray, "P 2"], depth: Float[np.ndarray, " P"]) -> Float64[np.ndarray, "P 3"]:
+        """Where in the world what is seen at pixels is, by its depth."""
+        rays = pixels @ self.to_ray[:, :2].T + self.to_ray[:, 2]
+        places: Float64[np.ndarray, "P 3"] = self.position + depth[:, None] * rays
+        return places
+
+    def pixels(
+        self, places: Float64[np.ndarray, "P 3"]
+    ) -> tuple[Float64[np.ndarray, "P 2"], Float64[np.ndarray, " P"]]:
+        """Where places of the world are seen, and their depth; no pixel of those that are not before the camera."""
+        across, down, depth = self.to_pixel[:, :3] @ places.T + self.to_pixel[:, 3:]
+        before = np.where(depth > 0, depth, np.nan)
+        return np.stack([across / before, down / before], axis=1), depth
 
 
 class Hypotheses(NamedTuple):
@@ -116,18 +130,26 @@ def agreed_depths(
     max_cost = 0.55  # 1 − correlation
     depths = []
     for view, others in enumerate(neighbours):
-        votes = np.zeros(hypotheses[view].inverse.shape, np.int32)
-        for other in others:
-            in_bands(
-                _agree_rows,
-                len(votes),
-                (hypotheses[view].inverse, views[view]),
-                (hypotheses[other].inverse, views[other]),
-                votes,
-            )
+        own = hypotheses[view].inverse
+        votes = sum((_agree(own, views[view], hypotheses[o].inverse, views[o]) for o in others), np.zeros(own.shape))
         sure = (votes >= min_agreeing) & (hypotheses[view].cost < max_cost)
         depths.append(np.where(sure, 1 / hypotheses[view].inverse, 0).astype(np.float32))
     return depths
+
+
+def _agree(
+    inverse: Float32[np.ndarray, "H W"], view: StereoView, other: Float32[np.ndarray, "h w"], other_view: StereoView
+) -> Bool[np.ndarray, "H W"]:
+    """Where the other view's depth leads back to the same pixel at the same depth."""
+    row, column = np.indices(inverse.shape).reshape(2, -1) + 0.5
+    pixels, depth = np.stack([column, row], axis=1), 1 / inverse.ravel().astype(np.float64)
+    seen, _ = other_view.pixels(view.places(pixels, depth))
+    inside = np.all((seen >= 0) & (seen < other.shape[::-1]), axis=1)  # not where there is no pixel
+    column, row = np.where(inside[:, None], seen, 0).astype(np.int64).T
+    back, back_depth = view.pixels(other_view.places(seen, 1 / other[row, column].astype(np.float64)))
+    near = ((back - pixels) ** 2).sum(axis=1) < _REPROJECTION_PX**2
+    agree: Bool[np.ndarray, " P"] = inside & near & (np.abs(back_depth - depth) < _DEPTH_SHARE * depth)
+    return agree.reshape(inverse.shape)
 
 
 @compiled
@@ -285,46 +307,3 @@ def _cost_in_view(view, at, plane, matching, patch):
     if other_variance < _FLAT:
         return np.float32(1)
     return np.float32(1) - (product - total * mean) / np.sqrt(variance * other_variance)
-
-
-@compiled
-@no_type_check
-def _agree_rows(first, end, this, that, votes):
-    """Vote where the other view's depth leads back to the same pixel at the same depth."""
-    (inverse, view), (other, other_view) = this, that
-    height, width = other.shape
-    for y in range(first, end):
-        for x in range(inverse.shape[1]):
-            depth = 1.0 / inverse[y, x]
-            px, py, pz = _walk(view, x + 0.5, y + 0.5, depth)
-            u, v, w = _project(other_view.to_pixel, px, py, pz)
-            if w <= 0:
-                continue
-            column, row = int(np.floor(u)), int(np.floor(v))
-            if not (0 <= column < width and 0 <= row < height):
-                continue
-            px, py, pz = _walk(other_view, u, v, 1.0 / other[row, column])
-            back_u, back_v, back_depth = _project(view.to_pixel, px, py, pz)
-            off = (back_u - x - 0.5) ** 2 + (back_v - y - 0.5) ** 2
-            if back_depth > 0 and off < _REPROJECTION_PX**2 and abs(back_depth - depth) < _DEPTH_SHARE * depth:
-                votes[y, x] += 1
-
-
-@compiled
-@no_type_check
-def _walk(view, u, v, depth):
-    ray, position = view.to_ray, view.position
-    return (
-        position[0] + depth * (ray[0, 0] * u + ray[0, 1] * v + ray[0, 2]),
-        position[1] + depth * (ray[1, 0] * u + ray[1, 1] * v + ray[1, 2]),
-        position[2] + depth * (ray[2, 0] * u + ray[2, 1] * v + ray[2, 2]),
-    )
-
-
-@compiled
-@no_type_check
-def _project(to_pixel, x, y, z):
-    w = to_pixel[2, 0] * x + to_pixel[2, 1] * y + to_pixel[2, 2] * z + to_pixel[2, 3]
-    u = to_pixel[0, 0] * x + to_pixel[0, 1] * y + to_pixel[0, 2] * z + to_pixel[0, 3]
-    v = to_pixel[1, 0] * x + to_pixel[1, 1] * y + to_pixel[1, 2] * z + to_pixel[1, 3]
-    return (u / w, v / w, w) if w > 0 else (0.0, 0.0, w)
