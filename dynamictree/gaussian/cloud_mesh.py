@@ -8,7 +8,7 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_closing, binary_dilation, label
 from scipy.spatial import KDTree
 
 from dynamictree.errors import InputError
@@ -31,13 +31,22 @@ _REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth o
 _BRIDGED = 2  # cells: gaps of up to twice as many in a hollow capture count as closed
 
 
-def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_faces: int = MAX_FACES) -> TriangleMesh:
+def mesh_of_cloud(
+    cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_faces: int = MAX_FACES, one_skin: bool = False
+) -> TriangleMesh:
     """A closed surface around the Gaussians, coloured as they are.
+
+    Args:
+        cloud: the Gaussians.
+        cells_along: grid cells along the largest extent.
+        max_faces: it is simplified to so many.
+        one_skin: whether narrow gaps with some opacity are filled: photos leave two skins, with bridges between them.
 
     Raises:
         InputError: nothing is opaque enough to have a surface.
     """
     border = 3  # empty cells around, so that the surface closes
+    gap, some = 2, 0.3  # half of its width in cells; of the level: between two twigs there is no opacity
     import fast_simplification
     from skimage.measure import marching_cubes
 
@@ -52,6 +61,9 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     if density.max() <= LEVEL:
         raise InputError(f"the cloud is nowhere denser than {density.max():.2g}; a surface needs more than {LEVEL}")
     density[[0, -1]] = density[:, [0, -1]] = density[:, :, [0, -1]] = 0
+    if one_skin:
+        gaps = binary_closing(density > LEVEL, iterations=gap) & (density > some * LEVEL)
+        np.maximum(density, np.float32(1.05 * LEVEL), out=density, where=gaps)
     _fill(density)
     points, faces, _, _ = marching_cubes(density, LEVEL)  # type: ignore[no-untyped-call]
     faces = np.ascontiguousarray(faces[:, ::-1], np.int32)  # outward: opacity falls that way

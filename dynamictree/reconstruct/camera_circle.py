@@ -27,9 +27,7 @@ class CameraCircle:
     @property
     def gaps_deg(self) -> Float64[np.ndarray, " V"]:
         """Angle from each camera to the next one; a full circle for a single camera."""
-        if len(self.photos) < 2:
-            return np.full(len(self.photos), 360.0)
-        return np.diff(self.azimuths_deg, append=self.azimuths_deg[0] + 360)
+        return np.diff(self.azimuths_deg, append=self.azimuths_deg[:1] + 360)
 
     @property
     def largest_gap_deg(self) -> float:

@@ -18,7 +18,7 @@ from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, m
 from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.surface_choice import BESIDE, best_mesh
-from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
 
 MAX_FACES = 48_000
@@ -50,7 +50,7 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     inside = ((cloud.means > low) & (cloud.means < box.high)).all(axis=1)
     inside &= (cloud.scales.max(axis=1) < widest) & (cloud.opacity > faintest)
     try:
-        mesh = mesh_of_cloud(cloud.subset(inside), cells_along=CELLS, max_faces=2 * MAX_FACES)
+        mesh = mesh_of_cloud(cloud.subset(inside), cells_along=CELLS, max_faces=2 * MAX_FACES, one_skin=True)
     except (InputError, ValueError) as error:
         problem = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
         raise ReconstructionError(f"{problem}; {ADVICE}") from error
@@ -83,7 +83,10 @@ def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
     Raises:
         ReconstructionError: there is no surface.
     """
-    _check(surface, scene.model)
+    if len(surface.faces) < LEAST_FACES:
+        number, agreed = len(scene.model.views), len(surface.faces)
+        problem = f"{number} photos fit together, but they agree on {agreed} triangles of surface"
+        raise ReconstructionError(f"{problem}; at least {LEAST_FACES} are needed; {ADVICE}")
     surface = _smoothed(_decimated(surface))
     mesh = TriangleMesh(vertices=surface.vertices, faces=surface.faces)
     return replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, scene.model.views)))
@@ -123,12 +126,6 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
     return color
 
 
-def _check(surface: Surface, model: SparseModel) -> None:
-    if len(surface.faces) < LEAST_FACES:
-        problem = f"{len(model.views)} photos fit together, but they agree on {len(surface.faces)} triangles of surface"
-        raise ReconstructionError(f"{problem}; at least {LEAST_FACES} are needed; {ADVICE}")
-
-
 def _decimated(surface: Surface) -> Surface:
     if len(surface.faces) <= MAX_FACES:
         return surface
@@ -166,7 +163,7 @@ def mesh_of_plant(
         InputError: the plant has no surface.
     """
     try:
-        mesh = mesh_of_cloud(scene.subset(own), cells_along=CELLS, max_faces=MAX_FACES)
+        mesh = mesh_of_cloud(scene.subset(own), cells_along=CELLS, max_faces=MAX_FACES, one_skin=True)
     except (InputError, MeshError, ValueError) as error:
         raise InputError(f"{int(own.sum())} Gaussians have no surface: {error}; choose more of the scene") from error
     surface = main_cluster(Surface(mesh.vertices, mesh.faces), GAP * radius_m)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from dynamictree.cli import app
@@ -15,11 +16,14 @@ from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import joined
 from dynamictree.gaussian.rasterize import render_on_cpu
+from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
+from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
 from dynamictree.reconstruct.plant_cut import faint_floaters, minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
 from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.scribbles import marked, weights_at
+from dynamictree.reconstruct.splat_table import cloud_of, table_of_points
 from tests.reconstruct.planted import Planted, coloured, on_lawn, potted, stroke_across, write_planted
 
 BENCH = 2
@@ -255,3 +259,15 @@ def test_a_plant_that_is_cut_out_is_closed_and_whole(planted, tmp_path: Path) ->
     own = capture.cloud.means[capture.cloud.opacity > 0.6]
     low, high = capture.mesh.vertices.min(axis=0) - 0.02, capture.mesh.vertices.max(axis=0) + 0.02
     assert ((own >= low) & (own <= high)).all(axis=1).mean() > 0.97
+
+
+def test_two_skins_of_a_leaf_become_one_and_two_leaves_stay_apart() -> None:
+    """The mesh of a banana plant had 540 holes that no boundary loop tells of: bridges between two skins."""
+    x, y, z = (axis.ravel() for axis in np.meshgrid(np.arange(401), np.arange(60), np.arange(-2, 3), indexing="ij"))
+    skin, bridge = np.abs(z) == 2, (x % 50 == 25) & (np.isin(y, (12, 47)))
+    leaves = ((y < 24) | (y > 34)) & (skin | bridge)
+    places = np.float32(np.stack([x, y, z], axis=1)[leaves] / 400)
+    table = table_of_points(places, 0 * places, np.full(len(places), 0.83 / 400, np.float32), opacity=0.5, sh_degree=0)
+    none = TriangleMesh(vertices=np.zeros((3, 3), np.float32), faces=np.int32([[0, 1, 2]]))
+    mesh = mesh_of_plant(cloud_of(table), np.ones(len(places), np.bool_), none, radius_m=1.0)
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).euler_number == 2 * 2
