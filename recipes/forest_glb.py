@@ -13,10 +13,11 @@ from jaxtyping import Complex64, Float64
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.motion import clipped_targets, clipped_weights, loop_parts, loop_weights
-from dynamictree.formats.gltf.source import INSTANCING
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.up_axis import up_rotation
+
+INSTANCING = "EXT_mesh_gpu_instancing"
 
 
 @dataclass(frozen=True, kw_only=True)

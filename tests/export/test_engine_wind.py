@@ -15,7 +15,7 @@ from benchmarks._engine_wind import read_engine_wind
 from dynamictree.export.engine_wind import SHADERS
 from dynamictree.export.moving_tree import iter_turbulent_turns
 from dynamictree.export.write import write_products
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.requests import ExportParams
 from dynamictree.rig.rig import rig_of
@@ -23,6 +23,7 @@ from dynamictree.rig.surface_skeleton import surface_bones
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, bin_weights
 from dynamictree.wind_bands import bands_of_sizes
 from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.devoxelize.test_interpolation import stretch
 
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
 SECONDS = (0.0, 3.7, 412.0)
@@ -88,15 +89,7 @@ def test_edges_and_cards_keep_their_size_in_a_storm(archive: zipfile.ZipFile, tr
     corners = mesh.vertices[mesh.faces[cards]].astype(np.float64)
     growth = np.abs(areas(corners + moved[mesh.faces[cards]]) / areas(corners) - 1)
     assert growth.max() < 1e-3
-    assert stretch(mesh, moved) < 0.01
-
-
-def stretch(mesh: TriangleMesh, moved: np.ndarray) -> float:
-    """99th percentile over the edges."""
-    start, end = edges_of(mesh.faces).T
-    rest = np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1)
-    now = np.linalg.norm(mesh.vertices[start] + moved[start] - mesh.vertices[end] - moved[end], axis=1)
-    return float(np.percentile(np.abs(now / rest - 1), 99))
+    assert np.percentile(stretch(mesh, moved[None]), 99) < 0.01
 
 
 def areas(corners: np.ndarray) -> np.ndarray:
