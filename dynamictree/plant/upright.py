@@ -2,8 +2,7 @@
 
 Each of the six axes is a candidate. The cues of one, from points spread evenly over the surface:
 
-- foot: how narrow the lowest twelfth is, beside the whole and beside the highest;
-- trunk: how far up from the foot it stays narrow, and the same from the top down;
+- trunk: how far up from the lowest twelfth, the foot, it stays narrow, and the same from the top down;
 - balance: how near the middle of the whole lies to the axis through the foot;
 - wood: how much lower wood is than leaves, by the names of materials;
 - stem: how much nearer to the foot than to the top the largest part reaches;
@@ -30,11 +29,8 @@ CERTAIN = 0.8
 """Below this probability the axis is a guess, and the reader warns of it."""
 
 
-CUES = (
-    "foot", "foot-over-top", "trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass",
-    "slenderness",
-)  # fmt: skip
-WEIGHTS = np.array([-0.07, -0.04, 5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
+CUES = ("trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass", "slenderness")
+WEIGHTS = np.array([5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
 HABIT = 0.7
 """Added to the logit of the axis that is usual in a format: it decides where the shape says nothing."""
 USUAL, LIKELY = ("+Y", "+Z"), 0.65
@@ -175,11 +171,10 @@ def _cues_along(
     narrow = 0.4  # of the whole's spread
     extent = max(float(height.max()), 1e-6)
     share = height / extent
-    whole = max(_spread(across), 1e-6)
+    whole = max(float(_spreads(across, np.zeros(len(across), np.int64), 1)[0]), 1e-6)
     number = np.minimum((share * slices).astype(int), slices - 1)
     radii = _spreads(across, number, slices)
-    low, high = number < foot_slices, number >= slices - foot_slices
-    foot, top = max(_spread(across[low]), 0.01 * whole), max(_spread(across[high]), 0.01 * whole)
+    low = number < foot_slices
     wide = radii > narrow * whole
     trunk, from_top = (int(np.argmax(side)) if side.any() else slices for side in (wide, wide[::-1]))
     balance = np.linalg.norm(across[low].mean(axis=0) - across.mean(axis=0)) / whole if low.any() else 1.0
@@ -187,8 +182,6 @@ def _cues_along(
     by_name = wood.any() and leaf.any()
     largest = share[stem == 1]
     return [
-        np.log(foot / whole),
-        np.log(foot / top),
         trunk / slices,
         from_top / slices,
         min(float(balance), 3.0),
@@ -217,15 +210,10 @@ def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"],
     return float(np.clip(np.log(max(radii[0], 1e-4) / max(radii[-1], 1e-4)), -3, 3))
 
 
-def _spread(across: Float64[np.ndarray, "P 2"]) -> float:
-    """Robust radius about the median: outlying twigs count little."""
-    return float(_spreads(across, np.zeros(len(across), np.int64), 1)[0])
-
-
 def _spreads(
     across: Float64[np.ndarray, "P 2"], number: Int64[np.ndarray, " P"], count: int
 ) -> Float64[np.ndarray, " S"]:
-    """Robust radius of each slice about its own middle; 0 of an empty slice."""
+    """Robust radius of each slice about its own middle: outlying twigs count little; 0 of an empty slice."""
     size = np.maximum(np.bincount(number, minlength=count), 1)
     x, y = (column - (np.bincount(number, column, count) / size)[number] for column in across.T)
     spreads: Float64[np.ndarray, " S"] = np.bincount(number, np.sqrt(x * x + y * y), count) / size
