@@ -30,7 +30,7 @@ def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
         assert {"tree.glb", "tree.spectrum.safetensors"} <= set(paths)
         facts = {artifact.name: artifact.facts for artifact in client.artifacts(job)}
         assert facts["tree-morph.glb"]["max_error_m"] >= facts["tree-morph.glb"]["rms_error_m"] > 0
-        assert facts["tree.glb"] == {}
+        assert facts["tree.glb"]["num_joints"] > 100
         assert seen[-1].state == "succeeded"
         progress = [job.progress for job in seen]
         assert progress == sorted(progress)
