@@ -34,23 +34,15 @@ def train(
     preset: Annotated[str, typer.Option(help=f"Which network: {', '.join(PRESETS)}.")] = "small",
     foliage_trees: Annotated[int, typer.Option(min=0, max=MAX, help="Small: trees of the foliage network.")] = 800,
     foliage_steps: Annotated[
-        int, typer.Option(min=0, max=MAX, help="Small: steps of the foliage network; 0 keeps that of --foliage-from.")
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the foliage network; 0 keeps that of --start-from.")
     ] = 5000,
     amplitude_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the amplitude network.")] = 1200,
     amplitude_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the amplitude network.")] = 3000,
     denoiser_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the diffusion.")] = 160,
     denoiser_steps: Annotated[
-        int, typer.Option(min=0, max=MAX, help="Small: steps of the diffusion; 0 keeps that of --denoiser-from.")
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the diffusion; 0 keeps that of --start-from.")
     ] = 1600,
-    foliage_from: Annotated[
-        str | None, typer.Option(help="Small: weights file whose foliage network the training starts from.")
-    ] = None,
-    amplitude_from: Annotated[
-        str | None, typer.Option(help="Small: weights file whose amplitude network the training starts from.")
-    ] = None,
-    denoiser_from: Annotated[
-        str | None, typer.Option(help="Small: weights file whose denoiser the training starts from.")
-    ] = None,
+    start_from: Annotated[str | None, typer.Option(help="Small: weights file that the training starts from.")] = None,
     accumulate: Annotated[int, typer.Option(min=1, max=1024, help="Small: batches per step of the diffusion.")] = 1,
     steps: Annotated[int | None, typer.Option(min=1, max=MAX, help="Paper: steps; the preset's if not given.")] = None,
     smoothness_from: Annotated[
@@ -87,17 +79,15 @@ def train(
         raise InputError(f"there is no training for preset {preset!r}; choose {' or '.join(PRESETS)}")
     if device not in DEVICES:
         raise InputError(f"there is no device {device!r}; choose {', '.join(DEVICES)}")
-    if (foliage_steps == 0 and foliage_from is None) or (denoiser_steps == 0 and denoiser_from is None):
-        raise InputError("0 steps keep a network; give it with --foliage-from or --denoiser-from, or ask for steps")
+    if start_from is None and 0 in (foliage_steps, denoiser_steps):
+        raise InputError("0 steps keep a network; give it with --start-from, or ask for steps")
     if foliage_trees == 0 and foliage_steps > 0:
         raise InputError("the foliage network has steps and no trees; raise --foliage-trees, or give --foliage-steps 0")
     plan: SmallTraining | PaperTraining
     if preset == "small":
         numbers = foliage_steps, amplitude_steps, denoiser_steps
         trees = foliage_trees, amplitude_trees, denoiser_trees
-        plan = _small_training(
-            numbers, trees, (foliage_from, amplitude_from, denoiser_from), bf16=bf16 is not False, accumulate=accumulate
-        )
+        plan = _small_training(numbers, trees, start_from, bf16=bf16 is not False, accumulate=accumulate)
     else:
         plan = _paper_training(
             width,
@@ -132,7 +122,7 @@ def _in_turn(folders: list[list[str]]) -> list[str]:
 def _small_training(
     steps: tuple[int, int, int],
     trees: tuple[int, int, int],
-    started_from: tuple[str | None, str | None, str | None],
+    start_from: str | None,
     *,
     bf16: bool,
     accumulate: int,
@@ -145,9 +135,7 @@ def _small_training(
         foliage_trees=trees[0],
         amplitude_trees=trees[1],
         denoiser_trees=trees[2],
-        foliage_from=started_from[0],
-        amplitude_from=started_from[1],
-        denoiser_from=started_from[2],
+        start_from=start_from,
         foliage=replace(plain.foliage.with_steps(steps[0]), bf16=bf16),
         amplitude=replace(plain.amplitude.with_steps(steps[1]), bf16=bf16),
         denoiser=replace(plain.denoiser.with_steps(steps[2]), bf16=bf16, accumulate=accumulate),

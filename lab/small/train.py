@@ -70,9 +70,7 @@ class SmallTraining:
             schedule=LearningRateSchedule(num_steps=1600, learning_rate=2e-3), ema_decay=0.995, bf16=True
         )
     )
-    foliage_from: str | None = None  # weights whose foliage network is gone on from; with 0 steps, it stays
-    amplitude_from: str | None = None  # weights whose amplitude network is gone on from
-    denoiser_from: str | None = None  # weights whose denoiser is gone on from; with 0 steps, it and its scales stay
+    start_from: str | None = None  # weights that are gone on from; with 0 steps, a network and its scales stay
 
 
 def train_small(
@@ -100,14 +98,14 @@ def train_small(
 def _train_foliage(
     network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep
 ) -> None:
-    if plan.foliage_from is not None:
-        load_part(network.foliage, load_file(plan.foliage_from), "foliage")
+    if plan.start_from is not None:
+        load_part(network.foliage, load_file(plan.start_from), "foliage")
     trainer = Trainer(network.foliage, plan.foliage)
     trainer.resume(checkpoint)
     if not trainer.finished:
         measured = foliage_examples(iter_training(shards, first=0, count=plan.foliage_trees))
         trees = list(islice(measured, STANDARDISED_ON + trainer.step))
-        if trainer.step == 0 and plan.foliage_from is None:
+        if trainer.step == 0 and plan.start_from is None:
             standardise_foliage(network.foliage, trees)
             trainer.average.load_state_dict(network.foliage.state_dict())
 
@@ -144,8 +142,8 @@ def _train_amplitude(
     network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnStep
 ) -> None:
     options = plan.amplitude
-    if plan.amplitude_from is not None:
-        load_part(network.amplitude, load_file(plan.amplitude_from), "amplitude")
+    if plan.start_from is not None:
+        load_part(network.amplitude, load_file(plan.start_from), "amplitude")
         options = options.slowed(GOING_ON_RATE)
     else:
         standardise(network.amplitude, rows)
@@ -160,8 +158,8 @@ def _train_amplitude(
 def _train_denoiser(
     network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], checkpoint: Path, on_step: OnStep
 ) -> None:
-    if plan.denoiser_from is not None and plan.denoiser.schedule.num_steps == 0:
-        before = load_file(plan.denoiser_from)
+    if plan.start_from is not None and plan.denoiser.schedule.num_steps == 0:
+        before = load_file(plan.start_from)
         load_part(network.denoiser, before, "denoiser")
         for name in MEASURED:
             network.get_buffer(name).copy_(before[name])
@@ -172,8 +170,8 @@ def _train_denoiser(
     rng = np.random.default_rng(plan.denoiser.seed)
     deviation = measure(network, measured, rng)
     options = plan.denoiser
-    if plan.denoiser_from is not None:
-        load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
+    if plan.start_from is not None:
+        load_part(network.denoiser, load_file(plan.start_from), "denoiser")
         options = options.slowed(GOING_ON_RATE)
     trainer = Trainer(network.denoiser, options)
     trainer.resume(checkpoint)

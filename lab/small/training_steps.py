@@ -24,7 +24,7 @@ from lab.small.whitening import WhiteExample
 
 TREES_A_STEP = 4
 VOXELS_A_TREE = 600  # that the amplitude network learns from
-ROWS_A_STEP = 3072
+TREES_A_BATCH, ROWS_A_TREE = 32, 96  # of the amplitude network
 STANDARDISED_ON = 20_000  # rows
 MIN_DEVIATION = 0.01
 FREQUENCIES_A_TREE = 4
@@ -86,15 +86,17 @@ def standardise(network: AmplitudeNetwork, rows: AmplitudeRows) -> None:
 
 
 def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.random.Generator) -> Float32[Tensor, ""]:
-    """Loss of one batch for the amplitude network; half of the batches are mirrored."""
-    chosen = torch.from_numpy(rng.integers(0, len(rows), ROWS_A_STEP))
+    """Loss of one batch for the amplitude network, of as many rows of each tree; half of the batches are mirrored."""
+    trees = rng.choice(num_trees := len(rows) // VOXELS_A_TREE, min(TREES_A_BATCH, num_trees), replace=False)
+    drawn = rng.integers(0, VOXELS_A_TREE, (len(trees), ROWS_A_TREE))
+    chosen = torch.from_numpy((trees[:, None] * VOXELS_A_TREE + drawn).ravel())
     inputs, spectrum = rows.inputs[chosen].float(), rows.spectrum(chosen)
     if rng.random() < 0.5:
         inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
     wind = rows.wind[chosen]
     torch.manual_seed(int(rng.integers(2**62)))  # of the dropout
     lean, log_amplitude = network(inputs, wind)
-    return amplitude_losses(lean.float(), log_amplitude.float(), spectrum, wind).total()
+    return amplitude_losses(lean.float(), log_amplitude.float(), spectrum, wind, len(trees)).total()
 
 
 def denoising_step(

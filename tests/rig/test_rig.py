@@ -135,8 +135,7 @@ def test_the_foot_of_a_trunk_moves_as_its_voxels_whatever_its_crown_misses() -> 
 def test_a_storm_of_the_model_breaks_no_wood() -> None:
     """Limbs that followed noise of voxels made edges grow by 1.7 %: where a branch forks, both stems pull at edges."""
     mesh = make_sample(0, "weeping").mesh
-    spectrum = method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=20.0), seed=0)
-    rig = rig_of(mesh, spectrum)
+    rig = rig_of(mesh, method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=20.0), seed=0))
     motion = [rig.displacement(theta, mesh.vertices, rig.vertices) for theta in rig.theta(np.arange(8) / 8)]
     assert np.percentile(list(_growths(mesh, motion)), 99) < 0.01
 

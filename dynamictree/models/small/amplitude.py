@@ -39,7 +39,7 @@ NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
-DROPOUT = 0.3
+DROPOUT = 0.1
 """In training. A tree's gusts are random, and features of the whole tree would let the network learn them by heart."""
 BAND = 2048
 """Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""

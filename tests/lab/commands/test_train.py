@@ -68,7 +68,7 @@ def test_a_dry_run_prints_the_resolved_run_and_does_nothing(commands: Typer, tmp
         (["--preset", "huge"], "'huge'"),
         (["--foliage-steps", "0"], "0 steps keep a network"),
         (["--denoiser-steps", "0"], "0 steps keep a network"),
-        (["--foliage-trees", "0", "--foliage-from", "x"], "has steps and no trees"),
+        (["--foliage-trees", "0", "--start-from", "x"], "has steps and no trees"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(commands: Typer, tmp_path: Path, arguments: list[str], message: str) -> None:
@@ -119,7 +119,7 @@ def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
             assert (getattr(second, part).state_dict()[name] == value).all()
     assert changed(first.denoiser, second.denoiser)
     other = [*arguments[:1], str(tmp_path / "other"), *arguments[2:], "--denoiser-steps", "1"]
-    CliRunner().invoke(commands, [*other, "--denoiser-from", str(weights)], catch_exceptions=False)
+    CliRunner().invoke(commands, [*other, "--start-from", str(weights)], catch_exceptions=False)
     third = small_network(tmp_path / "other" / "small.safetensors")
     assert changed(second.denoiser, third.denoiser)
     assert (second.denoiser.embed_frequency.weight - third.denoiser.embed_frequency.weight).abs().max() < 0.01
@@ -129,9 +129,8 @@ def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
 def test_parts_without_steps_stay_and_the_others_go_on(commands: Typer, shards: Path, tmp_path: Path) -> None:
     shipped = weights_path("small")
     arguments = ["train", str(tmp_path), "--dataset", str(shards), "--foliage-trees", "0", "--amplitude-trees", "1"]
-    steps = ["--foliage-steps", "0", "--denoiser-steps", "0", "--amplitude-steps", "1"]
-    from_shipped = [word for part in ("foliage", "amplitude", "denoiser") for word in (f"--{part}-from", str(shipped))]
-    result = CliRunner().invoke(commands, [*arguments, *steps, *from_shipped, "--json"], catch_exceptions=False)
+    arguments += f"--foliage-steps 0 --denoiser-steps 0 --amplitude-steps 1 --start-from {shipped} --json".split()
+    result = CliRunner().invoke(commands, arguments, catch_exceptions=False)
     ours, trained = small_network(shipped), small_network(Path(json.loads(result.stdout)["weights"]))
     for part in ("foliage", "denoiser"):
         for name, value in getattr(ours, part).state_dict().items():
