@@ -214,10 +214,10 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
 
 
 def _counts(asset: AssetRecord, kind: str, first: str, second: str) -> tuple[int, int]:
-    """Two numbers of an asset of one kind; 0 of others."""
+    """Two numbers of an asset of one kind; 0 of others, and where an earlier release did not count."""
     if asset.kind != kind:
         return 0, 0
-    one, other = asset.summary[first], asset.summary[second]
+    one, other = asset.summary.get(first, 0), asset.summary.get(second, 0)
     assert isinstance(one, int)
     assert isinstance(other, int)
     return one, other
