@@ -148,5 +148,5 @@ def test_a_coloured_model_of_one_surface_that_a_tool_scaled_to_a_cube_is_doubted
     assert [warning.code for warning in read.warnings] == ["size-doubtful"] * doubted
     stream = io.BytesIO()
     write_motion_glb(read, np.zeros((read.num_vertices, 4, 3), np.complex64), stream, num_frames=10)
-    (written,) = trimesh.load_scene(io.BytesIO(stream.getvalue()), file_type="glb", process=False).geometry.values()
-    np.testing.assert_array_equal(written.visual.vertex_colors, colors)
+    written = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")  # trimesh reads no colours of 16 bits
+    np.testing.assert_array_equal(*(np.array(one.look.vertex_colors)[:, :3] for one in (written, read)))
