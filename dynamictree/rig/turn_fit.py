@@ -10,8 +10,8 @@ where the voxels were read last, so whatever lowers it brings the means nearer. 
 coupled: memory and time to factor it grow with their number.
 
 Gauss-Newton steps: the mean pose alone first, then all frequencies, linearised around it, and both again, dearer, where
-wood would break. The rig's own loop is played and what is missing in its K frequencies is fitted. A step turns no bone
-by more than `MOST_STEP_RAD`, is shortened until it lowers the cost, and is the last one if none does.
+wood or a crown's surface would break. The rig's own loop is played and what is missing in its K frequencies is fitted.
+A step turns no bone by more than `MOST_STEP_RAD`, is shortened until it lowers the cost, and else is the last one.
 """
 
 from collections.abc import Callable
@@ -266,7 +266,7 @@ class _Problem:
     def prices(self, growth: Complex64[np.ndarray, "E K"]) -> Prices:
         """How many times dearer turns and edges shall be where one edge in twenty grows by more than `strained`.
 
-        Root mean square of the loop; wood breaks at 0.01, and noise of voxels asks for more.
+        Root mean square of the loop, in shares of a length: wood breaks at 0.01, and noise of voxels asks for more.
         """
         strained, gentle, quiet, most = 0.004, 0.003, 0.0005, 10
         power = np.abs(growth) ** 2 @ bin_weights(growth.shape[1], self.voxels.num_frames)
