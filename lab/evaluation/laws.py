@@ -200,7 +200,8 @@ def evaluate_laws(
         on_step: called after each tree.
     """
     trees = list(measure_trees(num_trees, seed=seed, model=model, on_step=on_step))
-    medians = {name: float(np.nanmedian([getattr(tree, name) for tree in trees])) for name in MEDIANS}
+    measured = {name: [value for tree in trees if not np.isnan(value := getattr(tree, name))] for name in MEDIANS}
+    medians = {name: float(np.median(values or [np.nan])) for name, values in measured.items()}
     return {"laws": law_shares(trees), "medians": medians, "trees": [asdict(tree) for tree in trees]}
 
 
