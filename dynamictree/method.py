@@ -93,8 +93,7 @@ def generate(
     """
     from dynamictree.models import loaded_once
     from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
-    from dynamictree.models.several_trees import generate_trees
-    from dynamictree.models.several_winds import with_bands
+    from dynamictree.models.several_trees import generate_trees, with_bands
 
     trained = loaded_once(model)
     if period_s is None:

@@ -11,7 +11,6 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StringC
 
 from dynamictree.axis_names import DIRECTION_PATTERN
 from dynamictree.errors import InputError
-from dynamictree.loop_frames import is_whole, nearest_loops
 from dynamictree.photo_requests import PhotoParams
 from dynamictree.request_model import LARGEST, Box, Finite, Request
 
@@ -303,10 +302,10 @@ class ExportParams(Request):
             return max(round(self.fps * TURBULENT_S), 1) if self.num_frames is None else self.num_frames
         period = self.period_frames(period_s)
         count = max(round(period), 1) if self.num_frames is None else self.num_frames
-        if self.loop and not is_whole(count / period):
+        if self.loop and not _is_whole(count / period):
             raise InputError(
                 f"{count} frames at {self.fps:g} fps and speed {self.speed:g} are {count / period:.4g}"
-                f" periods of {period_s:.4g} s, so the loop would jump; {nearest_loops(count, period, MAX_FRAMES)}"
+                f" periods of {period_s:.4g} s, so the loop would jump; {_nearest_loops(count, period, MAX_FRAMES)}"
             )
         if count > MAX_FRAMES:
             subject = "one period is" if self.num_frames is None else "num_frames is"
@@ -355,3 +354,21 @@ class DiffuseParams(SpectrumParams, ReconstructParams):
 
 class AnimateParams(ExportParams, DiffuseParams):
     """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
+
+
+def _is_whole(periods: float) -> bool:
+    """Whether these are periods without a rest, at least one."""
+    return round(periods) >= 1 and abs(periods - round(periods)) < 1e-6
+
+
+def _nearest_loops(count: int, period_frames: float, most: int) -> str:
+    """Advice with the numbers of frames up to `most` that make a loop, next to `count`."""
+    loops = [count for count in range(1, most + 1) if _is_whole(count / period_frames)]
+    if not loops:
+        return (
+            f"no number of frames up to {most} makes a loop at this fps and speed: take fps 24, a period_s that "
+            "fits, or loop=false"
+        )
+    below = [loop for loop in loops if loop < count][-1:]
+    above = [loop for loop in loops if loop > count][:1]
+    return f"{' or '.join(map(str, below + above))} frames make a loop; or take loop=false"

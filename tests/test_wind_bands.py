@@ -13,7 +13,7 @@ from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.models.motion_model import OnStep
-from dynamictree.models.several_winds import with_bands
+from dynamictree.models.several_trees import with_bands
 from dynamictree.models.small.amplitude import DRAG_EXPONENT
 from dynamictree.requests import Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, mode_sizes

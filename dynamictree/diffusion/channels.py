@@ -1,11 +1,14 @@
-"""Real channels of a complex spectrum: the layout that the networks read and write."""
+"""What the networks read and write: real channels of a complex spectrum, waves of a noise level."""
+
+import math
 
 import torch
-from jaxtyping import Complex64, Float32
+from jaxtyping import Complex64, Float, Float32
 from torch import Tensor
 
 CHANNELS = 6
 """Real parts of x, y, z, then imaginary parts."""
+MAX_PERIOD = 10_000.0
 
 
 def pack_channels(spectrum: Complex64[Tensor, "*batch 3"]) -> Float32[Tensor, "*batch 6"]:
@@ -16,3 +19,11 @@ def pack_channels(spectrum: Complex64[Tensor, "*batch 3"]) -> Float32[Tensor, "*
 def unpack_channels(channels: Float32[Tensor, "*batch 6"]) -> Complex64[Tensor, "*batch 3"]:
     """Undo `pack_channels`."""
     return torch.complex(channels[..., :3].contiguous(), channels[..., 3:].contiguous())
+
+
+def sinusoid(values: Float[Tensor, "*batch"], width: int) -> Float[Tensor, "*batch {width}"]:
+    """Cosines and sines of `width` / 2 frequencies in geometric progression; the longest period is MAX_PERIOD."""
+    half = width // 2
+    frequencies = torch.exp(-math.log(MAX_PERIOD) * torch.arange(half, device=values.device) / half)
+    angles = values[..., None].float() * frequencies
+    return torch.cat([angles.cos(), angles.sin()], dim=-1)

@@ -11,8 +11,7 @@ import torch
 from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
 
-from dynamictree.diffusion.channels import CHANNELS
-from dynamictree.diffusion.embedding import sinusoid
+from dynamictree.diffusion.channels import CHANNELS, sinusoid
 from dynamictree.models.paper.encoder import SparseEncoder
 from dynamictree.models.paper.unet import SparseUNet, UNetShape
 from dynamictree.models.weights_file import StorableNetwork

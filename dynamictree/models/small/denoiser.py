@@ -1,6 +1,7 @@
 """The small model's denoiser: each frequency by itself, all frequencies of a tree in one pass.
 
-The network is F of EDM (`diffusion.preconditioning`); the whitened spectrum that it denoises has unit variance.
+The network is F of EDM (Karras et al. 2022, arXiv 2206.00364, eq. 7): D(x; σ) = c_skip x + c_out F(c_in x), for the
+whitened spectrum, whose variance is 1.
 """
 
 from dataclasses import dataclass, replace
@@ -10,9 +11,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dynamictree.diffusion.channels import CHANNELS
-from dynamictree.diffusion.embedding import sinusoid
-from dynamictree.diffusion.preconditioning import preconditioned
+from dynamictree.diffusion.channels import CHANNELS, sinusoid
 from dynamictree.models.small.features import NUM_FEATURES, NUM_WIND, TreeFeatures, node_features
 from dynamictree.models.small.mixer import MixerBlock, Neighbourhood
 
@@ -69,7 +68,7 @@ class Denoiser(nn.Module):
     def forward(
         self, scaled: Float32[Tensor, "W J 6"], sigma: Float32[Tensor, "B J"], condition: "DenoiserCondition"
     ) -> Float32[Tensor, "W J 6"]:
-        """F(c_in x; ln σ), see `diffusion.preconditioning`."""
+        """F(c_in x; ln σ)."""
         noise_scale = 25.0  # ln σ runs over ± 4; times this, the sinusoids' periods cover it from coarse to fine
         typical_log_amplitude = -8.0  # over the height
         noise_features = sinusoid(noise_scale * sigma.log(), NOISE_FEATURES)
@@ -104,4 +103,6 @@ def denoise(
 ) -> Float32[Tensor, "W J 6"]:
     """D(x; σ): the expected whitened spectrum."""
     at_node = sigma[condition.tree_of_node][..., None]  # [W, J, 1]
-    return preconditioned(lambda scaled: network(scaled, sigma, condition), noisy, at_node)
+    scale = (1 + at_node.square()).sqrt()
+    predicted: Tensor = network(noisy / scale, sigma, condition)
+    return noisy / scale.square() + predicted * at_node / scale
