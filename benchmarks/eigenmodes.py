@@ -65,7 +65,7 @@ def _compared(species: str, seed: int) -> dict[str, dict[str, float]]:
         learned = modal_system(method.generate(voxels, seed=0))
     with _timed(spent, "joints"):
         spectrum = method.generate(voxels, seed=0)
-        tree = InteractiveTree(modal_system(spectrum), rig_of(sample.mesh, spectrum), sample.mesh.faces)
+        tree = InteractiveTree(modal_system(spectrum), rig_of(sample.mesh, spectrum), sample.mesh)
         assert tree.joints
     with _timed(spent, "eigenmodes"):
         eigen = elastic_of(grid.coords.astype(np.float64), np.ones(len(grid)))

@@ -34,7 +34,7 @@ def run() -> dict[str, object]:
         return deformer.pose(plain())
 
     rig = rig_of(mesh, prepared.spectrum)
-    tree = InteractiveTree(system, rig, mesh.faces)
+    tree = InteractiveTree(system, rig, mesh)
     bends = np.zeros((len(tree.joints.parent), 3))
 
     def bent() -> np.ndarray:

@@ -13,7 +13,7 @@ from dynamictree.modal.bones import turns_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
 from dynamictree.modal.system import ModalSystem, displacement, modal_system
@@ -82,7 +82,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
 
 def _tree(sample: Sample, system: ModalSystem) -> InteractiveTree:
     _, spectrum = voxel_spectrum(sample)
-    return InteractiveTree(system, rig_of(sample.mesh, spectrum), sample.mesh.faces)
+    return InteractiveTree(system, rig_of(sample.mesh, spectrum), sample.mesh)
 
 
 def stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:

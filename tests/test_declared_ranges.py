@@ -10,7 +10,7 @@ import pytest
 from dynamictree import method
 from dynamictree.errors import InputError, UnstableTimestep
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
-from dynamictree.modal.locality import chosen_falloff_m
+from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.requests import ExportParams, InteractParams, Request, SpectrumParams, Wind

@@ -23,7 +23,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
-from dynamictree.modal.locality import chosen_falloff_m
+from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.requests import InteractParams, Reading
@@ -85,7 +85,7 @@ def interact(
         )
     source = None if mesh is None else load_mesh(mesh, reading)
     rig = None if source is None else rig_of(source, sway)
-    tree = InteractiveTree(system, rig, None if source is None else source.faces)
+    tree = InteractiveTree(system, rig, source)
     at = _contact(system, point, voxel, radius)
     if source is not None and params.warp and point is not None:
         nearest = int(np.linalg.norm(source.vertices - np.asarray(point), axis=1).argmin())

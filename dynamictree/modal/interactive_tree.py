@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Complex128, Float32, Float64, Int32, Int64
+from jaxtyping import Complex128, Float32, Float64, Int64
 
 from dynamictree.errors import InputError
+from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import (
     CarriedPoint,
     Contact,
@@ -92,7 +93,7 @@ class InteractiveTree:
 
     system: ModalSystem = field(repr=False)
     rig: "Rig | None" = field(default=None, repr=False)
-    faces: Int32[np.ndarray, "F 3"] | None = field(default=None, repr=False)  # of the rig's mesh
+    mesh: TriangleMesh | None = field(default=None, repr=False)  # the rig's
 
     @cached_property
     def bones(self) -> "Bones":
@@ -112,8 +113,9 @@ class InteractiveTree:
         """The joints that a pull bends."""
         from dynamictree.modal.joints import joints_of
 
-        faces = np.zeros((0, 3), np.int32) if self.faces is None else self.faces
-        return joints_of(self.bones, faces, self.system.shapes)
+        bones = self.bones
+        assert self.mesh is not None  # as the rig is not
+        return joints_of(bones, self.mesh, self.system.shapes)
 
     def reaches(self, groups: Sequence[ForceGroup]) -> "list[Reach | None]":
         """How each group of forces takes part in the bones; None where it moves the whole tree."""

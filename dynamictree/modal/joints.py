@@ -18,7 +18,7 @@ import scipy.sparse
 from jaxtyping import Complex64, Float64, Int32, Int64
 from scipy.sparse.csgraph import connected_components
 
-from dynamictree.mesh import edges_of
+from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.bones import Bones
 from dynamictree.modal.system import ModalSystem
 from dynamictree.parallel import compiled
@@ -35,6 +35,7 @@ class Joints:
     of_voxel: Int32[np.ndarray, " V"]
     num_carried: Int64[np.ndarray, " J"]  # voxels beyond
     moved: Float64[np.ndarray, "J M"]  # e_k of what lies beyond
+    strain: Float64[np.ndarray, " J"]  # of the edges across each, per radian that it bends
 
     def chain(self, voxel: int) -> Int64[np.ndarray, " n"]:
         """The joint of a voxel and those that carry it, which give way to a pull there."""
@@ -52,7 +53,19 @@ class Joints:
     @cached_property
     def give(self) -> Float64[np.ndarray, " J"]:
         """How far each joint bends under a moment, per metre to the next: see `pull.py`."""
-        return np.where(np.arange(len(self.parent)) > 0, 1 / np.maximum(self.num_carried, 1.0) ** 2, 0.0)
+        tube, most, power = (
+            0.6,
+            3,
+            8,
+        )  # edges of a branch have less strain; joints of a crown of one surface are stiffer
+        heaviest, by_weight = np.zeros_like(self.parent), np.argsort(self.num_carried, kind="stable")
+        heaviest[self.parent[by_weight]] = by_weight  # of all that a joint carries, the last one stays
+        stiffness, forked = np.maximum(self.num_carried, 1.0) ** 2, np.ones(len(self.parent))
+        for joint, parent in enumerate(self.parent[1:].tolist(), start=1):
+            leaves = parent > 0 and heaviest[parent] != joint
+            forked[joint] = forked[parent] * ((stiffness[joint] / stiffness[parent]) ** 0.5 if leaves else 1)
+        stiffness *= forked * np.clip(self.strain / tube, 1, most) ** power
+        return np.where(np.arange(len(stiffness)) > 0, 1 / stiffness, 0.0)
 
     def bent(self, stance: Poses, bends: Float64[np.ndarray, "J 3"]) -> Poses:
         """Poses of the bones of one moment, bent."""
@@ -65,10 +78,11 @@ class Joints:
         )
 
 
-def joints_of(bones: Bones, faces: Int32[np.ndarray, "F 3"], shapes: Complex64[np.ndarray, "V M 3"]) -> Joints:
+def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V M 3"]) -> Joints:
     """Find the joints of the bones of a mesh; `shapes` are those of the voxels."""
-    skeleton = bones.skeleton
-    of_bone = _together(skeleton, bones.stem, np.unique(np.sort(bones.stem[bones.of_vertex[edges_of(faces)]]), axis=0))
+    skeleton, edges = bones.skeleton, edges_of(mesh.faces)
+    ends = bones.of_vertex[edges]
+    of_bone = _together(skeleton, bones.stem, np.unique(np.sort(bones.stem[ends]), axis=0))
     parent_bone = np.where(skeleton.parent < 0, -1, of_bone[skeleton.above])
     outermost = parent_bone != of_bone  # whose parent has another joint
     size = 1.0 + bones.num_carried
@@ -77,14 +91,15 @@ def joints_of(bones: Bones, faces: Int32[np.ndarray, "F 3"], shapes: Complex64[n
     parent[of_bone[outermost]] = parent_bone[outermost]
     total = np.bincount(of_bone[outermost], size[outermost], count)
     feet = [np.bincount(of_bone[outermost], (size * column)[outermost], count) for column in skeleton.foot_m.T]
-    of_voxel = of_bone[bones.of_voxel].astype(np.int32)
+    of_voxel, place = of_bone[bones.of_voxel].astype(np.int32), np.stack(feet, axis=1) / total[:, None]
     return Joints(
         parent=parent,
-        place_m=np.stack(feet, axis=1) / total[:, None],
+        place_m=place,
         of_bone=of_bone,
         of_voxel=of_voxel,
         num_carried=_beyond(parent, np.bincount(of_voxel, minlength=count)),
         moved=_moved(parent, of_voxel, shapes),
+        strain=_strain(parent, place, of_bone[ends], mesh.vertices[edges].astype(np.float64)),
     )
 
 
@@ -122,10 +137,8 @@ def _together(
     one, other = joined.T
     pairs = [np.stack([np.arange(len(stem)), stem])]
     while len(one):
-        lower, upper = (
-            np.where(depth[one] >= depth[other], one, other),
-            np.where(depth[one] >= depth[other], other, one),
-        )
+        deeper = depth[one] >= depth[other]
+        lower, upper = np.where(deeper, one, other), np.where(deeper, other, one)
         level = depth[lower] == depth[upper]
         pairs.append(np.stack([lower[level], upper[level]]))
         apart = lower != upper
@@ -142,6 +155,20 @@ def _together(
 
 @compiled
 @no_type_check  # numba compiles no checked function
+def _strain(parent, place, ends, points):
+    """How far from each joint the edges across it are, in their lengths."""
+    away, length = np.zeros(len(parent)), np.full(len(parent), 1e-30)
+    for e in range(len(ends)):
+        low, high = min(ends[e]), max(ends[e])
+        while low != high:
+            away[high] += ((points[e].sum(axis=0) / 2 - place[high]) ** 2).sum()
+            length[high] += ((points[e, 0] - points[e, 1]) ** 2).sum()
+            low, high = min(low, parent[high]), max(low, parent[high])
+    return np.sqrt(away / length)
+
+
+@compiled
+@no_type_check
 def _frames(above, joint, bends):
     frame, place = np.empty((len(joint), 3, 3)), joint.copy()
     frame[0] = np.eye(3)

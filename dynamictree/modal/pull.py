@@ -5,9 +5,10 @@ target x*, the solution has the least energy
 
     E(κ) = ½ Σ_i |κ_i|² (1 + ⅓ (|κ_i| / κ_max)⁴) / g_i
 
-with g_i = |r_i| / carried_i², |r_i| the length to the next joint and carried_i the number of voxels beyond: the
-stiffness of a beam whose cross-section is that of all that it carries. So a branch bends at its thin end more than at
-its thick one, a trunk stands while its twig is pulled, and no joint folds. The point that is drawn is at
+with g_i = |r_i| / (carried_i² Π_f s_f), |r_i| the length to the next joint and carried_i the number of voxels beyond:
+the stiffness of a beam whose cross-section is that of all that it carries, times the share s_f that it takes of its
+stem at each fork where it leaves one. So a branch bends at its thin end more than at its thick one, a trunk stands
+while its twig is pulled, and no joint folds. The point that is drawn is at
 
     x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
 

@@ -75,7 +75,7 @@ class ServedTree:
             mesh = self.mesh()
             stream = load_result(self.owned, self.id, "rig")
             rig = rig_of(mesh, load_spectrum(self.owned, self.id)) if stream is None else read_rig(stream)
-            self.ready.tree = InteractiveTree(self.ready.tree.system, rig, mesh.faces)
+            self.ready.tree = InteractiveTree(self.ready.tree.system, rig, mesh)
             return rig
         return self.ready.tree.rig
 

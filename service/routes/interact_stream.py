@@ -16,7 +16,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocketState
 
-from dynamictree.modal.locality import chosen_falloff_m
+from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.step import exact_step
 from dynamictree.requests import SwingParams
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of

@@ -6,7 +6,7 @@ import pytest
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Impulse, contact_at_voxel, generalised_force
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.rig.rig import rig_of
@@ -87,7 +87,7 @@ def test_the_poked_branch_of_a_grown_tree_keeps_the_energy():
     frames, _ = run(exact_step(system, 1 / 30), State.at_rest(1, system.num_modes), pushed)
     velocity = np.diff(displacement(system.shapes, frames[:, 0]), axis=0)
     energy = (velocity**2).sum(axis=(0, 2))
-    tree = InteractiveTree(system, rig_of(sample.mesh, spectrum), sample.mesh.faces)
+    tree = InteractiveTree(system, rig_of(sample.mesh, spectrum), sample.mesh)
     local = energy * poke_weights(tree, row, default_falloff_m(system)) ** 2
     assert energy[~inside].sum() > 0.8 * energy.sum()
     assert local[~inside].sum() < 0.05 * local.sum()

@@ -54,4 +54,4 @@ def rigged_fork(fineness: int = 1) -> tuple[InteractiveTree, TriangleMesh, dict[
         ribbons.append(TriangleMesh(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32)))
     mesh = joined(ribbons)
     system = modal_system(spectrum, mass_kg=30.0, damping_ratio=0.05)
-    return InteractiveTree(system, rig_of(mesh, spectrum), mesh.faces), mesh, parts
+    return InteractiveTree(system, rig_of(mesh, spectrum), mesh), mesh, parts

@@ -19,7 +19,7 @@ from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.joints import joints_of
-from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.models.several_trees import tree_voxels
@@ -66,7 +66,7 @@ def test_a_pull_on_a_tree_leaves_the_others_still(pair: TriangleMesh) -> None:
     gap = cKDTree(voxels.grid.centres_m[other]).query(voxels.grid.centres_m[one])[0]
     pulled = int(one[np.argmin(gap)])
     drag = Drag(at=contact_at_voxel(system.grid, pulled), displacement_m=(1.0, 0.0, 0.0))
-    stand = InteractiveTree(system, rig_of(pair, read_spectrum(io.BytesIO(stream.getvalue()))), pair.faces)
+    stand = InteractiveTree(system, rig_of(pair, read_spectrum(io.BytesIO(stream.getvalue()))), pair)
     groups = group_forces([drag], falloff_m=default_falloff_m(system))
     answer = respond(system, groups, dt_s=1 / 30, num_frames=1, start="held", bent=stand)
     moved = np.linalg.norm(next(iter(stand.voxels(answer, warp=True))), axis=1)
@@ -78,7 +78,7 @@ def test_each_tree_has_joints_of_its_own(pair: TriangleMesh) -> None:
     voxels = method.voxelize(pair)
     assert voxels.tree is not None
     spectrum = method.generate(voxels, wind=Wind(), num_steps=1)
-    joints = joints_of(bones_of(rig_of(pair, spectrum)), pair.faces, spectrum.coefficients[:, 1:])
+    joints = joints_of(bones_of(rig_of(pair, spectrum)), pair, spectrum.coefficients[:, 1:])
     trees_of: dict[int, set[int]] = {}
     for voxel, number in enumerate(voxels.tree.tolist()):
         for joint in joints.chain(voxel).tolist():

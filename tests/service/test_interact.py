@@ -16,7 +16,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import InteractiveTree
-from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.rig import rig_of
@@ -98,7 +98,7 @@ def test_voxels_are_the_librarys(
 ) -> None:
     options = {"output": "voxels", "locality": locality, "warp": warp, "num_frames": 5}
     arrays = read_binary(post(client, spectrum_id, poke, accept="*/*", **options))
-    tree = InteractiveTree(modal_system(spectrum), rig_of(grown.mesh, spectrum), grown.mesh.faces)
+    tree = InteractiveTree(modal_system(spectrum), rig_of(grown.mesh, spectrum), grown.mesh)
     at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
     falloff = None if locality == "none" else default_falloff_m(tree.system)
     groups = group_forces([Impulse(at=at, impulse_n_s=(3.0, 1.0, 0.0))], falloff_m=falloff)
@@ -337,7 +337,7 @@ def test_vertices_of_still_parts_do_not_move_under_pushes(
 ) -> None:
     mesh = on_a_plane(grown.mesh)
     rig = rig_of(mesh, spectrum)
-    tree = InteractiveTree(modal_system(spectrum), rig, mesh.faces)
+    tree = InteractiveTree(modal_system(spectrum), rig, mesh)
     push = Impulse(at=contact_at_voxel(spectrum.grid, poke["at"]["voxel"]), impulse_n_s=(60.0, 1.0, 0.0))
     for falloff_m in (None, 2.0):
         answer = respond(tree.system, group_forces([push], falloff_m=falloff_m), dt_s=1 / 60, num_frames=3)

@@ -150,7 +150,7 @@ def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(
     grown, spectrum: SparseVoxelSpectrum
 ) -> None:
     rig = rig_of(grown.mesh, spectrum)
-    tree = InteractiveTree(modal_system(spectrum, damping_ratio=0.1), rig, grown.mesh.faces)
+    tree = InteractiveTree(modal_system(spectrum, damping_ratio=0.1), rig, grown.mesh)
     system, dt_s = tree.system, 1 / 60
     row = int(np.argmax(spectrum.grid.coords[:, 2]))
     session = interact_session.Session(system=system, step=exact_step(system, dt_s))
