@@ -21,6 +21,14 @@ def by_node(script: str, *arguments: str | Path, package: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
+def in_node(program: str, *arguments: object) -> Any:
+    """The JSON that a module of ours prints."""
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    command = ["node", "--input-type=module", "--eval", program, *map(str, arguments)]
+    return json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
+
+
 def validated(files: Iterable[Path]) -> list[dict[str, Any]]:
     """Reports of the Khronos glTF validator."""
     reports: list[dict[str, Any]] = json.loads(by_node("validate_gltf.cjs", *files, package="gltf-validator"))

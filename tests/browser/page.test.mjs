@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { Problem, patiently } from "../../web/client.js";
+import { Client, Problem, patiently } from "../../web/client.js";
 import { Gust } from "../../web/draw/gust.js";
 import { Resolution } from "../../web/draw/resolution.js";
 import { bandGains, powerLaw } from "../../web/motion/bands.js";
@@ -596,4 +596,14 @@ test("a gust comes from one side, is stronger than the wind, and leaves the wind
   while (!gust.isOver) gust.after(0.1);
   assert.deepEqual(gust.after(0.1), { gust: [0, 0, 0, 0], calm: 1 });
   assert.ok(new Gust({ ...crown, speed_m_s: 20 }).isOver, "a storm needs none");
+});
+
+test("a watcher that is stopped hears of no job", async () => {
+  const client = new Client({ fetch: async () => new Response('data: {"state": "succeeded"}\n\n') });
+  const jobs = [];
+  const watching = async () => {
+    for await (const job of client.watch("id", { signal: AbortSignal.abort() })) jobs.push(job);
+  };
+  await assert.rejects(watching(), { name: "AbortError" });
+  assert.deepEqual(jobs, []);
 });

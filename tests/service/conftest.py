@@ -60,4 +60,4 @@ def publish(services: Services, lease: Claim, stage: JobType, name: str, content
     part = stored_part(services.artifacts, path)
     file = OutputFile(name=name, media_type="application/octet-stream", sha256=part.sha256, bytes=part.bytes)
     start_stage(services.store, lease, stage)
-    publish_stage(services.store, lease, stage, (file,), key=part.sha256, cached=False, retention_s=1000)
+    publish_stage(services.store, lease, stage, (file,), key=part.sha256, cached=False, retention_s=5000)

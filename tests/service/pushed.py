@@ -1,6 +1,7 @@
 """A grown tree that the service knows, and how it is pushed: fixtures of the tests of interaction."""
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from jobs.lifecycle.attempts import succeed
+from jobs.settings import Settings
 from jobs.storage.assets import add_asset
 from lab.dataset.sample import make_sample, voxel_spectrum
+from service.app import create_app
 from service.services import Services
 from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish
@@ -30,19 +33,28 @@ def spectrum(grown) -> SparseVoxelSpectrum:
     return voxel_spectrum(grown, 32)[1]
 
 
-@pytest.fixture
-def spectrum_id(client: TestClient, services: Services, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
-    return served_id(client, services, grown.mesh, spectrum, tmp_path)
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    """One service for the tests of a module, which leave its asset and its spectrum as they are."""
+    settings = Settings(state_dir=tmp_path_factory.mktemp("served"), hosts=("testserver",))
+    with TestClient(create_app(settings), "http://localhost", raise_server_exceptions=False) as opened:
+        yield opened
 
 
-def served_id(client: TestClient, services: Services, mesh, spectrum: SparseVoxelSpectrum, folder: Path) -> str:
+@pytest.fixture(scope="module")
+def spectrum_id(client: TestClient, grown, spectrum: SparseVoxelSpectrum, tmp_path_factory) -> str:
+    return served_id(client, grown.mesh, spectrum, tmp_path_factory.mktemp("tree"))
+
+
+def served_id(client: TestClient, mesh, spectrum: SparseVoxelSpectrum, folder: Path, asset_id: str = ASSET_ID) -> str:
     """The id of a spectrum that a job of the service has had as its result."""
+    services: Services = client.app.state.services  # type: ignore[attr-defined]
     bundle = folder / "mesh.safetensors"
     with bundle.open("wb") as stream:
         write_bundle(mesh, stream)
     part = stored_part(services.artifacts, bundle)
     now = services.store.clock()
-    row = asset_row(part, now=now, id=ASSET_ID, expires_at=now + 500)
+    row = asset_row(part, now=now, id=asset_id, fingerprint=asset_id, expires_at=now + 5000)
     job = job_row(add_asset(services.store, row)[0], now=now)
     services.store.add_job(job, stages=("voxelize", "diffuse"))
     lease = hold(services, job.id)
@@ -54,7 +66,7 @@ def served_id(client: TestClient, services: Services, mesh, spectrum: SparseVoxe
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def poke(spectrum: SparseVoxelSpectrum) -> dict[str, object]:
     top = int(np.argmax(spectrum.grid.coords[:, 2]))
     return {"kind": "impulse", "at": {"voxel": top}, "impulse_n_s": [3.0, 1.0, 0.0]}

@@ -5,6 +5,7 @@
 import json
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from unittest.mock import AsyncMock
 
 import numpy as np
@@ -21,17 +22,14 @@ from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.settings import Settings
 from jobs.storage.assets import delete_asset
-from service.app import create_app
 from service.http.caller import ANYONE
 from service.http.request_headers import SAFETENSORS
 from service.http.slots import FairSlots
 from service.interact.forces import MAX_FORCES
 from service.interact.tree_cache import living_tree
 from service.services import Services
-from tests.service.conftest import change_services
-from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
+from tests.service.pushed import client, grown, poke, post, served_id, spectrum, spectrum_id  # noqa: F401
 
 
 def coordinates(group: dict) -> np.ndarray:
@@ -91,14 +89,16 @@ def read_binary(response) -> dict[str, np.ndarray]:
     return load(response.content)
 
 
+@pytest.fixture(scope="module")
+def tree(grown, spectrum: SparseVoxelSpectrum) -> InteractiveTree:
+    return InteractiveTree(modal_system(spectrum), rig_of(grown.mesh, spectrum), grown.mesh)
+
+
 @pytest.mark.parametrize("locality", ["none", "geodesic"])
 @pytest.mark.parametrize("warp", [False, True])
-def test_voxels_are_the_librarys(
-    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, poke: dict, locality: str, warp: bool
-) -> None:
+def test_voxels_are_the_librarys(client, spectrum_id, tree, spectrum, poke, locality, warp) -> None:
     options = {"output": "voxels", "locality": locality, "warp": warp, "num_frames": 5}
     arrays = read_binary(post(client, spectrum_id, poke, accept="*/*", **options))
-    tree = InteractiveTree(modal_system(spectrum), rig_of(grown.mesh, spectrum), grown.mesh)
     at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
     falloff = None if locality == "none" else default_falloff_m(tree.system)
     groups = group_forces([Impulse(at=at, impulse_n_s=(3.0, 1.0, 0.0))], falloff_m=falloff)
@@ -108,9 +108,7 @@ def test_voxels_are_the_librarys(
 
 
 @pytest.mark.parametrize("warp", [False, True])
-def test_vertices_come_in_the_meshs_order(
-    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, poke: dict, warp: bool
-) -> None:
+def test_vertices_come_in_the_meshs_order(client, spectrum_id, grown, spectrum, poke, warp) -> None:
     options = {"num_frames": 8, "locality": "none", "warp": warp}
     vertices = read_binary(post(client, spectrum_id, poke, accept="*/*", output="vertices", **options))["displacement"]
     voxels = read_binary(post(client, spectrum_id, poke, accept="*/*", output="voxels", **options))["displacement"]
@@ -121,14 +119,17 @@ def test_vertices_come_in_the_meshs_order(
     assert np.median(difference) < 0.2 * np.linalg.norm(voxels[-1], axis=1).max()
 
 
-def test_a_push_at_a_vertex_is_a_push_at_its_place(client: TestClient, spectrum_id: str, grown, poke: dict) -> None:
-    index = int(np.argmax(grown.mesh.vertices[:, 2]))
-    by_vertex = post(client, spectrum_id, poke | {"at": {"vertex": index, "radius_m": 1.0}})
-    by_point = post(
-        client, spectrum_id, poke | {"at": {"point_m": grown.mesh.vertices[index].tolist(), "radius_m": 1.0}}
-    )
-    assert by_vertex.status_code == 200
-    assert by_vertex.json()["groups"] == by_point.json()["groups"]
+def test_a_push_at_a_vertex_or_a_voxel_is_a_push_at_its_place(client, spectrum_id, grown, spectrum, poke) -> None:
+    vertex, voxel = int(np.argmax(grown.mesh.vertices[:, 2])), poke["at"]["voxel"]
+    for at, place in (
+        ({"vertex": vertex}, grown.mesh.vertices[vertex]),
+        ({"voxel": voxel}, spectrum.grid.centres_m[voxel]),
+    ):
+        named, placed = (
+            post(client, spectrum_id, poke | {"at": where | {"radius_m": 1.0}}).json()["groups"]
+            for where in (at, {"point_m": place.tolist()})
+        )
+        assert named == placed, at
 
 
 def test_a_pulled_vertex_is_drawn_where_the_answer_says(client: TestClient, spectrum_id: str, grown) -> None:
@@ -143,15 +144,6 @@ def test_a_pulled_vertex_is_drawn_where_the_answer_says(client: TestClient, spec
         assert reached["why"] or reached["error_m"] <= 0.01 * np.linalg.norm(wanted)
 
 
-def test_a_radius_about_a_voxel_is_about_its_centre(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict
-) -> None:
-    centre = spectrum.grid.centres_m[poke["at"]["voxel"]].tolist()
-    by_voxel = post(client, spectrum_id, poke | {"at": poke["at"] | {"radius_m": 1.0}}).json()
-    by_point = post(client, spectrum_id, poke | {"at": {"point_m": centre, "radius_m": 1.0}}).json()
-    assert by_voxel["groups"] == by_point["groups"]
-
-
 def refusal(response, status: int, code: str) -> dict:
     assert response.headers["Content-Type"] == "application/problem+json"
     problem = response.json()
@@ -163,9 +155,7 @@ def test_an_unknown_spectrum_is_not_found(client: TestClient, poke: dict) -> Non
     refusal(post(client, "01ARZ3NDEKTSV4RRFFQ69G5FAV", poke), 404, "not-found")
 
 
-def test_an_unstable_step_is_refused_with_the_longest_stable_one(
-    client: TestClient, spectrum_id: str, poke: dict
-) -> None:
+def test_an_unstable_step_is_refused_with_the_longest_stable_one(client, spectrum_id, poke) -> None:
     problem = refusal(post(client, spectrum_id, poke, integrator="explicit-euler"), 422, "unstable-timestep")
     longest = problem["max_dt_s"]
     assert 0 < longest < 1 / 60
@@ -188,9 +178,7 @@ def test_an_unacceptable_or_broken_accept_is_refused(client: TestClient, spectru
         ("*/*, application/json;q=0", SAFETENSORS),
     ],
 )
-def test_the_best_accepted_type_is_given(
-    client: TestClient, spectrum_id: str, poke: dict, accept: str | None, given: str
-) -> None:
+def test_the_best_accepted_type_is_given(client, spectrum_id, poke, accept, given) -> None:
     assert post(client, spectrum_id, poke, accept=accept).headers["Content-Type"] == given
 
 
@@ -202,9 +190,7 @@ def test_the_best_accepted_type_is_given(
         ({"at": {"vertex": 10**8}}, "does not exist"),
     ],
 )
-def test_a_place_that_is_none_is_refused(
-    client: TestClient, spectrum_id: str, poke: dict, change: dict, words: str
-) -> None:
+def test_a_place_that_is_none_is_refused(client, spectrum_id, poke, change, words) -> None:
     assert words in refusal(post(client, spectrum_id, poke | change), 422, "invalid-input")["detail"]
 
 
@@ -223,22 +209,29 @@ def test_a_place_that_is_none_is_refused(
         ({"sideways": 1}, "/sideways: there is no such field"),
     ],
 )
-def test_a_force_that_is_none_is_refused(
-    client: TestClient, spectrum_id: str, poke: dict, change: dict, words: str
-) -> None:
+def test_a_force_that_is_none_is_refused(client, spectrum_id, poke, change, words) -> None:
     body = json.dumps({"spectrum_id": spectrum_id, "forces": [poke | change]}).replace("Infinity", "1e400")
     response = client.post("/v1/interact", content=body, headers={"Content-Type": "application/json"})
     assert words in refusal(response, 422, "validation-failed")["detail"]
 
 
+AT_REST = {"locality": None, "q": [[0, 0]] * 16, "q_dot": [[0, 0]] * 16}
+PLACES = [AT_REST | {"locality": {"seed_voxel": n, "falloff_m": 1.0}} for n in range(64)]
+
+
 @pytest.mark.parametrize(
-    ("options", "limit"),
-    [({"num_frames": 1001}, "1000"), ({"dt_s": 0}, "0"), ({"damping_ratio": -1}, "0"), ({"mass_kg": 0}, "0")],
+    ("options", "words"),
+    [
+        *(({"num_frames": 1001}, "1000"), ({"dt_s": 0}, "0"), ({"damping_ratio": -1}, "0"), ({"mass_kg": 0}, "0")),
+        ({"initial_state": {"groups": [AT_REST | {"q": [[0, 0]], "q_dot": [[0, 0]]}]}}, "16 bins"),
+        ({"initial_state": {"groups": [AT_REST] * 2}}, "same locality"),
+        ({"initial_state": {"groups": PLACES}}, "at most 64"),
+    ],
 )
-def test_a_number_beyond_its_limit_is_refused_with_the_limit(
-    client: TestClient, spectrum_id: str, poke: dict, options: dict, limit: str
+def test_a_number_or_a_state_that_is_none_is_refused_with_what_is_allowed(
+    client: TestClient, spectrum_id: str, poke: dict, options: dict, words: str
 ) -> None:
-    assert limit in refusal(post(client, spectrum_id, poke, **options), 422, "validation-failed")["detail"]
+    assert words in refusal(post(client, spectrum_id, poke, **options), 422, "validation-failed")["detail"]
 
 
 def test_too_many_forces_are_refused_with_the_limit(client: TestClient, spectrum_id: str, poke: dict) -> None:
@@ -246,34 +239,11 @@ def test_too_many_forces_are_refused_with_the_limit(client: TestClient, spectrum
     assert str(MAX_FORCES) in problem["detail"]
 
 
-def test_an_answer_that_is_too_large_is_refused_with_what_fits(
-    client: TestClient, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_that_is_too_large_is_refused_with_what_fits(client, spectrum_id, poke, monkeypatch) -> None:
     monkeypatch.setattr("service.routes.interact.MAX_DISPLACEMENT_BYTES", 1_000_000)
     for output in ("voxels", "vertices"):
         response = post(client, spectrum_id, poke, accept="*/*", output=output, num_frames=600)
         assert "frames at a time" in refusal(response, 422, "validation-failed")["detail"]
-
-
-@pytest.mark.parametrize(
-    ("state", "words"),
-    [
-        ([{"locality": None, "q": [[0, 0]], "q_dot": [[0, 0]]}], "16 bins"),
-        ([{"locality": None, "q": [[0, 0]] * 16, "q_dot": [[0, 0]] * 16}] * 2, "same locality"),
-        (
-            [
-                {"locality": {"seed_voxel": n, "falloff_m": 1.0}, "q": [[0, 0]] * 16, "q_dot": [[0, 0]] * 16}
-                for n in range(64)
-            ],
-            "at most 64",
-        ),
-    ],
-)
-def test_a_state_that_is_none_is_refused(
-    client: TestClient, spectrum_id: str, poke: dict, state: list, words: str
-) -> None:
-    response = post(client, spectrum_id, poke, initial_state={"groups": state})
-    assert words in refusal(response, 422, "validation-failed")["detail"]
 
 
 def test_gaussians_of_a_mesh_are_refused(client: TestClient, spectrum_id: str, poke: dict) -> None:
@@ -282,43 +252,46 @@ def test_gaussians_of_a_mesh_are_refused(client: TestClient, spectrum_id: str, p
 
 
 def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
-    client: TestClient, spectrum_id: str, services: Services, poke: dict, monkeypatch: pytest.MonkeyPatch
+    client: TestClient,
+    services: Services,
+    grown,
+    spectrum: SparseVoxelSpectrum,
+    poke: dict,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    asset_id = "01ARZ3NDEKTSV4RRFFQ69G5FAW"
+    own_id = served_id(client, grown.mesh, spectrum, tmp_path, asset_id)
     few = {"accept": "*/*", "num_frames": 2, "warp": True}
-    assert post(client, spectrum_id, poke, output="vertices", **few).status_code == 200
-    delete_asset(services.store, ASSET_ID)
-    refusal(post(client, spectrum_id, poke, output="vertices", **few), 410, "expired")
-    assert post(client, spectrum_id, poke, output="voxels", **few).status_code == 200
+    assert post(client, own_id, poke, output="vertices", **few).status_code == 200
+    delete_asset(services.store, asset_id)
+    refusal(post(client, own_id, poke, output="vertices", **few), 410, "expired")
+    assert post(client, own_id, poke, output="voxels", **few).status_code == 200
     now = services.store.clock()
     monkeypatch.setattr(services.store, "clock", lambda: now + 10_000)
-    refusal(post(client, spectrum_id, poke), 410, "expired")
+    refusal(post(client, own_id, poke), 410, "expired")
 
 
-def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, services: Services, poke: dict) -> None:
+def test_the_memory_for_trees_is_bounded(client, spectrum_id, services, poke, monkeypatch) -> None:
     post(client, spectrum_id, poke)
     tree = living_tree(services.owned_by(ANYONE), spectrum_id)
     assert tree is not None
+    monkeypatch.setattr(services.trees, "max_bytes", 3 * tree.ready.num_bytes)
     for number in range(5):
-        services.trees.max_bytes = 3 * tree.ready.num_bytes
         services.trees.put(f"other-{number}", tree.ready)
     assert len(services.trees) == 3
     assert living_tree(services.owned_by(ANYONE), spectrum_id) is None
 
 
-def test_large_answers_are_made_a_few_at_a_time(
-    settings: Settings, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_answers_are_made_a_few_at_a_time(client, services, spectrum_id, poke, monkeypatch) -> None:
     monkeypatch.setattr("service.routes.interact.SLOT_WAIT_S", 0.1)
-    with TestClient(create_app(settings), "http://localhost") as client:
-        assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200
-        change_services(client, large_answers=FairSlots(0, per_owner=1))  # all are taken
-        refused = post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3)
-        refusal(refused, 503, "overloaded")
-        assert "Retry-After" in refused.headers
+    large = {"accept": "*/*", "output": "voxels", "num_frames": 3}
+    for slots, status in ((0, 503), (1, 200)):
+        monkeypatch.setattr(services.large_answers, "slot", FairSlots(slots, per_owner=1).slot)
+        answers = [post(client, spectrum_id, poke, **large) for _ in range(3)]  # each gives its slot back
+        assert [answer.status_code for answer in answers] == [status] * 3
+        assert all(("Retry-After" in answer.headers) == (status == 503) for answer in answers)
         assert post(client, spectrum_id, poke, num_frames=3).status_code == 200  # modal ones are small
-        change_services(client, large_answers=FairSlots(1, per_owner=1))
-        for _ in range(3):  # each gives its slot back
-            assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200
 
 
 def on_a_plane(mesh: TriangleMesh) -> TriangleMesh:
@@ -331,27 +304,23 @@ def on_a_plane(mesh: TriangleMesh) -> TriangleMesh:
     )
 
 
-@pytest.mark.parametrize("warp", [False, True])
-def test_vertices_of_still_parts_do_not_move_under_pushes(
-    grown, spectrum: SparseVoxelSpectrum, poke: dict, warp: bool
-) -> None:
+def test_vertices_of_still_parts_do_not_move_under_pushes(grown, spectrum: SparseVoxelSpectrum, poke: dict) -> None:
     mesh = on_a_plane(grown.mesh)
     rig = rig_of(mesh, spectrum)
     tree = InteractiveTree(modal_system(spectrum), rig, mesh)
     push = Impulse(at=contact_at_voxel(spectrum.grid, poke["at"]["voxel"]), impulse_n_s=(60.0, 1.0, 0.0))
     for falloff_m in (None, 2.0):
         answer = respond(tree.system, group_forces([push], falloff_m=falloff_m), dt_s=1 / 60, num_frames=3)
-        if warp:
-            frames = np.stack(list(tree.bent(answer, mesh.vertices, rig.vertices)))
-        else:
-            frames = np.stack(list(tree.superposed(answer, VertexFrames(rig, mesh.vertices))))
-        assert not frames[:, -4:].any()
-        assert np.abs(frames[-1, :-4]).max() > 1e-4
+        for moved in (
+            tree.bent(answer, mesh.vertices, rig.vertices),
+            tree.superposed(answer, VertexFrames(rig, mesh.vertices)),
+        ):
+            frames = np.stack(list(moved))
+            assert not frames[:, -4:].any()
+            assert np.abs(frames[-1, :-4]).max() > 1e-4
 
 
-def test_the_work_of_an_answer_is_bounded(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_work_of_an_answer_is_bounded(client, spectrum_id, spectrum, poke, monkeypatch) -> None:
     forces = [poke | {"at": {"voxel": voxel}} for voxel in (0, 1, 2)]
     monkeypatch.setattr("service.routes.interact.MAX_WORK", 3 * 10 * len(spectrum.grid))
     assert post(client, spectrum_id, *forces, output="voxels", num_frames=10).status_code == 200
@@ -360,9 +329,7 @@ def test_the_work_of_an_answer_is_bounded(
     assert post(client, spectrum_id, *forces, num_frames=11).status_code == 200
 
 
-def test_an_answer_stops_once_its_client_has_left(
-    client: TestClient, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_stops_once_its_client_has_left(client, spectrum_id, poke, monkeypatch) -> None:
     frames = []
 
     def slowly(*_: object, **__: object) -> Iterator[np.ndarray]:

@@ -3,11 +3,9 @@
 # ruff: noqa: F811
 
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
 from dynamictree.formats.tensors.bundle import write_bundle
@@ -16,13 +14,12 @@ from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.plant.capture import Capture
-from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.lifecycle.attempts import succeed
 from jobs.storage.assets import add_asset, delete_asset, read_asset
 from service.services import Services
 from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish
-from tests.service.pushed import grown, poke, post, spectrum  # noqa: F401
+from tests.service.pushed import client, grown, poke, post, spectrum  # noqa: F401
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +29,10 @@ def capture(grown) -> Capture:
     return Capture(cloud=cloud.subset(rows), mask=np.arange(2000) % 4 > 0)
 
 
-@pytest.fixture
-def cloud_spectrum(
-    services: Services, grown, capture: Capture, spectrum: SparseVoxelSpectrum, client: TestClient, tmp_path: Path
-) -> str:
-    path = tmp_path / "cloud.safetensors"
+@pytest.fixture(scope="module")
+def cloud_spectrum(grown, capture, spectrum, client, tmp_path_factory) -> str:
+    services: Services = client.app.state.services  # type: ignore[attr-defined]
+    path = tmp_path_factory.mktemp("cloud") / "cloud.safetensors"
     with path.open("wb") as stream:
         write_bundle(capture, stream)
     part = stored_part(services.artifacts, path)
@@ -57,9 +53,7 @@ def cloud_spectrum(
 
 
 @pytest.mark.parametrize("warp", [False, True])
-def test_gaussians_move_as_the_vertices_do(
-    client: TestClient, cloud_spectrum: str, capture: Capture, grown, poke: dict, warp: bool
-) -> None:
+def test_gaussians_move_as_the_vertices_do(client, cloud_spectrum, capture, grown, poke, warp) -> None:
     options = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
     low = capture.cloud.means[:, 2] <= capture.cloud.means[:, 2].max() - 0.5
     moving = np.flatnonzero(low & (np.arange(2000) % 4 > 0))
@@ -79,30 +73,19 @@ def test_gaussians_move_as_the_vertices_do(
     np.testing.assert_array_equal(frames["q"].shape[:2], (1, 3))
 
 
-def test_too_many_gaussians_are_refused_with_what_fits(
-    client: TestClient, cloud_spectrum: str, poke: dict, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_many_gaussians_are_refused_with_what_fits(client, cloud_spectrum, poke, monkeypatch) -> None:
     monkeypatch.setattr("service.routes.interact.MAX_DISPLACEMENT_BYTES", 100_000)
     refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=60)
     assert (refused.status_code, "frames at a time" in refused.json()["detail"]) == (422, True)
 
 
-def test_gaussians_are_gone_with_their_asset(
-    client: TestClient, cloud_spectrum: str, services: Services, poke: dict
-) -> None:
+def test_gaussians_are_gone_with_their_asset(client, cloud_spectrum, services, poke, monkeypatch) -> None:
+    """The last test on this asset, which no memory holds."""
+    monkeypatch.setattr(services.trees, "get", lambda _: None)
     asset_id = services.store.job(services.store.artifact(cloud_spectrum).job_id).asset_id
     prepared = read_asset(services.store, asset_id).prepared
     assert prepared is not None
-    services.artifacts.delete(prepared.sha256)
-    refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
-    assert (refused.status_code, refused.json()["code"]) == (410, "expired")
-    delete_asset(services.store, asset_id)
-    refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
-    assert (refused.status_code, refused.json()["code"]) == (410, "expired")
-
-
-def test_the_limits_of_pushes_are_stated(client: TestClient) -> None:
-    limits = client.get("/v1/limits").json()
-    assert (limits["max_forces"], limits["max_force_groups"]) == (32, 64)
-    assert limits["max_displacement_bytes"] == 128 * 1024**2
-    assert "splat" in limits["cloud_formats"]
+    for go in (lambda: services.artifacts.delete(prepared.sha256), lambda: delete_asset(services.store, asset_id)):
+        go()
+        refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
+        assert (refused.status_code, refused.json()["code"]) == (410, "expired")

@@ -3,8 +3,6 @@
 # ruff: noqa: F811
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +13,14 @@ from safetensors.numpy import load
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from recipes.modes_reference import Modes
-from tests.service.pushed import grown, poke, post, spectrum, spectrum_id  # noqa: F401
+from tests.js_tools import in_node
+from tests.service.pushed import client, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 
 REFERENCE = Path(__file__).parents[2] / "recipes" / "modes_reference.mjs"
 DRIVER = """
 import { readFileSync } from "node:fs";
 import { Modes } from "REFERENCE";
-const [modesPath, requestPath] = process.argv.slice(2);
+const [modesPath, requestPath] = process.argv.slice(1);
 const file = readFileSync(modesPath);
 const modes = new Modes(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
 const { q, weights, places, bends } = JSON.parse(readFileSync(requestPath, "utf8"));
@@ -33,7 +32,7 @@ console.log(JSON.stringify(payload, (_, value) => (ArrayBuffer.isView(value) ? A
 """
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def modes(client: TestClient, spectrum_id: str) -> bytes:
     response = client.get(f"/v1/spectra/{spectrum_id}/modes")
     assert (response.status_code, response.headers["Content-Type"]) == (200, "application/vnd.safetensors")
@@ -84,9 +83,7 @@ def pushes(poke: dict, spectrum: SparseVoxelSpectrum) -> list[dict]:
 
 
 @pytest.mark.parametrize("locality", ["none", "geodesic"])
-def test_the_python_reference_gives_the_servers_voxels(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, locality: str
-) -> None:
+def test_the_python_reference_gives_the_servers_voxels(client, spectrum_id, spectrum, poke, modes, locality) -> None:
     options = {"num_frames": 12, "locality": locality, "falloff_m": 2.0}
     forces = pushes(poke, spectrum)
     response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", **options)
@@ -98,9 +95,7 @@ def test_the_python_reference_gives_the_servers_voxels(
     assert len(q) == (1 if locality == "none" else 3)
 
 
-def test_the_python_reference_bends_as_the_server_does(
-    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes
-) -> None:
+def test_the_python_reference_bends_as_the_server_does(client, spectrum_id, grown, spectrum, poke, modes) -> None:
     options = {"num_frames": 12, "falloff_m": 2.0}
     forces = pushes(poke, spectrum)
     response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", warp=True, **options)
@@ -112,29 +107,22 @@ def test_the_python_reference_bends_as_the_server_does(
     np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
 
 
-def in_node(
+def of_javascript(
     modes: bytes, q: np.ndarray, weights: np.ndarray, places: list, folder: Path, bends: np.ndarray | None = None
 ) -> dict:
     """What the JavaScript reference gives."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("node is not installed: the JavaScript reference needs it")
     (folder / "modes").write_bytes(modes)
     request = {"q": q.reshape(len(q), -1).tolist(), "weights": weights.tolist(), "places": places}
     if bends is not None:
         request["bends"] = bends.ravel().tolist()
     (folder / "request.json").write_text(json.dumps(request))
-    (folder / "driver.mjs").write_text(DRIVER.replace("REFERENCE", REFERENCE.as_uri()))
-    command = [node, str(folder / "driver.mjs"), str(folder / "modes"), str(folder / "request.json")]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, timeout=60).stdout)
+    return in_node(DRIVER.replace("REFERENCE", REFERENCE.as_uri()), folder / "modes", folder / "request.json")
 
 
-def test_the_javascript_reference_is_the_python_one(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, tmp_path: Path
-) -> None:
+def test_the_javascript_reference_is_the_python_one(client, spectrum_id, spectrum, poke, modes, tmp_path) -> None:
     q, rows, places = evaluated(client, spectrum_id, *pushes(poke, spectrum), num_frames=12, falloff_m=2.0)
     weights = weights_of(rows, len(spectrum.grid))
-    payload = in_node(modes, q, weights, places, tmp_path)
+    payload = of_javascript(modes, q, weights, places, tmp_path)
     reference = Modes(modes)
     rotation, place = reference.poses(turned(reference, q, places), reference.bends(0, np.zeros((0, 3))))
     np.testing.assert_allclose(np.reshape(payload["voxels"], (-1, 3)), reference.voxels(q, weights), atol=1e-6)
@@ -142,9 +130,7 @@ def test_the_javascript_reference_is_the_python_one(
     np.testing.assert_allclose(np.reshape(payload["place"], (-1, 3)), place, atol=1e-5)
 
 
-def test_shapes_are_twice_the_coefficients_to_a_part_in_thirty_thousand(
-    spectrum: SparseVoxelSpectrum, modes: bytes
-) -> None:
+def test_shapes_are_twice_the_coefficients_to_a_part_in_thirty_thousand(spectrum, modes) -> None:
     reference = Modes(modes)
     shapes = reference.shapes @ [1, 1j]
     expected = 2 * spectrum.coefficients
@@ -192,14 +178,12 @@ def test_the_references_bend_joints_as_the_server_does(
     assert reached["error_m"] < 0.05 * np.linalg.norm(reached["wanted_m"])
     assert reached["why"] is None
     rotation, place = reference.poses(theta, bends)
-    payload = in_node(modes, q, weights, [group["locality"]], tmp_path, bends)
+    payload = of_javascript(modes, q, weights, [group["locality"]], tmp_path, bends)
     np.testing.assert_allclose(np.reshape(payload["rotation"], (-1, 3, 3)), rotation, atol=1e-5)
     np.testing.assert_allclose(np.reshape(payload["place"], (-1, 3)), place, atol=1e-5)
 
 
-def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(
-    client: TestClient, spectrum_id: str, drag: dict
-) -> None:
+def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(client, spectrum_id, drag) -> None:
     options = {"falloff_m": 2.0, "warp": True}
     whole = post(client, spectrum_id, drag, num_frames=8, **options).json()
     first = post(client, spectrum_id, drag, num_frames=4, **options).json()
@@ -213,9 +197,7 @@ def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
 
 
-def test_a_pull_that_would_stretch_the_tree_says_how_far_it_goes(
-    client: TestClient, spectrum_id: str, poke: dict
-) -> None:
+def test_a_pull_that_would_stretch_the_tree_says_how_far_it_goes(client, spectrum_id, poke) -> None:
     up = {"kind": "drag", "at": poke["at"], "displacement_m": [0.0, 0.0, 2.0]}
     (reached,) = post(client, spectrum_id, up, num_frames=1, start="held", warp=True).json()["reached"]
     assert reached["error_m"] > 1.0

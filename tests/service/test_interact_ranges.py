@@ -13,7 +13,7 @@ from dynamictree.request_model import LARGEST
 from dynamictree.requests import InteractParams
 from service.http.request_headers import SAFETENSORS
 from service.interact.forces import InteractRequest
-from tests.service.pushed import grown, poke, post, spectrum, spectrum_id  # noqa: F401
+from tests.service.pushed import client, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 from tests.service.test_interact import read_binary
 
 

@@ -22,14 +22,13 @@ from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.clients.keys import create_key, revoke_key
 from jobs.database.tables import assets, jobs
-from jobs.settings import Settings
 from service.app import create_app
 from service.http import slots
 from service.interact import session as interact_session
 from service.interact.forces import ForcePayload
 from service.routes import interact_stream
 from service.services import Services
-from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
+from tests.service.pushed import client, grown, poke, spectrum, spectrum_id  # noqa: F401
 
 URL = "/v1/interact/stream"
 
@@ -109,9 +108,7 @@ def test_a_knock_is_one(client: TestClient, spectrum_id: str, spectrum: SparseVo
         assert frame["groups"][0]["locality"] is None
 
 
-def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(
-    client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(client, spectrum_id, monkeypatch) -> None:
     monkeypatch.setattr(interact_session, "SETTLED_M", 0.02)
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, damping_ratio=1.0)
@@ -146,9 +143,7 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
         assert newest["skipped"] == newest["frame"] - interact_session.WINDOW - 1
 
 
-def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(
-    grown, spectrum: SparseVoxelSpectrum
-) -> None:
+def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(grown, spectrum) -> None:
     rig = rig_of(grown.mesh, spectrum)
     tree = InteractiveTree(modal_system(spectrum, damping_ratio=0.1), rig, grown.mesh)
     system, dt_s = tree.system, 1 / 60
@@ -207,9 +202,7 @@ def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(
         ),
     ],
 )
-def test_a_bad_message_is_reported_and_the_stream_goes_on(
-    client: TestClient, spectrum_id: str, message: dict, code: str
-) -> None:
+def test_a_bad_message_is_reported_and_the_stream_goes_on(client, spectrum_id, message, code) -> None:
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id)
         socket.send_json(message)
@@ -232,9 +225,7 @@ def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, mon
         assert problem["code"] == "validation-failed"
 
 
-def test_only_the_event_loop_changes_a_session(
-    client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_event_loop_changes_a_session(client, spectrum_id, monkeypatch) -> None:
     threads = {}
     for name in ("push", "tick"):
         method = getattr(interact_session.Session, name)
@@ -286,9 +277,9 @@ def test_silence_and_shouting_end_it(client: TestClient, spectrum_id: str, monke
             assert closed.value.code == code
 
 
-def test_a_page_sends_its_key_as_a_protocol(settings: Settings, services: Services, spectrum_id: str) -> None:
+def test_a_page_sends_its_key_as_a_protocol(services: Services, spectrum_id: str) -> None:
     _, key = create_key(services.store, name="page")
-    locked = create_app(settings.model_copy(update={"keys": "required"}))
+    locked = create_app(services.settings.model_copy(update={"keys": "required"}))
     with TestClient(locked, "http://localhost") as client:
         offered = [interact_stream.PROTOCOL, f"bearer.{key}"]
         with client.websocket_connect(URL, subprotocols=offered) as socket:
@@ -299,17 +290,15 @@ def test_a_page_sends_its_key_as_a_protocol(settings: Settings, services: Servic
             raise AssertionError("the stream was opened without a key")
 
 
-def test_a_key_that_is_revoked_ends_its_streams(
-    settings: Settings, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_key_that_is_revoked_ends_its_streams(services, spectrum_id, monkeypatch) -> None:
     monkeypatch.setattr(slots, "CHECK_S", 0.05)
-    app = create_app(settings.model_copy(update={"keys": "required"}))
+    app = create_app(services.settings.model_copy(update={"keys": "required"}))
     with TestClient(app, "http://localhost") as client:
         store = app.state.services.store
         record, key = create_key(store, name="page")
         with store.writing() as connection:
-            connection.execute(jobs.update().values(owner=record.owner))
-            connection.execute(assets.update().values(owner=record.owner))
+            for table in (jobs, assets):
+                connection.execute(table.update().values(owner=record.owner))
         with client.websocket_connect(URL, headers={"Authorization": f"Bearer {key}"}) as socket:
             opened(socket, spectrum_id)
             revoke_key(store, record.id)

@@ -3,8 +3,6 @@
 # ruff: noqa: F811
 
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +19,10 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
-from service.services import Services
-from tests.service.pushed import grown, post, served_id, spectrum  # noqa: F401
+from jobs.store import new_id
+from lab.dataset.sample import make_sample
+from tests.js_tools import in_node
+from tests.service.pushed import client, post, served_id, spectrum  # noqa: F401
 
 WEB = Path(__file__).parents[2] / "web"
 TIMES = 10
@@ -31,9 +31,9 @@ import { readFileSync } from "node:fs";
 import { windCoordinates } from "WEB/motion/modes.js";
 import { readTensors } from "WEB/motion/tensors.js";
 import { displaced, swingBones } from "WEB/motion/swing.js";
-const file = readFileSync(process.argv[2]);
+const file = readFileSync(process.argv[1]);
 const { tensors } = readTensors(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
-const { vertices, times } = JSON.parse(readFileSync(process.argv[3], "utf8"));
+const { vertices, times } = JSON.parse(readFileSync(process.argv[2], "utf8"));
 const K = tensors.turn_shapes.length / tensors.turn_parent.length / 6;
 const swings = new Float32Array(8 * tensors.turn_parent.length);
 const at = (phase) => {
@@ -45,30 +45,33 @@ console.log(JSON.stringify(Array.from({ length: times }, (_, i) => at(i / times)
 FORMATS = ("motion", "glb", "glb-morph", "usd", "usd-skinned", "alembic", "vat", "ply")
 
 
-def test_a_vertex_has_one_place(client, services, grown, spectrum, tmp_path: Path) -> None:
-    require_one_place(client, services, grown.mesh, spectrum, tmp_path)
+@pytest.fixture(scope="module")
+def grown():
+    return make_sample(3, "sapling", wind=Wind(speed_m_s=5.5, direction_deg=40.0))
+
+
+def test_a_vertex_has_one_place(client, grown, spectrum, tmp_path: Path) -> None:
+    require_one_place(client, grown.mesh, spectrum, tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("speed_m_s", [5.0, 12.0, 20.0])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_vertex_has_one_place_in_every_kind_of_tree(
-    kind: str, speed_m_s: float, client: TestClient, services: Services, tmp_path: Path
-) -> None:
+def test_a_vertex_has_one_place_in_every_kind_of_tree(kind, speed_m_s, client, tmp_path) -> None:
     mesh = tree_of_kind(kind)
     if mesh is None:
         pytest.skip(f"{kind} is missing: set DYNAMICTREE_SAMPLES")
     motion = method.generate(method.voxelize(mesh), wind=Wind(speed_m_s=speed_m_s), num_steps=2, seed=0)
-    require_one_place(client, services, mesh, motion, tmp_path)
+    require_one_place(client, mesh, motion, tmp_path)
 
 
-def require_one_place(client, services, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, folder: Path) -> None:
+def require_one_place(client, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, folder: Path) -> None:
     """Within 0.01 % of the height, 1 mm of 10 m, at a thousand vertices and ten times; VAT to a step of half floats."""
     vertices = np.random.default_rng(0).choice(mesh.num_vertices, min(1000, mesh.num_vertices), replace=False)
     expected = np.stack(list(method.move(spectrum, mesh, num_frames=TIMES)))[:, vertices]
     assert np.linalg.norm(expected, axis=2).max() > 0.005 * mesh.height_m
-    spectrum_id, rig = served_id(client, services, mesh, spectrum, folder), rig_of(mesh, spectrum)
+    spectrum_id, rig = served_id(client, mesh, spectrum, folder, new_id()), rig_of(mesh, spectrum)
     swaying = replace(rig, turns=rig.turns * (np.arange(rig.turns.shape[1]) > 0)[:, None].astype(np.float32))
     for phase, theta in zip((0.1, 0.6), swaying.theta(np.array([0.1, 0.6])), strict=True):
         gap = pushed(client, spectrum_id, phase, rig.turns.shape[1]) - rig.displacement(
@@ -105,11 +108,6 @@ def pushed(client: TestClient, spectrum_id: str, phase: float, num_modes: int) -
 
 def on_the_page(client: TestClient, spectrum_id: str, vertices: np.ndarray, folder: Path) -> np.ndarray:
     """Displacements [T, n, 3] of the page's module in node."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("node is not installed: the page's module needs it")
     (folder / "surface").write_bytes(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
     (folder / "request.json").write_text(json.dumps({"vertices": vertices.tolist(), "times": TIMES}))
-    (folder / "driver.mjs").write_text(DRIVER.replace("WEB", WEB.as_uri()))
-    command = [node, str(folder / "driver.mjs"), str(folder / "surface"), str(folder / "request.json")]
-    return np.array(json.loads(subprocess.run(command, check=True, capture_output=True, timeout=60).stdout))
+    return np.array(in_node(DRIVER.replace("WEB", WEB.as_uri()), folder / "surface", folder / "request.json"))

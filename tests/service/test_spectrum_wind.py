@@ -3,8 +3,6 @@
 # ruff: noqa: F811
 
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,8 @@ from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.wind_bands import bands_of_sizes
 from recipes.wind_reference import coordinates, wave_at
-from tests.service.pushed import grown, spectrum_id  # noqa: F401
+from tests.js_tools import in_node
+from tests.service.pushed import client, grown, spectrum_id  # noqa: F401
 from tests.service.pushed import spectrum as of_one_wind  # noqa: F401
 
 GAINS = [4.0, *(6.0 - k / 8 for k in range(1, 16))]  # values that float32 holds
@@ -28,7 +27,7 @@ DRIVER = f"""
 import {{ turbulentCoordinates }} from "{MODULE.as_uri()}";
 import {{ bandGains }} from "{MODULE.with_name("bands.js").as_uri()}";
 const SPEED = {SPEED_M_S};
-const wind = JSON.parse(process.argv[2]);
+const wind = JSON.parse(process.argv[1]);
 const gains = bandGains(wind.bands, SPEED);
 const at = (t) => turbulentCoordinates(wind, t, gains);
 const plain = ({{ q, turn }}) => ({{ q: Array.from(q), turn }});
@@ -43,7 +42,7 @@ def spectrum(of_one_wind: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
     return replace(of_one_wind, bands=bands_of_sizes({own: np.ones(16), 20.0: np.array(GAINS)}, own))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def wind(client: TestClient, spectrum_id: str) -> dict[str, Any]:
     answer = client.get(f"/v1/spectra/{spectrum_id}/wind", params={"seed": 7})
     assert answer.status_code == 200, answer.text
@@ -51,24 +50,15 @@ def wind(client: TestClient, spectrum_id: str) -> dict[str, Any]:
     return body
 
 
-def test_the_python_reference_gives_the_librarys_coordinates(
-    spectrum: SparseVoxelSpectrum, wind: dict[str, Any]
-) -> None:
+def test_the_python_reference_gives_the_librarys_coordinates(spectrum, wind) -> None:
     own = turbulent_wind(spectrum, seed=7)
     times = np.array(TIMES_S)
     np.testing.assert_allclose([coordinates(wind, t) for t in TIMES_S], own.coordinates(times), atol=1e-9)
     np.testing.assert_allclose([wave_at(wind["turn_rad"], t) for t in TIMES_S], own.turn_rad.at(times), atol=1e-9)
 
 
-def test_the_pages_module_gives_the_python_references_coordinates(wind: dict[str, Any], tmp_path: Path) -> None:
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("node is not installed")
-    driver = tmp_path / "driver.mjs"
-    driver.write_text(DRIVER)
-    done = subprocess.run([node, str(driver), json.dumps(wind)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for seconds, there in zip(TIMES_S, json.loads(done.stdout), strict=True):
+def test_the_pages_module_gives_the_python_references_coordinates(wind: dict[str, Any]) -> None:
+    for seconds, there in zip(TIMES_S, in_node(DRIVER, json.dumps(wind)), strict=True):
         q = coordinates(wind, seconds, SPEED_M_S)
         np.testing.assert_allclose(there["q"], np.stack([q.real, q.imag], axis=1).ravel(), atol=1e-6)
         assert there["turn"] == pytest.approx(wave_at(wind["turn_rad"], seconds), abs=1e-9)
