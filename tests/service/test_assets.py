@@ -1,6 +1,7 @@
 import io
 import json
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,7 @@ def zipped(*entries: tuple[str, bytes]) -> bytes:
     return packed.getvalue()
 
 
+@cache
 def photo(number: int, size: tuple[int, int] = (400, 300)) -> bytes:
     stream = io.BytesIO()
     Image.new("RGB", size, (25 * number % 256, 100, 50)).save(stream, "JPEG")

@@ -26,7 +26,8 @@ TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark
 
 
 @pytest.fixture
-def app_services(settings: Settings) -> Iterator[tuple[TestClient, Services]]:
+def app_services(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TestClient, Services]]:
+    monkeypatch.setattr(authentication, "REMEMBERED_S", 0.2)
     closed = settings.model_copy(update={"keys": "required", "max_json_bytes": 4096})
     app = create_app(closed)
     with TestClient(app, "http://trees.example", raise_server_exceptions=False) as client:
@@ -78,9 +79,7 @@ def test_a_revoked_or_expired_key_opens_nothing(app_services: tuple[TestClient, 
     assert client.get("/v1/usage", headers=headers).status_code == 401
 
 
-def test_a_key_that_is_revoked_ends_the_events_that_it_follows(
-    app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_key_that_is_revoked_ends_the_events_that_it_follows(app_services, monkeypatch) -> None:
     monkeypatch.setattr(slots, "CHECK_S", 0.05)
     monkeypatch.setattr(job_events, "HEARTBEAT_S", 0.2)
     store = app_services[1].store
@@ -122,18 +121,11 @@ def test_what_others_own_is_not_there(app_services: tuple[TestClient, Services])
     hook = ann.post("/v1/webhook-endpoints", json={"url": "https://203.0.113.9/", "events": []})
     assert hook.json()["code"] == "fetch-failed"
     theirs = [
-        ("GET", f"/v1/assets/{asset['id']}"),
-        ("DELETE", f"/v1/assets/{asset['id']}"),
-        ("GET", f"/v1/jobs/{job['id']}"),
-        ("GET", f"/v1/jobs/{job['id']}/events"),
-        ("GET", f"/v1/jobs/{job['id']}/artifacts"),
-        ("POST", f"/v1/jobs/{job['id']}/cancel"),
-        ("POST", f"/v1/jobs/{job['id']}/retry"),
-        ("GET", f"/v1/artifacts/{artifact}"),
-        ("GET", f"/v1/spectra/{artifact}"),
-        ("GET", upload),
-        ("HEAD", upload),
-        ("DELETE", upload),
+        *((method, f"/v1/assets/{asset['id']}") for method in ("GET", "DELETE")),
+        *(("GET", f"/v1/jobs/{job['id']}{part}") for part in ("", "/events", "/artifacts")),
+        *(("POST", f"/v1/jobs/{job['id']}/{act}") for act in ("cancel", "retry")),
+        *(("GET", f"/v1/{kind}/{artifact}") for kind in ("artifacts", "spectra")),
+        *((method, upload) for method in ("GET", "HEAD", "DELETE")),
     ]
     for method, path in theirs:
         assert bob.request(method, path, headers=TUS).status_code == 404, (method, path)
@@ -193,9 +185,7 @@ def test_a_key_has_a_rate_and_its_responses_state_it(app_services: tuple[TestCli
         ({}, ("192.168.1.5", 8000), 403),
     ],
 )
-def test_without_keys_only_this_machine_comes_in(
-    client: TestClient, headers: dict[str, str], server: tuple[str, int], status: int
-) -> None:
+def test_without_keys_only_this_machine_comes_in(client, headers, server, status) -> None:
     app = client.app
 
     async def arriving(scope: dict[str, object], receive: object, send: object) -> None:
@@ -217,9 +207,7 @@ def test_a_page_of_an_allowed_origin_may_call(settings: Settings) -> None:
     assert client.get("/v1/presets", headers={"Origin": "https://evil.example"}).status_code == 403
 
 
-def test_a_database_that_is_away_is_reported_as_such(
-    app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_database_that_is_away_is_reported_as_such(app_services, monkeypatch) -> None:
     client = keyed(app_services, "ann")
 
     def away(*_: object, **__: object) -> None:

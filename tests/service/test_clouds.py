@@ -1,4 +1,4 @@
-"""Splats and scans as assets, and what a job on them may ask for."""
+"""Splats, scans and scenes of several trees as assets, and what a job on them may ask for."""
 
 from io import BytesIO
 from pathlib import Path
@@ -9,10 +9,12 @@ from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
 from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.bundle import read_cloud_bundle
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import joined
 from dynamictree.plant.capture import Capture, carrying_mesh
 from dynamictree.source import Source
 from jobs.records import AssetRecord
@@ -20,6 +22,7 @@ from jobs.states import stages_of
 from jobs.storage.assets import read_asset
 from service.routes import surface
 from service.services import Services
+from tests.plant.stand import tree
 from tests.service.test_assets import left_behind, photo, send, zipped
 
 
@@ -37,16 +40,18 @@ def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
     )
 
 
-def ply_of(cloud: GaussianCloud) -> bytes:
+def packed(write, thing: object) -> bytes:
     stream = BytesIO()
-    write_gaussian_ply(cloud, stream)
+    write(thing, stream)
     return stream.getvalue()
+
+
+def ply_of(cloud: GaussianCloud) -> bytes:
+    return packed(write_gaussian_ply, cloud)
 
 
 def splat_of(cloud: GaussianCloud) -> bytes:
-    stream = BytesIO()
-    write_splat(cloud, stream)
-    return stream.getvalue()
+    return packed(write_splat, cloud)
 
 
 def mask_of(values: np.ndarray) -> bytes:
@@ -78,10 +83,8 @@ def test_mask_and_mesh_come_with_a_splat(client: TestClient, services: Services)
     cloud = post_cloud()
     mesh = carrying_mesh(Capture(cloud=cloud))
     turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)))
-    obj = BytesIO()
-    write_obj(turned, obj)
     mask = np.arange(400) < 300
-    files = (("mesh.obj", obj.getvalue()), ("tree.splat", splat_of(cloud)), ("mask.npy", mask_of(mask)))
+    files = (("mesh.obj", packed(write_obj, turned)), ("tree.splat", splat_of(cloud)), ("mask.npy", mask_of(mask)))
     for sent in (files, (("all.zip", zipped(*files)),)):
         asset = send(client, *sent).json()
         assert (asset["kind"], asset["summary"]["num_movable"]) == ("cloud", 300)
@@ -161,9 +164,7 @@ def test_a_job_on_a_cloud_makes_its_mesh_first(client: TestClient, cloud_id: str
     assert client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": cloud_id}).status_code == 202
 
 
-def test_a_cloud_has_points_to_look_at_while_its_job_runs(
-    client: TestClient, cloud_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cloud_has_points_to_look_at_while_its_job_runs(client, cloud_id, monkeypatch) -> None:
     cloud = post_cloud(degree=1)
     tensors = load(client.get(f"/v1/assets/{cloud_id}/points").content)
     assert tensors["points"].shape == (400, 3)
@@ -180,9 +181,7 @@ def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
     assert (response.status_code, response.json()["code"]) == (409, "conflict")
 
 
-def test_what_does_not_fit_is_refused_when_asked(
-    client: TestClient, cloud_id: str, services: Services, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, monkeypatch) -> None:
     mesh_id = send(client, ("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")).json()["id"]
     photos_id = send(client, *((f"p{i}.jpg", photo(i)) for i in range(8))).json()["id"]
     for params in ({"still_box_m": [[0, 0, 0], [1, 1, 1]]}, {"still": ["pot"]}):
@@ -204,3 +203,17 @@ def test_every_sample_cloud_is_taken(client: TestClient, samples: Path) -> None:
     for path in (*sorted((samples / "splat").iterdir()), *sorted((samples / "scan").iterdir())):
         response = send(client, (path.name, path.read_bytes()))
         assert (response.status_code, response.json()["kind"]) == (201, "cloud"), response.text
+
+
+def test_an_asset_lists_its_trees_and_a_job_takes_one(client: TestClient) -> None:
+    one = tree(6.0, num_cards=60)
+    two = joined([one, one.with_vertices(one.vertices + np.float32([5, 0, 0]))])
+    asset = send(client, ("two.ply", packed(write_ply, two))).json()
+    assert [entry["tree"] for entry in asset["summary"]["trees"]] == [1, 2]
+    assert [entry["code"] for entry in asset["summary"]["warnings"]] == ["several-trees"]
+    assert client.get(f"/v1/assets/{asset['id']}").json()["summary"]["trees"] == asset["summary"]["trees"]
+    body = {"type": "voxelize", "asset_id": asset["id"], "params": {"tree": 2}}
+    assert client.post("/v1/jobs", json=body).json()["params"]["tree"] == 2
+    refused = client.post("/v1/jobs", json=body | {"params": {"tree": 3}})
+    assert refused.status_code == 422
+    assert [error["pointer"] for error in refused.json()["errors"]] == ["/params/tree"]

@@ -3,10 +3,13 @@
 import json
 import socket
 import sqlite3
+import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 import typer
+from sqlalchemy.engine import make_url
 from typer.testing import CliRunner
 
 from jobs.clients.keys import keys as all_keys
@@ -36,16 +39,14 @@ def test_a_state_of_an_earlier_revision_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "variable", "value", "words"),
     [
-        ("serve", "LEASE_S", "-1", "DYNAMICTREE_LEASE_S"),
+        ("serve", "LEASE_S", "-1", "DYNAMICTREE_LEASE_S is '-1': "),
         *(
             (command, "DATABASE_URL", "sqlite:///FOLDER", "unable to open database file")
             for command in ("serve", "list")
         ),
     ],
 )
-def test_what_cannot_be_used_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, variable: str, value: str, words: str
-) -> None:
+def test_what_cannot_be_used_is_one_line(tmp_path, monkeypatch, command, variable, value, words) -> None:
     monkeypatch.setenv(f"DYNAMICTREE_{variable}", value.replace("FOLDER", str(tmp_path)))
     done = CliRunner().invoke(keys if command == "list" else app, [command, "--state-dir", str(tmp_path)])
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -134,9 +135,7 @@ def test_a_key_is_made_shown_once_listed_and_revoked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [["backup", "b"], ["scrub"], ["erase", "ann", "--yes"]])
-def test_no_empty_state_is_made_where_a_service_s_own_is_meant(
-    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_empty_state_is_made_where_a_service_s_own_is_meant(command, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     refused = CliRunner().invoke(app, command)
     assert refused.exit_code == 2
@@ -153,3 +152,30 @@ def test_a_state_is_backed_up_and_restored_by_commands(tmp_path: Path) -> None:
         done = CliRunner().invoke(app, step)
         assert done.exit_code == 0, (step, done.output)
     assert json.loads(done.output)["keys"] == 1
+
+
+def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "pydantic.py").write_text("import pathlib; pathlib.Path(__file__).with_name('executed').touch()")
+    monkeypatch.chdir(tmp_path)
+    with closing(socket.socket()) as listening:
+        children = {plan.name: plan for plan in plans(Settings(state_dir=Path("state")), listening)}
+    commands = {name: [children[name].command[0], "-c", "import pydantic"] for name in ("api", "housekeeper")}
+    worker = list(children["worker"].command)
+    commands["worker"] = [*worker[: worker.index("worker")], "report"]
+    for name, command in commands.items():
+        environment = dict(children[name].environment)
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+        assert not (tmp_path / "executed").exists(), name
+        assert done.returncode == 0, (name, done.stderr)
+
+
+def test_a_database_and_models_of_the_current_folder_are_the_same_for_the_children(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DYNAMICTREE_MODELS", "models")
+    settings = Settings(state_dir=Path("state"), database_url="sqlite:///jobs.sqlite")
+    with closing(socket.socket()) as listening:
+        children = {plan.name: plan.environment for plan in plans(settings, listening)}
+    assert make_url(children["worker"]["DYNAMICTREE_DATABASE_URL"]).database == str(tmp_path / "jobs.sqlite")
+    assert children["worker"]["DYNAMICTREE_MODELS"] == str(tmp_path / "models")
+    assert children["worker"]["MALLOC_ARENA_MAX"] == "1"  # as the tests of memory have it
+    assert children["api"]["MALLOC_MMAP_THRESHOLD_"] == "131072"

@@ -11,11 +11,12 @@ from jobs.storage.assets import read_asset
 from service.services import Services
 from service.uploads import intake
 from tests.formats.films import DEVICE, PLACES, write_film
+from tests.service.test_assets import send as send_files
 from tests.service.tus import append, begin
 
 
-def send(client: TestClient, *paths: Path, **fields: str) -> object:
-    return client.post("/v1/assets", files=[("file", (path.name, path.read_bytes())) for path in paths], data=fields)
+def send(client: TestClient, *paths: Path) -> object:
+    return send_files(client, *((path.name, path.read_bytes()) for path in paths))
 
 
 def stored(services: Services, asset_id: str) -> bytes:
@@ -23,10 +24,13 @@ def stored(services: Services, asset_id: str) -> bytes:
     return b"".join(services.artifacts.read(part.sha256))
 
 
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_film(tmp_path_factory.mktemp("films") / "walk.mp4")
+
+
 @pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV"])
-def test_a_film_becomes_an_asset_of_photos_without_sound_and_place(
-    client: TestClient, services: Services, tmp_path: Path, name: str
-) -> None:
+def test_a_film_becomes_an_asset_of_photos_without_sound_and_place(client, services, tmp_path, name) -> None:
     path = write_film(tmp_path / name)
     sent = path.read_bytes()
     assert any(box in sent for box in PLACES)
@@ -46,22 +50,21 @@ def test_a_film_becomes_an_asset_of_photos_without_sound_and_place(
     assert send(client, path).json()["id"] == asset["id"]
 
 
-def test_a_film_in_pieces_is_the_same_asset(client: TestClient, tmp_path: Path) -> None:
-    path = write_film(tmp_path / "walk.mp4")
-    content = path.read_bytes()
+def test_a_film_in_pieces_is_the_same_asset(client: TestClient, walk: Path) -> None:
+    content = walk.read_bytes()
     upload = begin(client, len(content), filename="walk.mp4")
     append(client, upload, 0, content[:10_000])
     append(client, upload, 10_000, content[10_000:])
     asset = client.post("/v1/assets", json={"upload_ids": [upload.rpartition("/")[2]]})
     assert asset.status_code == 201, asset.text
     assert asset.json()["kind"] == "photos"
-    assert send(client, path).json()["id"] == asset.json()["id"]
+    assert send(client, walk).json()["id"] == asset.json()["id"]
 
 
-def test_a_film_is_checked(client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    good = write_film(tmp_path / "walk.mp4")
-    assert "by itself" in send(client, good, write_film(tmp_path / "more.mp4")).json()["detail"]
-    (tmp_path / "broken.mp4").write_bytes(good.read_bytes()[:2000])
+def test_a_film_is_checked(client: TestClient, walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (more := tmp_path / "more.mp4").write_bytes(walk.read_bytes())
+    assert "by itself" in send(client, walk, more).json()["detail"]
+    (tmp_path / "broken.mp4").write_bytes(walk.read_bytes()[:2000])
     broken = send(client, tmp_path / "broken.mp4").json()
     assert (broken["code"], "broken.mp4 cannot be read as a film" in broken["detail"]) == ("unsupported-format", True)
     (tmp_path / "text.mp4").write_bytes(b"no film")
@@ -69,19 +72,21 @@ def test_a_film_is_checked(client: TestClient, tmp_path: Path, monkeypatch: pyte
     for reason, wrong in (
         ("64 x 64 pixels; at least 240", write_film(tmp_path / "small.mp4", size=(64, 64))),
         ("takes 301 s", write_film(tmp_path / "long.mp4", seconds=301, fps=1)),
-        ("5120 x 2880 pixels; at most 9,437,184", write_film(tmp_path / "large.mp4", size=(5120, 2880), seconds=0.5)),
+        ("2306 pixels; at most 9,437,184", write_film(tmp_path / "large.mp4", size=(4096, 2306), seconds=1, fps=1)),
         ("has 4 frames; at least 8", write_film(tmp_path / "short.mp4", seconds=0.2)),
     ):
         refused = send(client, wrong).json()
         assert (refused["code"], reason in refused["detail"]) == ("invalid-input", True), refused
     monkeypatch.setattr(intake, "MAX_FILM_BYTES", 1000)
-    assert send(client, good).json()["code"] == "payload-too-large"
+    assert send(client, walk).json()["code"] == "payload-too-large"
 
 
-def test_limits_tell_what_films_are_taken(client: TestClient) -> None:
+def test_limits_tell_what_films_and_pushes_are_taken(client: TestClient) -> None:
     limits = client.get("/v1/limits").json()
     assert limits["film_formats"] == ["mp4", "mov", "m4v"]
     assert (limits["max_film_s"], limits["max_film_pixels"]) == (film.MAX_FILM_S, film.MAX_FILM_PIXELS)
+    assert (limits["max_forces"], limits["max_force_groups"]) == (32, 64)
+    assert limits["max_displacement_bytes"] == 128 * 1024**2
 
 
 def test_a_film_with_fewer_frames_than_wanted_photos_makes_no_job(client: TestClient, tmp_path: Path) -> None:

@@ -43,9 +43,7 @@ def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, ser
     timer.join()
 
 
-def test_a_poll_with_an_etag_may_wait_for_the_next_change(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_a_poll_with_an_etag_may_wait_for_the_next_change(client, asset, services) -> None:
     url, lease = claimed(client, asset, services)
     start_stage(services.store, lease, "voxelize")
     seen = client.get(url).headers["ETag"]
@@ -66,9 +64,7 @@ def test_a_priority_is_a_queue(client: TestClient, asset: AssetRecord, services:
     assert queues == {"high": "cpu-high", "normal": "cpu", "low": "cpu-low"}
 
 
-def test_the_time_left_comes_from_what_jobs_took_here(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_the_time_left_comes_from_what_jobs_took_here(client, asset, services) -> None:
     job = create(client, asset)
     assert job["eta_s"] is None
     clock, now = services.store.clock, services.store.clock()
@@ -98,9 +94,7 @@ def test_the_time_left_comes_from_what_jobs_took_here(
     assert client.get(url).json()["eta_s"] == pytest.approx(20, abs=0.5)  # by its own pace
 
 
-def test_photos_tell_from_the_first_minute_when_they_end(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_photos_tell_from_the_first_minute_when_they_end(client, asset, services) -> None:
     """At 14 % by the mean of its stages a job was at 57 % of its time, and without a history its end was unknown."""
     job = job_row(asset, "animate", now=services.store.clock())
     job, _ = services.store.add_job(job, stages=stages_of("animate", "photos"))
@@ -184,9 +178,7 @@ def test_an_address_inside_is_not_fetched(client: TestClient) -> None:
         assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed")
 
 
-def test_a_stream_whose_head_is_not_taken_gives_its_place_back(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_a_stream_whose_head_is_not_taken_gives_its_place_back(client, asset, services) -> None:
     async def gone(_: object) -> None:
         raise RuntimeError("the connection is gone")
 
@@ -252,9 +244,7 @@ def test_a_client_names_its_jobs_and_finds_them_again(client: TestClient, asset:
     assert client.post("/v1/jobs", json=body).status_code == 422
 
 
-def test_a_job_is_canceled_after_its_time_running_or_not(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_a_job_is_canceled_after_its_time_running_or_not(client, asset, services) -> None:
     late, in_time = (str(create(client, asset, cancel_after_s=seconds)["id"]) for seconds in (10, 1000))
     hold(services, late)
     now = services.store.clock()

@@ -1,13 +1,12 @@
 import json
 import threading
 
-import pytest
 import sqlalchemy as sa
 from fastapi.testclient import TestClient
 from pydantic import create_model
 
-from jobs.lifecycle.attempts import fail, report_progress, start_stage, succeed
-from jobs.records import AssetRecord, Claim
+from jobs.lifecycle.attempts import cached_stage, fail, publish_stage, report_progress, start_stage, succeed
+from jobs.records import AssetRecord, Claim, OutputFile
 from jobs.store import new_id
 from service.job_creation import KEY_EXPIRES_S, _fingerprint
 from service.job_durations import JobDurations
@@ -50,9 +49,7 @@ def test_a_key_survives_a_release_that_adds_a_field() -> None:
     assert now != _fingerprint(VoxelizeRequest.model_validate(sent | {"seed": 4}))
 
 
-def test_replicas_of_different_history_give_the_same_etag(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_replicas_of_different_history_give_the_same_etag(client, asset, services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
     estimates, tags = set(), set()
     for seconds in (5.0, 9.0):
@@ -64,9 +61,7 @@ def test_replicas_of_different_history_give_the_same_etag(
     assert (len(estimates), len(tags)) == (2, 1)
 
 
-def test_a_page_of_jobs_takes_as_many_queries_as_one(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_a_page_of_jobs_takes_as_many_queries_as_one(client, asset, services) -> None:
     ids = [str(create(client, asset)["id"]) for _ in range(12)]
     for job_id in ids[:6]:
         publish(services, hold(services, job_id), "voxelize", f"{job_id}.bin", job_id.encode())
@@ -80,48 +75,22 @@ def test_a_page_of_jobs_takes_as_many_queries_as_one(
     assert sum(text != "BEGIN" for text in statements) <= 8, statements
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"seed": True},
-        {"seed": "1"},
-        {"cancel_after_s": "60"},
-        {"params": {"resolution": "64"}},
-        {"type": "animate", "params": {"wind": {"speed_m_s": "5"}}},
-        {"type": "animate", "params": {"wind": {"gust": True}}},
-        {"type": "animate", "params": {"loop": 1}},
-    ],
-)
-def test_texts_and_truth_values_are_no_numbers(
-    client: TestClient, asset: AssetRecord, wrong: dict[str, object]
-) -> None:
-    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id} | wrong)
-    assert (response.status_code, response.json()["code"]) == (422, "validation-failed")
-
-
 def test_a_whole_number_with_a_point_is_an_integer(client: TestClient, asset: AssetRecord) -> None:
     assert create(client, asset, seed=3.0)["seed"] == 3
-    half = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id, "seed": 0.5})
-    assert (half.status_code, half.json()["errors"][0]["pointer"]) == (422, "/seed")
 
 
-@pytest.mark.parametrize(
-    "flood",
-    [
+def test_a_flood_of_errors_is_one_error(client: TestClient, asset: AssetRecord) -> None:
+    for flood in (
         {f"k{number}": 1 for number in range(50_000)},
         {"params": {"formats": ["x"] * 50_000}},
         {"params": {"scribbles": [1] * 50_000}},
-    ],
-)
-def test_a_flood_of_errors_is_one_error(client: TestClient, asset: AssetRecord, flood: dict[str, object]) -> None:
-    problem = client.post("/v1/jobs", json={"type": "animate", "asset_id": asset.id} | flood).json()
-    assert (problem["code"], len(problem["errors"])) == ("validation-failed", 1)
-    assert "50,0" in problem["detail"]
+    ):
+        problem = client.post("/v1/jobs", json={"type": "animate", "asset_id": asset.id} | flood).json()
+        assert (problem["code"], len(problem["errors"])) == ("validation-failed", 1)
+        assert "50,0" in problem["detail"]
 
 
-def test_a_poll_tells_progress_and_then_that_nothing_changed(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_a_poll_tells_progress_and_then_that_nothing_changed(client, asset, services) -> None:
     url, lease = claimed(client, asset, services)
     start_stage(services.store, lease, "voxelize")
     report_progress(services.store, lease, "voxelize", 0.25)
@@ -131,6 +100,20 @@ def test_a_poll_tells_progress_and_then_that_nothing_changed(
     assert (again.status_code, again.content) == (304, b"")
     report_progress(services.store, lease, "voxelize", 0.5)
     assert client.get(url, headers={"If-None-Match": first.headers["ETag"]}).json()["progress"] == 0.5
+
+
+def test_facts_reach_the_manifest_and_the_cache(client: TestClient, asset: AssetRecord, services: Services) -> None:
+    url, lease = claimed(client, asset, services)
+    facts = [{"rms_error_m": 0.0086}, {}, {"warnings": ["26 of 60 photos have a camera"]}]
+    files = tuple(
+        OutputFile(name=name, media_type="a/b", sha256=name[0] * 64, bytes=1, facts=one)
+        for name, one in zip(("a.glb", "b.glb", "report.json"), facts, strict=True)
+    )
+    start_stage(services.store, lease, "voxelize")
+    publish_stage(services.store, lease, "voxelize", files, key="k" * 64, cached=False, retention_s=1000)
+    assert [artifact["facts"] for artifact in client.get(f"{url}/artifacts").json()["artifacts"]] == [facts[0], {}, {}]
+    assert client.get(url).json()["result"]["warnings"] == facts[2]["warnings"]
+    assert cached_stage(services.store, "k" * 64) == files
 
 
 def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, services: Services) -> None:
@@ -151,9 +134,7 @@ def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, 
     ]
 
 
-def test_cancel_is_accepted_twice_and_refused_after_the_end(
-    client: TestClient, asset: AssetRecord, services: Services
-) -> None:
+def test_cancel_is_accepted_twice_and_refused_after_the_end(client, asset, services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
     assert client.post(url + "/cancel").json()["state"] == "canceled"
     assert client.post(url + "/cancel").status_code == 202
@@ -183,28 +164,23 @@ def test_the_list_is_paged_by_cursor_and_filtered(client: TestClient, asset: Ass
     assert (refused.status_code, refused.json()["errors"][0]["pointer"]) == (422, "query:since")
 
 
-@pytest.mark.parametrize(
-    ("body", "pointer"),
-    [
-        ({"type": "fly"}, "/type"),
-        ({"seed": -1}, "/voxelize/seed"),
-        ({"params": {"resolution": 100}}, "/voxelize/params/resolution"),
-        ({"params": {"resolutoin": 64}}, "/voxelize/params/resolutoin"),
-        ({"colour": "red"}, "/voxelize/colour"),
-        ({"type": "animate", "params": {"formats": []}}, "/animate/params/formats"),
-        ({"type": "animate", "params": {"formats": ["sog"]}}, "/animate/params/formats/0"),
-        ({"type": "animate", "params": {"fps": 1e9}}, "/animate/params/fps"),
-        ({"type": "diffuse", "params": {"wind": {"speed_m_s": -1}}}, "/diffuse/params/wind/speed_m_s"),
+def test_a_wrong_field_is_named_and_texts_and_truth_values_are_no_numbers(client, asset) -> None:
+    for body, pointer in (
+        *(({"seed": seed}, "/seed") for seed in (True, "1", 0.5)),
+        ({"cancel_after_s": "60"}, "/cancel_after_s"),
+        *(({"params": {"resolution": value}}, "/params/resolution") for value in (100, "64")),
+        ({"params": {"resolutoin": 64}}, "/params/resolutoin"),
+        ({"type": "animate", "params": {"formats": []}}, "/params/formats"),
+        ({"type": "animate", "params": {"formats": ["sog"]}}, "/params/formats/0"),
+        ({"type": "animate", "params": {"fps": 1e9}}, "/params/fps"),
+        ({"type": "animate", "params": {"loop": 1}}, "/params/loop"),
+        *(({"type": "animate", "params": {"wind": {"speed_m_s": v}}}, "/params/wind/speed_m_s") for v in (-1, "5")),
+        ({"type": "animate", "params": {"wind": {"gust": True}}}, "/params/wind/gust"),
         ({"type": "diffuse", "preset": "no-such-model"}, "/preset"),
-    ],
-)
-def test_a_wrong_field_is_named(client: TestClient, asset: AssetRecord, body: dict[str, object], pointer: str) -> None:
-    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id} | body)
-    assert response.status_code == 422
-    problem = response.json()
-    assert problem["code"] == "validation-failed"
-    expected = pointer.replace("/voxelize", "").replace("/animate", "").replace("/diffuse", "")
-    assert [error["pointer"] for error in problem["errors"]] == [expected]
+    ):
+        response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id} | body)
+        assert (response.status_code, response.json()["code"]) == (422, "validation-failed"), body
+        assert [error["pointer"] for error in response.json()["errors"]] == [pointer]
 
 
 def test_a_job_needs_an_asset_of_its_kind(client: TestClient, asset: AssetRecord) -> None:
@@ -216,25 +192,13 @@ def test_a_job_needs_an_asset_of_its_kind(client: TestClient, asset: AssetRecord
     assert client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id}).status_code == 410
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "code"), [("max_queued_jobs", 1, "queue-full"), ("min_free_bytes", 1 << 60, "disk-full")]
-)
-def test_a_full_queue_or_disk_refuses(
-    client: TestClient, asset: AssetRecord, services: Services, name: str, value: int, code: str
-) -> None:
+def test_a_full_queue_or_disk_refuses(client: TestClient, asset: AssetRecord, services: Services) -> None:
     create(client, asset)
-    change_services(client, settings=services.settings.model_copy(update={name: value}))
-    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
-    assert (response.status_code, response.json()["code"]) == (503, code)
-    assert response.headers["Retry-After"]
-
-
-def test_an_asset_in_use_is_not_deleted(client: TestClient, asset: AssetRecord) -> None:
-    job = create(client, asset)
-    assert client.delete(f"/v1/assets/{asset.id}").status_code == 409
-    client.post(f"/v1/jobs/{job['id']}/cancel")
-    assert client.delete(f"/v1/assets/{asset.id}").status_code == 204
-    assert client.get(f"/v1/assets/{asset.id}").status_code == 410
+    for name, value, code in (("max_queued_jobs", 1, "queue-full"), ("min_free_bytes", 1 << 60, "disk-full")):
+        change_services(client, settings=services.settings.model_copy(update={name: value}))
+        response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
+        assert (response.status_code, response.json()["code"]) == (503, code)
+        assert response.headers["Retry-After"]
 
 
 def test_an_ended_job_can_be_deleted_with_its_files(client: TestClient, asset: AssetRecord, services: Services) -> None:
@@ -296,9 +260,7 @@ def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord,
     assert services.streams.open.total() == 0
 
 
-def test_a_format_without_its_library_is_neither_offered_nor_accepted(
-    client: TestClient, asset: AssetRecord, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_format_without_its_library_is_neither_offered_nor_accepted(client, asset, monkeypatch) -> None:
     assert "usd" in [product["format"] for product in client.get("/v1/limits").json()["products"]]
     monkeypatch.setattr("dynamictree.export.table.find_spec", lambda name: None)
     assert "usd" not in [product["format"] for product in client.get("/v1/limits").json()["products"]]
@@ -319,24 +281,14 @@ def test_limits_tell_what_each_quality_of_photos_means(client: TestClient, asset
     assert client.post("/v1/jobs", json=body).status_code == 422
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("scribbles", [{"photo": "a.jpg", "plant": True, "points": [[0.5, 0.5]]}]),
-        ("only_plant", True),
-        ("splat_steps", 500),
-        ("quality", "high"),
-        ("video_frames", 20),
-    ],
-)
-def test_what_only_photos_have_is_refused_of_a_mesh(
-    client: TestClient, asset: AssetRecord, name: str, value: object
-) -> None:
-    body = {"type": "animate", "asset_id": asset.id, "params": {"height_m": 3.0, name: value}}
-    refused = client.post("/v1/jobs", json=body)
-    assert (refused.status_code, refused.headers["content-type"]) == (422, "application/problem+json")
-    [error] = refused.json()["errors"]
-    assert (error["pointer"], error["code"]) == (f"/params/{name}", "not-allowed")
-    assert f"of kind mesh; {name} is allowed with photos or a film only" in error["detail"]
+def test_what_only_photos_have_is_refused_of_a_mesh(client: TestClient, asset: AssetRecord) -> None:
+    body = {"type": "animate", "asset_id": asset.id}
+    strokes = [{"photo": "a.jpg", "plant": True, "points": [[0.5, 0.5]]}]
+    own = {"scribbles": strokes, "only_plant": True, "splat_steps": 500, "quality": "high", "video_frames": 20}
+    for name, value in own.items():
+        refused = client.post("/v1/jobs", json=body | {"params": {"height_m": 3.0, name: value}})
+        [error] = refused.json()["errors"]
+        assert (refused.status_code, error["pointer"], error["code"]) == (422, f"/params/{name}", "not-allowed")
+        assert f"of kind mesh; {name} is allowed with photos or a film only" in error["detail"]
     unset = {"scribbles": None, "only_plant": False, "splat_steps": None, "video_frames": None, "quality": "standard"}
     assert client.post("/v1/jobs", json=body | {"params": unset}).status_code == 202

@@ -14,7 +14,7 @@ from jobs.records import AssetPart, KeyRecord
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
 from service.app import create_app
-from service.http.authentication import REMEMBERED_S
+from service.http import authentication
 from service.services import Services
 from tests.rows import asset_row
 from tests.service.conftest import hold, publish
@@ -23,8 +23,9 @@ Opened = tuple[TestClient, KeyRecord, dict[str, str], str]
 
 
 @pytest.fixture
-def opened(settings: Settings) -> Iterator[Opened]:
+def opened(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
     """A client, a key that may only read, its header, and the path of an artifact."""
+    monkeypatch.setattr(authentication, "REMEMBERED_S", 0.2)
     with TestClient(create_app(settings.model_copy(update={"keys": "required"})), "http://localhost") as client:
         services: Services = client.app.state.services  # type: ignore[attr-defined]
         _, owners = create_key(services.store, name="w", owner="ann")
@@ -94,11 +95,11 @@ def test_a_link_ends_with_its_time_and_with_its_key(opened: Opened, monkeypatch:
     assert client.get(link).status_code == 200
     monkeypatch.setattr(services.store, "clock", lambda: now + 61)
     assert client.get(link).status_code == 401
-    monkeypatch.undo()
+    monkeypatch.setattr(services.store, "clock", lambda: now)
     link = _link(opened)
     assert client.get(link).status_code == 200
     revoke_key(services.store, record.id)
-    time.sleep(REMEMBERED_S + 0.1)
+    time.sleep(authentication.REMEMBERED_S + 0.1)
     assert client.get(link).status_code == 401
 
 

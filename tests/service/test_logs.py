@@ -2,7 +2,6 @@
 
 import json
 import logging
-from pathlib import Path
 
 import pytest
 
@@ -56,12 +55,12 @@ def test_the_setting_chooses_the_form(capsys: pytest.CaptureFixture[str], settin
     assert second.endswith("WARNING y two")
 
 
-def test_variables_that_are_no_setting_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_variables_that_are_no_setting_are_named(tmp_path, monkeypatch, caplog) -> None:
     monkeypatch.setattr("service.app.set_up_logging", lambda _: None)
     monkeypatch.setattr("service.app.WARM_UP_AFTER_S", 3600)
     monkeypatch.setenv("DYNAMICTREE_STATE_DIR", str(tmp_path))
-    monkeypatch.setenv("DYNAMICTREE_LEESE_S", "1")
+    for name in ("LEESE_S", "URL", "API_KEY"):  # the last two are the client's, see docs/client-programmer.md
+        monkeypatch.setenv(f"DYNAMICTREE_{name}", "1")
     serving_app()
     assert "DYNAMICTREE_LEESE_S: no such setting" in caplog.text
+    assert caplog.text.count("no such setting") == 1

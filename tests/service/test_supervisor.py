@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -13,9 +14,8 @@ from service.local.supervisor import ChildPlan, Supervisor
 from tests.servers import wait_for
 
 
-def plan(program: str, name: str = "child", grace_s: float = 5.0) -> ChildPlan:
-    command = [sys.executable, "-c", program]
-    return ChildPlan(name=name, command=command, environment=os.environ, grace_s=grace_s)
+def plan(program: str, name: str = "child", **values: Any) -> ChildPlan:
+    return ChildPlan(name=name, command=[sys.executable, "-c", program], environment=os.environ, **values)
 
 
 @contextmanager
@@ -87,13 +87,7 @@ def test_children_start_in_order_and_stop_in_reverse(tmp_path: Path) -> None:
         "def stop(*_):\n say('-NAME'); sys.exit()\n"
         "signal.signal(signal.SIGTERM, stop); say('+NAME'); time.sleep(100)"
     )
-    first = ChildPlan(
-        name="a",
-        command=[sys.executable, "-c", program.replace("NAME", "a")],
-        environment=os.environ,
-        ready=log.exists,
-        grace_s=20,
-    )
+    first = plan(program.replace("NAME", "a"), "a", ready=log.exists, grace_s=20)
     second = plan(program.replace("NAME", "b"), "b", grace_s=20)
     with running(first, second):
         wait_for(lambda: log.exists() and "+b" in log.read_text(), "b")
