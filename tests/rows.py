@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.records import AssetPart, AssetRecord, JobRecord, UploadRecord
 from jobs.states import JobState, JobType
 from jobs.storage.artifacts import ArtifactStore, hash_file
 from jobs.store import new_id
@@ -21,6 +21,13 @@ def job_row(asset: AssetRecord, job_type: JobType = "diffuse", *, now: float, **
     usual: dict[str, Any] = {"id": new_id(), "type": job_type, "state": JobState.QUEUED, "asset_id": asset.id}
     usual |= {"preset": "small", "seed": 0, "params": {}, "queue": "cpu", "created_at": now}
     return JobRecord(**usual | values)
+
+
+def upload_row(upload_id: str, *, now: float, **values: Any) -> UploadRecord:
+    """An upload of which nothing has come; `values` in place of what it would have."""
+    usual: dict[str, Any] = {"id": upload_id, "state": "receiving", "filename": "tree", "options": {}, "length": 9}
+    usual |= {"created_at": now, "expires_at": now + 1000}
+    return UploadRecord(**usual | values)
 
 
 def stored_part(artifacts: ArtifactStore, path: Path) -> AssetPart:

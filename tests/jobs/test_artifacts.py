@@ -85,16 +85,16 @@ def test_s3_keeps_what_is_sent_in_parts(s3: tuple[Server, Path], tmp_path: Path)
     assert not artifacts.exists(digest)
 
 
-def test_key_and_secret_may_be_settings(
-    s3: tuple[Server, Path], source: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_key_and_secret_may_be_settings(s3, source, monkeypatch, tmp_path) -> None:
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
+    (tmp_path / "dynamictree_database_url").write_text("postgresql://tree@host/jobs")
     (tmp_path / "dynamictree_s3_access_key_id").write_text("tree:tree")
     (tmp_path / "dynamictree_s3_secret_access_key").write_text("secret")
     monkeypatch.setenv("DYNAMICTREE_SECRETS_DIR", str(tmp_path))
     settings = read_settings()
     assert "secret'" not in repr(settings)
+    assert settings.resolved_database_url == "postgresql://tree@host/jobs"
     digest, _ = hash_file(source)
     artifacts = open_artifacts("s3://trees/products", credentials=settings.s3_credentials)
     artifacts.put(source, digest)
@@ -148,9 +148,7 @@ def test_a_busy_storage_is_waited_for_as_long_as_configured(s3: tuple[Server, Pa
     assert artifacts.exists(digest)
 
 
-def test_a_storage_that_is_down_or_refuses_us_is_reported(
-    s3: tuple[Server, Path], source: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_storage_that_is_down_or_refuses_us_is_reported(s3, source, monkeypatch) -> None:
     digest, _ = hash_file(source)
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong")
     with pytest.raises(StorageAwayError):
@@ -163,9 +161,7 @@ def test_a_storage_that_is_down_or_refuses_us_is_reported(
         list(open_artifacts("s3://trees/products", patience_s=0.2).read(digest))
 
 
-def test_pieces_that_a_storage_does_not_take_are_reported(
-    s3: tuple[Server, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_pieces_that_a_storage_does_not_take_are_reported(s3, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong")
     parts = open_parts("s3://trees/products")
     writer = parts.writer("one", 0)

@@ -16,7 +16,7 @@ from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError, NotFoundError
 from jobs.lifecycle.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
 from jobs.lifecycle.maintenance import hold_lease, living
-from jobs.records import AssetPart, Claim, JobRecord, OutputFile, UploadRecord
+from jobs.records import AssetPart, Claim, JobRecord, OutputFile
 from jobs.storage.artifacts import FolderArtifacts
 from jobs.storage.assets import add_asset, read_asset
 from jobs.storage.backup import BACKUP_LEASE, BLOBS, back_up, restore, scrub
@@ -26,7 +26,7 @@ from jobs.storage.upload_parts import FolderParts
 from jobs.storage.uploads import add_upload
 from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
-from tests.rows import asset_row
+from tests.rows import asset_row, upload_row
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
     theirs = store.for_owner(owner)
     create_key(store, name="k", owner=owner)
     add_endpoint(theirs, "https://tree.example/", ())
-    add_upload(theirs, _upload(store, f"{owner}{seed}-upload"))
+    add_upload(theirs, upload_row(f"{owner}{seed}-upload", now=store.clock(), state="failed"))
     part = _put(store, artifacts, folder, f"{owner}{seed} sent".encode())
     asset = add_asset(theirs, asset_row(part, now=store.clock(), fingerprint=part.sha256))[0]
     job = add_job(theirs, asset)
@@ -59,13 +59,6 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
     start_stage(store, lease, "voxelize")
     publish_stage(store, lease, "voxelize", (file,), key=product.sha256, cached=False, retention_s=1000)
     return job
-
-
-def _upload(store: Store, upload_id: str) -> UploadRecord:
-    now = store.clock()
-    return UploadRecord(
-        id=upload_id, state="failed", filename="tree", options={}, length=1, created_at=now, expires_at=now + 100
-    )
 
 
 def _rows(store: Store) -> dict[str, list[dict[str, object]]]:
@@ -80,9 +73,7 @@ def _rows(store: Store) -> dict[str, list[dict[str, object]]]:
 
 
 @pytest.mark.parametrize("into", ["sqlite", "postgresql"])
-def test_a_restored_state_has_the_same_rows_and_bytes(
-    store: Store, artifacts: FolderArtifacts, tmp_path: Path, into: str, request: pytest.FixtureRequest
-) -> None:
+def test_a_restored_state_has_the_same_rows_and_bytes(store, artifacts, tmp_path, into, request) -> None:
     if into == "postgresql" and store.engine.dialect.name == "postgresql":
         pytest.skip("there is one PostgreSQL")
     jobs = [fill(store, artifacts, tmp_path / "sent", owner) for owner in ("ann", "bob")]
@@ -130,7 +121,7 @@ def test_a_backup_is_of_one_moment_while_others_write(store: Store, artifacts: F
 
     def write() -> None:
         number = 0
-        while not stop.is_set():
+        while not stop.wait(0.005):  # keys are made without end
             try:
                 fill(store, artifacts, tmp_path / "more", "bob", seed=str(number := number + 1))
             except ConflictError:  # twenty webhooks are allowed

@@ -76,9 +76,7 @@ def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
         server.kill()
 
 
-def test_an_upload_that_no_process_can_read_may_be_sent_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_upload_that_no_process_can_read_may_be_sent_again(tmp_path, monkeypatch, caplog) -> None:
     settings = Settings(state_dir=tmp_path)
     tree = tmp_path / "tree.obj"
     tree.write_text(OBJ)
@@ -93,9 +91,7 @@ def test_an_upload_that_no_process_can_read_may_be_sent_again(
     assert asyncio.run(parse(_request(settings, tree), settings)).kind == "mesh"
 
 
-def test_what_the_kernel_does_not_confine_is_logged_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_the_kernel_does_not_confine_is_logged_once(tmp_path, monkeypatch, caplog) -> None:
     async def answered(_: ParseRequest) -> bytes:
         return ParseAnswer(kind="mesh", lacks=("landlock",)).model_dump_json().encode() + b"\n0"
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from jobs.database import postgres_connection
+from jobs.database.engine import open_engine
 from jobs.lifecycle.attempts import claim, offer, publish_stage, start_stage, succeed
 from jobs.records import OutputFile
 from jobs.states import JobState
@@ -58,8 +60,9 @@ def test_what_was_committed_may_be_asked_again(store: Store) -> None:
     assert claim(store, job.id, 1, owner="another", lease_s=60) is None
     start_stage(store, lease, "voxelize")
     file = OutputFile(name="a", media_type="x/y", sha256="c" * 64, bytes=1)
-    for _ in range(2):
-        offer(store, lease, "voxelize", (file, replace(file, name="b")), retention_s=100)
+    for digest in "bcc":  # the first is replaced
+        offered = (file, replace(file, name="b", sha256=digest * 64), replace(file, name="draft"))
+        offer(store, lease, "voxelize", offered, retention_s=100)
     early = {artifact.name: artifact.id for artifact in store.artifacts_of(job.id)}
     changed = replace(file, name="b", sha256="d" * 64)
     for _ in range(2):
@@ -69,3 +72,15 @@ def test_what_was_committed_may_be_asked_again(store: Store) -> None:
     assert final["a"].id == early["a"], "a client may hold the id of a file that did not change"
     assert final["b"].id != early["b"]
     assert succeed(store, lease) == JobState.SUCCEEDED
+
+
+def test_a_statement_without_an_answer_ends_and_the_next_one_has_its_own(postgres_url, monkeypatch) -> None:
+    engine = open_engine(postgres_url)
+    with engine.connect() as connection:
+        monkeypatch.setattr(postgres_connection, "ANSWER_S", 0.3)
+        with pytest.raises(sa.exc.OperationalError, match="did not answer within"):
+            connection.execute(sa.text("SELECT pg_sleep(2)"))
+        assert connection.invalidated
+    with engine.connect() as connection:
+        assert connection.execute(sa.text("SELECT 7")).scalar_one() == 7
+    engine.dispose()

@@ -9,13 +9,13 @@ from jobs.clients.usage import count_jobs
 from jobs.errors import ConflictError, FencedError
 from jobs.lifecycle import attempts, maintenance
 from jobs.lifecycle.rows import end, move
-from jobs.records import AssetRecord, Claim, ClientKey, UploadRecord
+from jobs.records import AssetRecord, Claim, ClientKey
 from jobs.states import TRANSITIONS, JobState, stages_of
 from jobs.storage.assets import delete_asset
 from jobs.storage.uploads import add_upload, claim_uploads
 from jobs.store import Store
 from tests.jobs.conftest import FILE, Clock, add_job, claim, publish
-from tests.rows import job_row
+from tests.rows import job_row, upload_row
 
 
 def test_every_transition_that_is_not_drawn_is_refused(store: Store, asset: AssetRecord) -> None:
@@ -102,9 +102,7 @@ def test_a_message_of_an_old_attempt_is_dropped(store: Store, asset: AssetRecord
         ([None, None, None], "worker-lost"),
     ],
 )
-def test_attempts_are_capped(
-    store: Store, asset: AssetRecord, clock: Clock, stages: list[str | None], code: str
-) -> None:
+def test_attempts_are_capped(store, asset, clock, stages, code) -> None:
     job = add_job(store, asset)
     for attempt, stage in enumerate(stages, start=1):
         lease = claim(store, job.id, attempt=attempt)
@@ -278,18 +276,8 @@ def test_a_client_key_gives_its_job_when_the_asset_is_gone(store: Store, asset: 
 
 def test_uploads_of_owners_take_turns(store: Store, clock: Clock) -> None:
     def begin(owner: str, number: int) -> None:
-        row = UploadRecord(
-            id=f"{owner}{number}",
-            state="fetching",
-            filename="a",
-            options={},
-            length=None,
-            make_asset=True,
-            source_url="https://a.example",
-            created_at=clock.now,
-            expires_at=clock.now + 1000,
-        )
-        add_upload(store.for_owner(owner), row)
+        values = {"state": "fetching", "length": None, "make_asset": True, "source_url": "https://a.example"}
+        add_upload(store.for_owner(owner), upload_row(f"{owner}{number}", now=clock.now, **values))
 
     for number in range(9):
         begin("a", number)
@@ -300,9 +288,7 @@ def test_uploads_of_owners_take_turns(store: Store, clock: Clock) -> None:
     assert [u.id for u in claim_uploads(store, lease_s=60, limit=8, per_owner=2)] == ["b1"]
 
 
-def test_a_job_whose_queue_has_no_worker_goes_where_there_is_one(
-    store: Store, asset: AssetRecord, clock: Clock
-) -> None:
+def test_a_job_whose_queue_has_no_worker_goes_where_there_is_one(store, asset, clock) -> None:
     job = add_job(store, asset)
     maintenance.mark_sent(store, maintenance.unsent(store, window=9)[0])
     assert maintenance.hold_lease(store, maintenance.worker_lease("gpu", "w"), owner="w", lease_s=1000)
