@@ -5,6 +5,8 @@ import base64
 import hashlib
 import itertools
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
 from pathlib import Path
@@ -32,49 +34,35 @@ from dynamictree_client import (
     operations,
     synchronous,
 )
-from dynamictree_client.models import Artifact, Job
+from dynamictree_client.models import Artifact, Asset, Job
 from dynamictree_client.retries import retry_after_s
 
-from tests.line import Handler, answering
+from tests.line import Handler, Line, answering
 
 QUICK = Retries(attempts=4, first_wait_s=0.0)
+TIMES = {"created_at": "2026-01-01T00:00:00Z", "expires_at": "2026-01-02T00:00:00Z"}
 CONTENT = bytes(range(256)) * 64
 
 
+@contextmanager
+def talking(answer: Callable[[int, Handler], None], retries: Retries = QUICK) -> Iterator[tuple[Line, Client]]:
+    """A server that answers so, and a client of it."""
+    with answering(answer) as line, Client(line.url, retries=retries) as client:
+        yield line, client
+
+
 def artifact(**changes: object) -> Artifact:
-    expected = {
-        "id": "A",
-        "name": "tree.glb",
-        "stage": "animate",
-        "media_type": "model/gltf-binary",
-        "bytes": len(CONTENT),
-        "sha256": hashlib.sha256(CONTENT).hexdigest(),
-        "url": "/v1/artifacts/A",
-        "created_at": "2026-01-01T00:00:00Z",
-        "expires_at": "2026-01-02T00:00:00Z",
-    }
-    return Artifact.model_validate(expected | changes)
+    expected = {"id": "A", "name": "tree.glb", "stage": "animate", "media_type": "model/gltf-binary"}
+    expected |= {"bytes": len(CONTENT), "sha256": hashlib.sha256(CONTENT).hexdigest(), "url": "/v1/artifacts/A"}
+    return Artifact.model_validate(expected | TIMES | changes)
 
 
 def job(state: str, **changes: object) -> bytes:
-    moment = "2026-01-01T00:00:00Z"
     first = {name: next(iter(get_args(field.annotation)), None) for name, field in Job.model_fields.items()}
-    expected = {name: value if isinstance(value, str) else None for name, value in first.items()} | {
-        "id": "J",
-        "type": "animate",
-        "state": state,
-        "asset_id": "A",
-        "preset": "small",
-        "seed": 0,
-        "params": {},
-        "metadata": {},
-        "attempt": 1,
-        "progress": 0.5,
-        "stages": [],
-        "processor_s": 0.0,
-        "gpu_s": 0.0,
-        "created_at": moment,
-    }
+    expected = {name: value if isinstance(value, str) else None for name, value in first.items()}
+    expected |= {"id": "J", "type": "animate", "state": state, "asset_id": "A", "preset": "small", "seed": 0}
+    expected |= {"params": {}, "metadata": {}, "attempt": 1, "progress": 0.5, "stages": [], "processor_s": 0.0}
+    expected |= {"gpu_s": 0.0, "created_at": TIMES["created_at"]}
     return Job.model_construct(**(expected | changes)).model_dump_json(warnings=False).encode()
 
 
@@ -85,72 +73,50 @@ def test_a_busy_service_is_asked_again_when_it_says() -> None:
         else:
             handler.reply(200, b'{"status": "ok"}')
 
-    with answering(answer) as line, Client(line.url, retries=Retries(first_wait_s=1000.0)) as client:
+    with talking(answer, Retries(first_wait_s=1000.0)) as (line, client):
         assert client.send(operations.get_liveness()).status == "ok"
     assert len(line.requests) == 3
 
 
 def test_a_service_that_wants_to_be_left_alone_for_long_is_not_waited_for() -> None:
-    with answering(lambda number, handler: handler.problem(429, "rate-limited", Retry_After="3600")) as line:
-        with Client(line.url, retries=QUICK) as client, pytest.raises(TooBusyError) as caught:
+    with talking(lambda _, handler: handler.problem(429, "rate-limited", Retry_After="3600")) as (line, client):
+        with pytest.raises(TooBusyError) as caught:
             client.send(operations.get_liveness())
-        assert caught.value.retry_after_s == 3600
-        assert caught.value.code == "rate-limited"
-    assert len(line.requests) == 1
+        assert (caught.value.retry_after_s, caught.value.code, len(line.requests)) == (3600, "rate-limited", 1)
 
 
 @pytest.mark.parametrize(
     ("status", "kind"),
     [
-        (400, InvalidRequestError),
-        (401, AccessError),
-        (403, AccessError),
-        (404, NotFoundError),
-        (409, ConflictError),
-        (410, GoneError),
-        (422, InvalidRequestError),
-        (501, ServiceFaultError),
-        (503, TooBusyError),
+        *((status, InvalidRequestError) for status in (400, 422)),
+        *((status, AccessError) for status in (401, 403)),
+        *((404, NotFoundError), (409, ConflictError), (410, GoneError), (501, ServiceFaultError), (503, TooBusyError)),
     ],
 )
 def test_a_problem_is_an_exception_of_its_kind(status: int, kind: type[Exception]) -> None:
-    with (
-        answering(lambda number, handler: handler.problem(status, "some-code")) as line,
-        Client(line.url, retries=Retries(attempts=1)) as client,
-        pytest.raises(kind, match="some-code: d s"),
-    ):
-        client.send(operations.get_job("J"))
+    with talking(lambda _, handler: handler.problem(status, "some-code"), Retries(attempts=1)) as (line, client):
+        with pytest.raises(kind, match="some-code: d s"):
+            client.send(operations.get_job("J"))
+        assert len(line.requests) == 1
 
 
 def test_a_proxys_page_is_a_problem_too() -> None:
-    with (
-        answering(lambda number, handler: handler.reply(502, b"<h1>Bad Gateway</h1>", "text/html")) as line,
-        Client(line.url, retries=QUICK) as client,
-    ):
+    with talking(lambda _, handler: handler.reply(502, b"<h1>Bad Gateway</h1>", "text/html")) as (line, client):
         with pytest.raises(ServiceFaultError, match=r"http-502: .*Bad Gateway"):
             client.send(operations.get_liveness())
         assert len(line.requests) == QUICK.attempts
 
 
 def test_what_may_have_been_done_is_only_repeated_where_that_does_no_harm() -> None:
-    with (
-        answering(lambda number, handler: handler.problem(500, "internal-error")) as line,
-        Client(line.url, retries=QUICK) as client,
-    ):
+    with talking(lambda _, handler: handler.problem(500, "internal-error")) as (line, client):
         with pytest.raises(ServiceFaultError):
             client.send(operations.cancel_job("J"))
         assert len(line.requests) == 1
         with pytest.raises(ServiceFaultError):
-            client.animate(path_of_a_mesh(line.url, client))
+            client.animate(Asset.model_construct(id="A"))
         created = [request for request in line.requests if request.path == "/v1/jobs"]
         assert len(created) == QUICK.attempts
         assert len({request.headers["idempotency-key"] for request in created}) == 1
-
-
-def path_of_a_mesh(url: str, client: Client) -> object:
-    from dynamictree_client.models import Asset
-
-    return Asset.model_construct(id="A")
 
 
 def test_a_server_that_does_not_answer_is_reported_with_its_address() -> None:
@@ -170,15 +136,11 @@ def test_a_download_that_breaks_off_goes_on_where_it_was(tmp_path: Path) -> None
         else:
             handler.reply(206, whole, "application/octet-stream", Content_Range=f"bytes {start}-/{len(CONTENT)}")
 
-    with answering(answer) as line, Client(line.url, retries=QUICK) as client:
+    with talking(answer) as (line, client):
         path = client.download(artifact(), tmp_path / "tree.glb")
     assert path.read_bytes() == CONTENT
-    assert [request.headers.get("range") for request in line.requests] == [
-        None,
-        "bytes=5000-",
-        "bytes=10000-",
-        "bytes=15000-",
-    ]
+    ranges = [request.headers.get("range") for request in line.requests]
+    assert ranges == [None, "bytes=5000-", "bytes=10000-", "bytes=15000-"]
     assert line.requests[1].headers["if-range"] == f'"{artifact().sha256}"'
     assert list(tmp_path.iterdir()) == [path]
 
@@ -201,10 +163,7 @@ def test_a_download_of_an_earlier_process_goes_on(tmp_path: Path) -> None:
 def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp_path: Path) -> None:
     part = tmp_path / "tree.glb.part"
     part.write_bytes(CONTENT + b"!")
-    with (
-        answering(lambda number, handler: handler.reply(200, CONTENT, "application/octet-stream")) as line,
-        Client(line.url) as client,
-    ):
+    with talking(lambda _, handler: handler.reply(200, CONTENT, "application/octet-stream")) as (line, client):
         client.download(artifact(), tmp_path / "tree.glb").replace(part)
         assert client.download(artifact(), tmp_path / "tree.glb").read_bytes() == CONTENT
     assert len(line.requests) == 1
@@ -213,36 +172,27 @@ def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp
 
 def test_wrong_bytes_are_thrown_away(tmp_path: Path) -> None:
     wrong = bytes(len(CONTENT))
-    with (
-        answering(lambda number, handler: handler.reply(200, wrong, "application/octet-stream")) as line,
-        Client(line.url) as client,
-        pytest.raises(IntegrityError, match=hashlib.sha256(wrong).hexdigest()),
-    ):
-        client.download(artifact(), tmp_path / "tree.glb")
-    assert list(tmp_path.iterdir()) == []
+    with talking(lambda _, handler: handler.reply(200, wrong, "application/octet-stream")) as (_, client):
+        with pytest.raises(IntegrityError, match=hashlib.sha256(wrong).hexdigest()):
+            client.download(artifact(), tmp_path / "tree.glb")
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_a_download_that_never_gets_on_is_given_up(tmp_path: Path) -> None:
-    with (
-        answering(lambda number, handler: handler.break_off(b"", announced=len(CONTENT))) as line,
-        Client(line.url, retries=QUICK) as client,
-        pytest.raises(UnreachableError),
-    ):
-        client.download(artifact(), tmp_path / "tree.glb")
-    assert len(line.requests) == QUICK.attempts
+    with talking(lambda _, handler: handler.break_off(b"", announced=len(CONTENT))) as (line, client):
+        with pytest.raises(UnreachableError):
+            client.download(artifact(), tmp_path / "tree.glb")
+        assert len(line.requests) == QUICK.attempts
 
 
 @pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a\\b", "..", ""])
 def test_a_file_is_never_written_elsewhere(tmp_path: Path, name: str) -> None:
     manifest = {"job_id": "J", "complete": True, "artifacts": [artifact(name=name).model_dump(mode="json")]}
     body = json.dumps(manifest).encode()
-    with (
-        answering(lambda number, handler: handler.reply(200, body)) as line,
-        Client(line.url) as client,
-        pytest.raises(IntegrityError, match="no plain name"),
-    ):
-        client.download_all("J", tmp_path / "out")
-    assert len(line.requests) == 1
+    with talking(lambda _, handler: handler.reply(200, body)) as (line, client):
+        with pytest.raises(IntegrityError, match="no plain name"):
+            client.download_all("J", tmp_path / "out")
+        assert len(line.requests) == 1
 
 
 def test_waiting_asks_as_often_as_the_service_likes_and_tells_every_answer() -> None:
@@ -252,7 +202,7 @@ def test_waiting_asks_as_often_as_the_service_likes_and_tells_every_answer() -> 
         handler.reply(200, job(states[number - 1]), Retry_After="0")
 
     seen = list[str]()
-    with answering(answer) as line, Client(line.url) as client:
+    with talking(answer) as (_, client):
         assert client.wait("J", on_progress=lambda now: seen.append(now.state)).state == "succeeded"
     assert seen == states
 
@@ -261,23 +211,17 @@ def test_waiting_asks_as_often_as_the_service_likes_and_tells_every_answer() -> 
 def test_a_job_that_does_not_succeed_is_an_exception_that_says_why(state: str) -> None:
     error = {"type": "t", "title": "t", "status": 500, "detail": "It broke.", "code": "worker-lost", "request_id": None}
     error |= {"retryable": True, "suggestion": "Again.", "errors": []}
-    with (
-        answering(lambda number, handler: handler.reply(200, job(state, error=error))) as line,
-        Client(line.url) as client,
-        pytest.raises(JobEndedError, match=rf"job J {state}: worker-lost: It broke\. Again\.") as caught,
-    ):
-        client.wait("J")
-    assert caught.value.job.state == state
+    with talking(lambda _, handler: handler.reply(200, job(state, error=error))) as (_, client):
+        with pytest.raises(JobEndedError, match=rf"job J {state}: worker-lost: It broke\. Again\.") as caught:
+            client.wait("J")
+        assert caught.value.job.state == state
 
 
 def test_waiting_ends_in_time() -> None:
-    with (
-        answering(lambda number, handler: handler.reply(200, job("running"), Retry_After="30")) as line,
-        Client(line.url) as client,
-        pytest.raises(WaitTimeoutError, match="job J is running after 2 s"),
-    ):
-        client.wait("J", timeout_s=2)
-    assert len(line.requests) == 1
+    with talking(lambda _, handler: handler.reply(200, job("running"), Retry_After="30")) as (line, client):
+        with pytest.raises(WaitTimeoutError, match="job J is running after 1 s"):
+            client.wait("J", timeout_s=1)
+        assert len(line.requests) == 1
 
 
 def tus(failures: dict[int, int | None], stored: bytearray):  # type: ignore[no-untyped-def]
@@ -308,43 +252,28 @@ def tus(failures: dict[int, int | None], stored: bytearray):  # type: ignore[no-
     return answer
 
 
-ASSET = json.dumps(
-    {
-        "id": "A",
-        "kind": "mesh",
-        "parts": [],
-        "summary": {},
-        "metadata": {},
-        "created_at": "2026-01-01T00:00:00Z",
-        "expires_at": "2026-01-02T00:00:00Z",
-    }
-).encode()
+ASSET = json.dumps({"id": "A", "kind": "mesh", "parts": [], "summary": {}, "metadata": {}} | TIMES).encode()
 
 
 @pytest.mark.parametrize("failures", [{}, {1: None}, {2: 503, 3: 460}, {1: 409}], ids=str)
-def test_an_upload_goes_on_where_the_line_broke(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: dict[int, int | None]
-) -> None:
+def test_an_upload_goes_on_where_the_line_broke(tmp_path, monkeypatch, failures) -> None:
     for client_module in (asynchronous, synchronous):
         monkeypatch.setattr(client_module, "PIECE", 7000)
     path = tmp_path / "tree.glb"
     path.write_bytes(CONTENT)
     stored = bytearray()
-    with answering(tus(failures, stored)) as line, Client(line.url, retries=QUICK) as client:
+    with talking(tus(failures, stored)) as (line, client):
         assert client.upload(path, resumable=True, up_axis="+Y").id == "A"
     assert bytes(stored) == CONTENT
     assert line.requests[0].headers["upload-length"] == str(len(CONTENT))
 
 
 def test_an_upload_that_is_never_in_step_is_given_up(tmp_path: Path) -> None:
-    path = tmp_path / "tree.glb"
-    path.write_bytes(CONTENT)
-    with (
-        answering(tus(dict.fromkeys(range(99), 460), bytearray())) as line,
-        Client(line.url, retries=QUICK) as client,
-        pytest.raises(InvalidRequestError),
-    ):
-        client.upload_file(path)
+    with talking(tus(dict.fromkeys(range(99), 460), bytearray())) as (_, client):
+        path = tmp_path / "tree.glb"
+        path.write_bytes(CONTENT)
+        with pytest.raises(InvalidRequestError):
+            client.upload_file(path)
 
 
 def test_nothing_to_send_is_reported_before_anything_is_sent(tmp_path: Path) -> None:

@@ -96,9 +96,7 @@ def test_the_readmes_curl_lines_and_the_push_run(url: str, folder: Path) -> None
         assert '"groups"' in run("sh", placed, folder, url)
 
 
-def test_a_batch_goes_on_where_it_stopped_and_names_what_failed(
-    url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_batch_goes_on_where_it_stopped_and_names_what_failed(url, tmp_path, capsys) -> None:
     trees = tmp_path / "trees"
     trees.mkdir()
     for seed in (3, 4, 5):

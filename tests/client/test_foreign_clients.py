@@ -16,9 +16,7 @@ WANTED = {"event": "True", "file": "True", "refused": "404"}
 
 
 @pytest.mark.slow
-def test_a_csharp_client_of_openapi_generator_goes_all_the_way(
-    url: str, hook_port: int, tree: Path, tmp_path: Path
-) -> None:
+def test_a_csharp_client_of_openapi_generator_goes_all_the_way(url, hook_port, tree, tmp_path) -> None:
     if not (CSHARP_TOOLS / ".ready").exists() or shutil.which("java") is None:
         pytest.skip("a C# compiler is not there: make csharp-tools, with java, node and npm")
     (runtime,) = CSHARP_TOOLS.glob("lib/python*/site-packages/dnv/net/runtime/.net")
@@ -33,9 +31,7 @@ def test_a_csharp_client_of_openapi_generator_goes_all_the_way(
 
 
 @pytest.mark.slow
-def test_a_typescript_client_of_openapi_fetch_goes_all_the_way(
-    url: str, hook_port: int, tree: Path, tmp_path: Path
-) -> None:
+def test_a_typescript_client_of_openapi_fetch_goes_all_the_way(url, hook_port, tree, tmp_path) -> None:
     binaries = JS_TOOLS / "node_modules" / ".bin"
     if not (binaries / "openapi-typescript").exists() or shutil.which("node") is None:
         pytest.skip("openapi-typescript is not there: make js-tools, with node and npm")

@@ -16,9 +16,7 @@ PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb", "glb-morph"], n
 
 
 @pytest.mark.slow
-def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
-    url: str, tree: Path, tmp_path: Path
-) -> None:
+def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(url, tree, tmp_path) -> None:
     seen = list[Job]()
     with Client(url) as client:
         asset = client.upload(tree)
