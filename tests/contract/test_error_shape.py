@@ -1,7 +1,7 @@
 """One error body, whatever goes wrong and wherever."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -65,9 +65,7 @@ JSON = {"Content-Type": "application/json"}
         (lambda client: client.post("/v1/assets", content=b"x"), 415, "unsupported-format"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_answered_is_a_problem(
-    client: TestClient, send: Callable[[TestClient], object], status: int, code: str
-) -> None:
+def test_what_cannot_be_answered_is_a_problem(client, send, status, code) -> None:
     assert_problem(send(client), status, code)
 
 
@@ -93,9 +91,7 @@ def test_an_unknown_id(client: TestClient, path: str, id: str) -> None:
         ("/database", 503, "storage-unavailable"),
     ],
 )
-def test_what_goes_wrong_inside_is_withheld(
-    client: TestClient, caplog: pytest.LogCaptureFixture, path: str, status: int, code: str
-) -> None:
+def test_what_goes_wrong_inside_is_withheld(client, caplog, path, status, code) -> None:
     response = client.get(path)
     assert_problem(response, status, code)
     assert "secret" not in response.text
