@@ -128,9 +128,7 @@ def test_the_next_attempt_goes_on_where_the_last_one_was(runtime: Runtime, asset
         assert sha256(content(runtime, job.id, artifact.name)).hexdigest() == artifact.sha256
 
 
-def test_another_format_does_not_compute_the_motion_again(
-    runtime: Runtime, asset: AssetRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_format_does_not_compute_the_motion_again(runtime, asset, tmp_path, monkeypatch) -> None:
     computed = []
     whole = stored_rig.rig_of
     monkeypatch.setattr(stored_rig, "rig_of", lambda *given: computed.append(given) or whole(*given))
@@ -226,9 +224,7 @@ def test_a_lost_lease_stops_the_attempt(runtime: Runtime, asset: AssetRecord) ->
             watching.check()
 
 
-def test_a_lost_lease_is_no_error_of_the_job_nor_a_loss_of_who_was_only_paused(
-    runtime: Runtime, asset: AssetRecord, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_lost_lease_is_no_error_of_the_job_nor_a_loss_of_who_was_only_paused(runtime, asset, caplog) -> None:
     lease = hold(runtime, add_job(runtime, asset))
     runtime.store.clock = lambda: time.time() + runtime.settings.lease_s + 1
     assert reap(runtime.store, max_lost_attempts=2) == [(lease.job.id, JobState.RUNNING)]
@@ -249,9 +245,7 @@ def test_a_lost_lease_is_no_error_of_the_job_nor_a_loss_of_who_was_only_paused(
         (ZeroDivisionError("a secret"), "internal-error", "logged"),
     ],
 )
-def test_an_error_is_written_as_code_and_message(
-    runtime: Runtime, asset: AssetRecord, error: Exception, code: str, message: str
-) -> None:
+def test_an_error_is_written_as_code_and_message(runtime, asset, error, code, message) -> None:
     job = add_job(runtime, asset)
     end_attempt(runtime, hold(runtime, job), error)
     ended = runtime.store.job(job.id)
@@ -260,9 +254,7 @@ def test_an_error_is_written_as_code_and_message(
     assert "secret" not in (ended.error_message or "")
 
 
-def test_a_loop_that_would_jump_fails_with_what_is_allowed(
-    runtime: Runtime, asset: AssetRecord, tmp_path: Path
-) -> None:
+def test_a_loop_that_would_jump_fails_with_what_is_allowed(runtime, asset, tmp_path) -> None:
     lease = with_spectrum(runtime, asset, tmp_path, num_frames=37)
     with watch(runtime, lease) as watching, pytest.raises(Exception, match="period") as raised:
         run_stages(runtime, watching)
@@ -301,9 +293,7 @@ def test_many_may_wait_for_the_first_beat(runtime: Runtime) -> None:
     assert not any(thread.is_alive() for thread in threads)
 
 
-def test_a_heartbeat_that_died_starts_again(
-    runtime: Runtime, asset: AssetRecord, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_heartbeat_that_died_starts_again(runtime, asset, caplog) -> None:
     lease = hold(runtime, add_job(runtime, asset))
     with watch(runtime, lease):
         first = runtime.heartbeat.pid

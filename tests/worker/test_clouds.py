@@ -39,9 +39,7 @@ def scene(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     return keep(runtime, capture, tmp_path / "cloud.safetensors")
 
 
-def test_a_splat_comes_out_moving_and_what_is_around_it_stays(
-    runtime: Runtime, scene: AssetRecord, tmp_path: Path
-) -> None:
+def test_a_splat_comes_out_moving_and_what_is_around_it_stays(runtime, scene, tmp_path) -> None:
     options = {"num_frames": 50, "loop": False, "shot": {"side_px": 64}, "formats": ["splat-ply", "splat", "png"]}
     lease = with_spectrum(runtime, scene, tmp_path, **options)
     run(runtime, lease)

@@ -6,11 +6,21 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import worker.confine
 from jobs.storage.parser_process import FOLDER, child_environment
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
+
+
+def printed(program: str, *arguments: object, **options: Any) -> Any:
+    """The JSON that a program prints in a process of its own."""
+    command = [sys.executable, "-P", "-c", program, *map(str, arguments)]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, **options).stdout)
+
 
 ATTEMPTS = """
 import json, os, socket, subprocess, sys
@@ -42,15 +52,12 @@ print(json.dumps([before, {name: tried(what) for name, what in attempts.items()}
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
 def test_a_confined_process_reaches_neither_network_nor_programs_nor_other_files(tmp_path: Path) -> None:
     folder, secret = tmp_path / "own", tmp_path / "other" / "secret"
     folder.mkdir()
     secret.parent.mkdir()
     secret.write_text("secret")
-    program = [sys.executable, "-c", ATTEMPTS, str(folder), str(secret)]
-    done = subprocess.run(program, capture_output=True, text=True, check=True)
-    before, after, holds = json.loads(done.stdout)
+    before, after, holds = printed(ATTEMPTS, folder, secret)
     assert set(before.values()) == {"done"}
     allowed = {"write inside", "read a library"}
     if "landlock" not in holds:
@@ -76,12 +83,9 @@ print(json.dumps([tried(program), tried("/bin/true"), tried(copy), holds]))
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
 def test_a_confined_process_runs_the_program_that_it_needs_and_no_other(tmp_path: Path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed").get_ffmpeg_exe()
-    program = [sys.executable, "-c", RUN, str(tmp_path), ffmpeg]
-    done = subprocess.run(program, capture_output=True, text=True, check=True)
-    needed, other, copied, holds = json.loads(done.stdout)
+    needed, other, copied, holds = printed(RUN, tmp_path, ffmpeg)
     assert (needed, "seccomp" in holds) == (0, True)
     if "landlock" in holds:
         assert (other, copied) == ("PermissionError", "PermissionError")
@@ -104,10 +108,7 @@ print(json.dumps({name: tried(name) for name in sys.argv[3:]} | {"environment": 
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
-def test_the_folder_that_the_service_was_started_from_stays_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_folder_that_the_service_was_started_from_stays_closed(tmp_path, monkeypatch) -> None:
     """As a user starts it: with a current folder, a home, a PYTHONPATH and credentials."""
     folder, home = tmp_path / "own", tmp_path / "home"
     folder.mkdir()
@@ -118,9 +119,7 @@ def test_the_folder_that_the_service_was_started_from_stays_closed(
     monkeypatch.chdir(home)
     for name, value in {"HOME": str(home), "PYTHONPATH": str(home), "AWS_SECRET_ACCESS_KEY": "secret"}.items():
         monkeypatch.setenv(name, value)
-    program = [sys.executable, "-P", "-c", READ, str(folder), str(home), *SECRETS]
-    done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
-    result = json.loads(done.stdout)
+    result = printed(READ, folder, home, *SECRETS, env=child_environment(), cwd=FOLDER)
     environment = result.pop("environment")
     assert result == dict.fromkeys(SECRETS, "PermissionError")
     assert str(home) not in json.dumps(environment)
@@ -128,13 +127,11 @@ def test_the_folder_that_the_service_was_started_from_stays_closed(
     assert not (home / "executed").exists()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
 def test_the_checkout_beside_the_code_stays_closed(tmp_path: Path) -> None:
     """An editable install lies in a checkout, whose other folders are nobody's business."""
     root = Path(worker.confine.__file__).parents[1]
-    program = [sys.executable, "-P", "-c", READ, str(tmp_path), str(root), "docker-compose.yml", "worker/parse.py"]
-    done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
-    result = json.loads(done.stdout)
+    names = ("docker-compose.yml", "worker/parse.py")
+    result = printed(READ, tmp_path, root, *names, env=child_environment(), cwd=FOLDER)
     assert (result["docker-compose.yml"], result["worker/parse.py"]) == ("PermissionError", "read")
 
 

@@ -40,12 +40,13 @@ def _give_cameras(root: Path) -> None:
 
 
 @pytest.mark.parametrize("with_cameras", [False, True])
-def test_the_child_reads_what_the_library_reads(
-    photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_cameras: bool
-) -> None:
+def test_the_child_is_confined_and_reads_what_the_library_reads(photos, tmp_path, monkeypatch, with_cameras) -> None:
     root = photos[0].parent
-    if with_cameras:
+    if with_cameras:  # and links, as a worker fetches its inputs from a folder of artifacts
         _give_cameras(root)
+        (tmp_path / "artifacts").mkdir()
+        for number, path in enumerate(photos):
+            path.symlink_to(path.rename(tmp_path / "artifacts" / str(number)))
     listed, reported = list_photos(photos, root), []
     expected = read_photos(listed, root, tmp_path / "own", lambda *_: None)
 
@@ -53,7 +54,16 @@ def test_the_child_reads_what_the_library_reads(
         raise AssertionError("decoded in this process")
 
     monkeypatch.setattr(PIL.Image, "open", never)
-    given, prepared = read_confined(listed, root, tmp_path / "confined", lambda *done: reported.append(done))
+
+    def look(*done: int) -> None:
+        reported.append(done)
+        [child] = [one for one in psutil.Process().children() if CHILD in one.cmdline()]
+        status = Path(f"/proc/{child.pid}/status").read_text()
+        state = dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Secc", "NoNew")))
+        assert (state["NoNewPrivs"], state["Seccomp"]) == ("1", "2")
+        assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]
+
+    given, prepared = read_confined(listed, root, tmp_path / "confined", look)
     assert prepared == expected[1]
     assert reported == [(done, 8) for done in range(9)]
     for photo in prepared:
@@ -62,29 +72,6 @@ def test_the_child_reads_what_the_library_reads(
     for camera, same in zip(given or (), expected[0] or (), strict=True):
         assert vars(camera) | {"world_to_camera": 0} == vars(same) | {"world_to_camera": 0}
         np.testing.assert_array_equal(camera.world_to_camera, same.world_to_camera)
-
-
-def test_links_into_the_folder_of_artifacts_are_read(photos: list[Path], tmp_path: Path) -> None:
-    """As a worker fetches its inputs from a folder."""
-    (tmp_path / "artifacts").mkdir()
-    for number, path in enumerate(photos):
-        path.rename(tmp_path / "artifacts" / str(number))
-        path.symlink_to(tmp_path / "artifacts" / str(number))
-    _, prepared = read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", lambda *_: None)
-    assert len(prepared) == len(photos)
-
-
-def test_the_child_is_confined(photos: list[Path], tmp_path: Path) -> None:
-    states = []
-
-    def look(*_: int) -> None:
-        [child] = [one for one in psutil.Process().children() if CHILD in one.cmdline()]
-        status = Path(f"/proc/{child.pid}/status").read_text()
-        states.append(dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Secc", "NoNew"))))
-        assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]
-
-    read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", look)
-    assert all((state["NoNewPrivs"], state["Seccomp"]) == ("1", "2") for state in states)
 
 
 def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

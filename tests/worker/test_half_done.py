@@ -17,8 +17,7 @@ from dynamictree.photo_requests import LearningParams
 from dynamictree.reconstruct.options import options_of
 from dynamictree.reconstruct.progress import expected_seconds
 from dynamictree.reconstruct.splat_state import SplatState
-from jobs.lifecycle.attempts import offer, publish_stage, start_stage
-from jobs.records import AssetRecord, JobRecord, OutputFile
+from jobs.records import AssetRecord, JobRecord
 from jobs.states import JobState, JobType, stages_of
 from jobs.storage.assets import add_asset
 from tests.formats.films import write_film
@@ -33,6 +32,7 @@ from worker.runtime import Runtime
 from worker.tasks import end_attempt
 
 FRAMES = 8
+FILM = {"video_frames": FRAMES}
 STEPS = 100
 
 
@@ -67,8 +67,8 @@ def film(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     return add_photos(runtime, [write_film(tmp_path / "walk.mp4", seconds=1.0)])
 
 
-def add_job(runtime: Runtime, asset: AssetRecord, **params: object) -> JobRecord:
-    job = job_row(asset, "reconstruct", now=runtime.store.clock(), params={"video_frames": FRAMES} | params)
+def reconstruct_job(runtime: Runtime, photos: AssetRecord, **params: object) -> JobRecord:
+    job = job_row(photos, "reconstruct", now=runtime.store.clock(), params=params)
     return runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
 
 
@@ -84,7 +84,7 @@ def ended(runtime: Runtime, job: JobRecord, limit: float) -> JobRecord:
 
 
 def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRecord) -> None:
-    first, second = add_job(runtime, film), add_job(runtime, film, splat_steps=100)
+    first, second = (reconstruct_job(runtime, film, **more) for more in (FILM, FILM | {"splat_steps": 100}))
     failed = ended(runtime, first, 0.02)
     assert (failed.state, failed.error_code) == (JobState.FAILED, "time-limit")
     assert "run it again: it goes on where it was" in (failed.error_message or "")
@@ -93,7 +93,7 @@ def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRec
     assert len(written) == FRAMES
     ended(runtime, second, 0.03)
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
-    ended(runtime, add_job(runtime, film, video_frames=9), 0.02)
+    ended(runtime, reconstruct_job(runtime, film, video_frames=9), 0.02)
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
 
 
@@ -108,13 +108,13 @@ def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
     photos.mkdir()
     paths = [Path(os.link(path, photos / path.name) or photos / path.name) for path in orbit.photos]
     asset = add_photos(runtime, [*paths, write_transforms(tmp_path / "cameras", orbit)])
-    job = ended(runtime, add_job(runtime, asset, splat_steps=STEPS), at_step(STEPS // 4))
+    job = ended(runtime, reconstruct_job(runtime, asset, splat_steps=STEPS), at_step(STEPS // 4))
     assert {artifact.name for artifact in runtime.store.artifacts_of(job.id)} == {"cameras.json", "draft.splat"}
     work = half_done_folder(runtime.settings, job)
     steps = SplatState.load(work / "splat.npz").step
     assert 0 < steps < STEPS
     searched_s = json.loads((work / "times.json").read_text())["seconds"]["cameras"]
-    again = add_job(runtime, asset, splat_steps=STEPS, height_m=1.2)
+    again = reconstruct_job(runtime, asset, splat_steps=STEPS, height_m=1.2)
     shares: list[float] = []
 
     class Listening(Watch):
@@ -135,7 +135,7 @@ def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
 
 
 def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: AssetRecord, tmp_path: Path) -> None:
-    first, second = add_job(runtime, film), add_job(runtime, film)
+    first, second = (reconstruct_job(runtime, film, **FILM) for _ in range(2))
     began, release = threading.Event(), threading.Event()
     learned = []
 
@@ -171,7 +171,7 @@ def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: Asse
 
 @pytest.fixture
 def work(runtime: Runtime, film: AssetRecord) -> Path:
-    folder = half_done_folder(runtime.settings, add_job(runtime, film))
+    folder = half_done_folder(runtime.settings, reconstruct_job(runtime, film, **FILM))
     folder.mkdir(parents=True)
     return folder
 
@@ -203,21 +203,3 @@ def test_photos_that_cannot_be_used_leave_nothing(work: Path) -> None:
         (work / "views.json").touch()
         raise InputError("cameras, but no surface")
     assert work.is_dir()
-
-
-def test_what_was_offered_is_replaced(runtime: Runtime, film: AssetRecord) -> None:
-    def file(name: str, digit: str) -> OutputFile:
-        return OutputFile(name=name, media_type="text/plain", sha256=digit * 64, bytes=1)
-
-    def names() -> list[tuple[str, str]]:
-        return [(artifact.name, artifact.sha256[0]) for artifact in runtime.store.artifacts_of(lease.job.id)]
-
-    lease = hold(runtime, add_job(runtime, film))
-    start_stage(runtime.store, lease, "reconstruct")
-    for digit in "aab":
-        offer(runtime.store, lease, "reconstruct", (file("cameras.json", digit),), retention_s=9)
-    offer(runtime.store, lease, "reconstruct", (file("draft.ply", "d"),), retention_s=9)
-    assert names() == [("cameras.json", "b"), ("draft.ply", "d")]
-    files = (file("cameras.json", "c"), file("mesh.ply", "e"))
-    publish_stage(runtime.store, lease, "reconstruct", files, key="k", cached=False, retention_s=9)
-    assert names() == [("cameras.json", "c"), ("mesh.ply", "e")]

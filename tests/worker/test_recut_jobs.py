@@ -1,5 +1,7 @@
 """A second job on the same photos, with a box and a height, learns nothing again."""
 
+from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -15,40 +17,35 @@ from dynamictree.formats.tensors.bundle import read_mesh_bundle
 from dynamictree.reconstruct.recut import pack
 from jobs.records import AssetRecord, JobRecord
 from jobs.states import stages_of
-from jobs.storage.assets import add_asset
 from jobs.storage.stage_files import MESH_BUNDLE
 from tests.reconstruct.finished import BOX, NUM_STEM, write_finished
 from tests.reconstruct.planted import potted, stroke_across, write_planted
-from tests.rows import asset_row, job_row, stored_part
+from tests.rows import job_row
 from tests.worker.conftest import hold, watch
 from tests.worker.test_attempt import content as bytes_of
 from tests.worker.test_attempt import run
-from worker.attempt import Attempt, run_stages
+from tests.worker.test_half_done import add_photos, reconstruct_job
+from worker.attempt import Attempt
 from worker.runtime import Runtime
 
 
 @pytest.fixture
 def photos(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     """Eight photos of noise, of which nobody learns anything."""
-    parts = []
-    for number in range(8):
-        Image.effect_noise((400, 300), 10 + number).convert("RGB").save(tmp_path / f"{number}.png")
-        parts.append(stored_part(runtime.artifacts, tmp_path / f"{number}.png"))
-    row = asset_row(parts[0], now=0.0, kind="photos", parts=tuple(parts), prepared=None, expires_at=1e12)
-    return add_asset(runtime.store, row)[0]
+    paths = [tmp_path / f"{number}.png" for number in range(8)]
+    for number, path in enumerate(paths):
+        Image.effect_noise((400, 300), 10 + number).convert("RGB").save(path)
+    return add_photos(runtime, paths)
 
 
-def reconstruct_job(runtime: Runtime, photos: AssetRecord, **params: object) -> JobRecord:
-    job = job_row(photos, "reconstruct", now=runtime.store.clock(), params=params)
-    return runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
-
-
-def remember(runtime: Runtime, photos: AssetRecord, job: JobRecord, folder: Path) -> AssetRecord:
+def remember(
+    runtime: Runtime, photos: AssetRecord, job: JobRecord, folder: Path, make: Callable[[Path], None] | None = None
+) -> AssetRecord:
     """As if the job had learned what is in the folder `finished`."""
     watching = watch(runtime, hold(runtime, job))
     attempt = Attempt(runtime=runtime, watch=watching, folder=folder, asset=photos)
     attempt.fetch()
-    attempt.recall("reconstruct", folder, "reconstruction", partial(pack, folder / "finished"))
+    attempt.recall("reconstruct", folder, "reconstruction", make or partial(pack, folder / "finished"))
     return photos
 
 
@@ -104,7 +101,15 @@ def test_all_that_was_cut_out_moves(runtime: Runtime, learned: AssetRecord) -> N
     assert (tensors["face_of"] >= 0).all()
 
 
-def test_other_training_learns_again(runtime: Runtime, learned: AssetRecord) -> None:
-    job = reconstruct_job(runtime, learned, splat_steps=100)
-    with watch(runtime, hold(runtime, job)) as watching, pytest.raises(ReconstructionError):
-        run_stages(runtime, watching)
+def test_other_training_learns_again(runtime: Runtime, learned: AssetRecord, tmp_path: Path) -> None:
+    def learn(_: Path) -> None:
+        raise ReconstructionError("learned again")
+
+    for params, again in (
+        ({"height_m": 1.0}, nullcontext()),
+        ({"splat_steps": 100}, pytest.raises(ReconstructionError)),
+    ):
+        folder = tmp_path / next(iter(params))
+        folder.mkdir()
+        with again:
+            remember(runtime, learned, reconstruct_job(runtime, learned, **params), folder, learn)
