@@ -7,6 +7,15 @@ import pytest
 
 from dynamictree.cli import main
 
+TRIANGLE = b"v 0 0 0\nv 0.02 0 0\nv 0 0 1\nf 1 2 3\n"  # thin: few voxels
+
+
+@pytest.fixture
+def triangle(tmp_path: Path) -> Path:
+    path = tmp_path / "triangle.obj"
+    path.write_bytes(TRIANGLE)
+    return path
+
 
 class Run(Protocol):
     def __call__(self, *arguments: str | float | Path) -> CompletedProcess[str]: ...

@@ -52,11 +52,11 @@ def test_animate_writes_every_product_and_says_so_in_json(tree: Path, tmp_path: 
     assert np.isfinite(motion["displacement"]).all()
 
 
-def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(run: Run, tree: Path, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(run, triangle, tmp_path) -> None:
     files = {}
     for name, seed in [("a", 1), ("b", 1), ("c", 2)]:
         files[name] = tmp_path / f"{name}.spectrum.safetensors"
-        assert run("diffuse", tree, "-o", files[name], "--seed", seed, "--num-steps", 1).returncode == 0
+        assert run("diffuse", triangle, "-o", files[name], "--seed", seed, "--num-steps", 1).returncode == 0
     assert files["a"].read_bytes() == files["b"].read_bytes()
     assert files["a"].read_bytes() != files["c"].read_bytes()
 
@@ -78,9 +78,7 @@ def test_voxelize_then_info_tells_what_was_written(run: Run, tree: Path, tmp_pat
         *((name, content, message) for name, content, _, message in BAD_CLOUDS.values()),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(
-    run: Run, tmp_path: Path, name: str, content: bytes, message: str
-) -> None:
+def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, name, content, message) -> None:
     (tmp_path / name).write_bytes(content)
     assert_refused(run("animate", tmp_path / name, "-o", tmp_path / "out"), message, tmp_path / "out")
 
@@ -101,8 +99,8 @@ def test_a_value_out_of_range_is_one_line_that_names_the_option(run: Run, argume
     assert_refused(run("animate", "no-such.obj", "-o", "no-such-folder", *arguments), message)
 
 
-def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(run: Run, tree: Path, tmp_path: Path) -> None:
-    answer = run("animate", tree, "-o", tmp_path / "out", "--frames", "90", "--num-steps", "1")
+def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(run, triangle, tmp_path) -> None:
+    answer = run("animate", triangle, "-o", tmp_path / "out", "--frames", "90", "--num-steps", "1")
     assert_refused(answer, "100 frames make a loop", tmp_path / "out", at_once=False)
 
 

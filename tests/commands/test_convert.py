@@ -21,9 +21,7 @@ def mesh_path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("ending", "up_axis"), [("glb", "+Y"), ("obj", "+Z"), ("ply", "+Z")])
-def test_a_mesh_keeps_its_triangles_and_its_size(
-    run: Run, mesh_path: Path, tmp_path: Path, ending: str, up_axis: str
-) -> None:
+def test_a_mesh_keeps_its_triangles_and_its_size(run, mesh_path, tmp_path, ending, up_axis) -> None:
     written = tmp_path / "out" / f"tree.{ending}"
     assert run("convert", mesh_path, written, "--up-axis", "z").returncode == 0
     before, after = load_mesh(mesh_path, Reading(up_axis="+Z")), load_mesh(written, Reading(up_axis=up_axis))

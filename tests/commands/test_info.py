@@ -3,16 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands.conftest import Run, assert_refused
-
-TRIANGLE = b"v 0 0 0\nv 0.02 0 0\nv 0 0 1\nf 1 2 3\n"  # thin: few voxels
-
-
-@pytest.fixture
-def triangle(tmp_path: Path) -> Path:
-    path = tmp_path / "triangle.obj"
-    path.write_bytes(TRIANGLE)
-    return path
+from tests.commands.conftest import TRIANGLE, Run, assert_refused
 
 
 def test_a_file_is_described_by_its_bytes(run: Run, triangle: Path, tmp_path: Path) -> None:
@@ -57,9 +48,7 @@ def test_a_folder_without_one_shape_is_refused(run: Run, names: tuple[str, ...],
         ("anmate triangle.obj", "Did you mean 'animate'?"),
     ],
 )
-def test_what_is_wrong_is_reported(
-    run: Run, triangle: Path, words: str, line: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_wrong_is_reported(run, triangle, words, line, monkeypatch) -> None:
     monkeypatch.chdir(triangle.parent)
     Path("x.voxels.safetensors").write_bytes(TRIANGLE)
     assert_refused(run(*words.split()), line, at_once=False)
