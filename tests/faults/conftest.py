@@ -5,12 +5,15 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import httpx
 import pytest
 
+from jobs.lifecycle.maintenance import living
 from jobs.settings import Settings
 from jobs.store import Store
 from tests.servers import wait_for
@@ -28,25 +31,11 @@ SHORT = {
 }
 
 
-@dataclass
-class Service:
-    """`dynamictree serve`, running."""
+@dataclass(kw_only=True)
+class Running:
+    """A service that runs somewhere, and what every test asks of it."""
 
-    process: subprocess.Popen[str]
     client: httpx.Client
-    settings: Settings
-
-    def store(self) -> Store:
-        return Store.open(self.settings.resolved_database_url)
-
-    def worker_pid(self) -> int:
-        """The process in which a task runs."""
-        from jobs.lifecycle.maintenance import living
-
-        store = self.store()
-        names = wait_for(lambda: living(store, "worker:"), "a worker")
-        store.close()
-        return int(names[-1].rsplit(":", 1)[1])
 
     def upload(self, name: str, content: bytes) -> str:
         response = self.client.post("/v1/assets", files={"file": (name, content)})
@@ -67,6 +56,34 @@ class Service:
 
         return wait_for(ended, f"the end of {url}", timeout_s)
 
+    def whole_artifacts(self, url: str) -> list[str]:
+        """Names of what a job has made: every name once, every file whole, every hash right."""
+        manifest = self.client.get(url + "/artifacts").json()
+        names = [artifact["name"] for artifact in manifest["artifacts"]]
+        assert len(set(names)) == len(names)
+        assert manifest["complete"]
+        for artifact in manifest["artifacts"]:
+            content = self.client.get(artifact["url"]).content
+            assert (len(content), sha256(content).hexdigest()) == (artifact["bytes"], artifact["sha256"])
+            half, etag = len(content) // 2, f'"{artifact["sha256"]}"'
+            rest = self.client.get(artifact["url"], headers={"Range": f"bytes={half}-", "If-Range": etag})
+            assert (rest.status_code, rest.content) == (206, content[half:])
+        return names
+
+
+@dataclass(kw_only=True)
+class Service(Running):
+    """`dynamictree serve`."""
+
+    process: subprocess.Popen[str]
+    settings: Settings
+
+    def worker_pid(self) -> int:
+        """The process in which a task runs."""
+        with closing(Store.open(self.settings.resolved_database_url)) as store:
+            names = wait_for(lambda: living(store, "worker:"), "a worker")
+        return int(names[-1].rsplit(":", 1)[1])
+
 
 def start(state_dir: Path, **environment: str) -> Service:
     command = [sys.executable, "-m", "dynamictree.cli", "serve", "--port", "0", "--state-dir", str(state_dir)]
@@ -80,7 +97,7 @@ def start(state_dir: Path, **environment: str) -> Service:
     assert line, (state_dir.parent / "serve.log").read_text()[-4000:]
     settings = Settings(state_dir=state_dir)
     client = httpx.Client(base_url=line.removeprefix("ready ").strip(), timeout=30)
-    return Service(process, client, settings)
+    return Service(process=process, client=client, settings=settings)
 
 
 def stop(service: Service, wait_s: float = 60) -> int:

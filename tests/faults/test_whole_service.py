@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from hashlib import sha256
 from pathlib import Path
 
 import psutil
@@ -16,35 +15,6 @@ from dynamictree.formats.tensors.voxels import read_voxels
 from tests.faults.conftest import SHORT, Service, start, stop
 from tests.faults.shapes import bumpy_sphere
 from tests.servers import wait_for
-
-
-def assert_exactly_once(service: Service, url: str) -> None:
-    """Every name once, every file whole, every hash right."""
-    manifest = service.client.get(url + "/artifacts").json()
-    names = [artifact["name"] for artifact in manifest["artifacts"]]
-    assert len(set(names)) == len(names)
-    assert manifest["complete"]
-    for artifact in manifest["artifacts"]:
-        content = service.client.get(artifact["url"]).content
-        assert (len(content), sha256(content).hexdigest()) == (artifact["bytes"], artifact["sha256"])
-        half = len(content) // 2
-        etag = f'"{artifact["sha256"]}"'
-        rest = service.client.get(artifact["url"], headers={"Range": f"bytes={half}-", "If-Range": etag})
-        assert (rest.status_code, rest.content) == (206, content[half:])
-
-
-def test_a_mesh_goes_in_and_voxels_come_out(service: Service) -> None:
-    assert set(service.client.get("/readyz").json().values()) == {"ready", "ok"}
-    asset_id = service.upload("tree.obj", bumpy_sphere(20))
-    url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 64})
-    job = service.finish(url)
-    assert (job["state"], job["attempt"]) == ("succeeded", 1), job
-    assert_exactly_once(service, url)
-    voxels_id = job["result"]["voxels_id"]  # type: ignore[index]
-    voxels = read_voxels(io.BytesIO(service.client.get(f"/v1/artifacts/{voxels_id}").content))
-    assert voxels.grid.resolution == 64
-    again = service.finish(service.create(type="voxelize", asset_id=asset_id, params={"resolution": 64}, seed=9))
-    assert again["stages"][0]["cached"]  # type: ignore[index]
 
 
 @pytest.mark.slow
@@ -62,7 +32,7 @@ def test_a_killed_worker_loses_no_job(service: Service, killed: str, seed: int) 
         os.killpg(os.getpgid(parent.pid), signal.SIGKILL)
     job = service.finish(url)
     assert (job["state"], job["attempt"]) == ("succeeded", 2), job
-    assert_exactly_once(service, url)
+    service.whole_artifacts(url)
 
 
 @pytest.mark.slow
@@ -74,22 +44,27 @@ def test_a_killed_redis_loses_no_job(service: Service) -> None:
     urls.append(service.create(type="voxelize", asset_id=asset_id, params={"resolution": 128}))
     for url in urls:
         assert service.finish(url)["state"] == "succeeded"
-        assert_exactly_once(service, url)
+        service.whole_artifacts(url)
     wait_for(lambda: service.client.get("/readyz").status_code == 200, "readiness")
 
 
 def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
+    assert set(service.client.get("/readyz").json().values()) == {"ready", "ok"}
     asset_id = service.upload("tree.obj", bumpy_sphere(20, width=0.2))
     params = {"num_steps": 3, "formats": ["ply", "glb", "motion", "png"]}
     url = service.create(type="animate", asset_id=asset_id, seed=3, params=params)
     job = service.finish(url)
     assert (job["state"], job["attempt"]) == ("succeeded", 1), job
     assert [stage["progress"] for stage in job["stages"]] == [1, 1, 1]  # type: ignore[attr-defined]
-    assert_exactly_once(service, url)
-    names = {a["name"] for a in service.client.get(url + "/artifacts").json()["artifacts"]}
+    names = set(service.whole_artifacts(url))
     assert names >= {"motion.ply.zip", "tree.glb", "motion.safetensors", "preview.png", "tree.spectrum.safetensors"}
     spectrum = service.client.get(f"/v1/spectra/{job['result']['spectrum_id']}").json()  # type: ignore[index]
     assert (spectrum["num_frequencies"], spectrum["seed"], spectrum["up_axis"]) == (16, 3, "+Z")
+    again = service.finish(service.create(type="voxelize", asset_id=asset_id, seed=9))
+    assert again["stages"][0]["cached"]  # type: ignore[index]
+    voxels_id = again["result"]["voxels_id"]  # type: ignore[index]
+    voxels = read_voxels(io.BytesIO(service.client.get(f"/v1/artifacts/{voxels_id}").content))
+    assert voxels.grid.resolution == 128
 
 
 def test_a_job_of_low_priority_gives_way_goes_on_and_is_canceled_within_a_step(service: Service) -> None:
@@ -122,7 +97,7 @@ def test_a_stop_hands_the_job_back_and_a_start_goes_on(tmp_path: Path) -> None:
     second = start(tmp_path / "state")
     for url in urls:
         assert second.finish(url)["state"] == "succeeded"
-        assert_exactly_once(second, url)
+        second.whole_artifacts(url)
     command = [sys.executable, "-m", "dynamictree.cli", "serve", "--port", "0", "--state-dir", str(tmp_path / "state")]
     locked = subprocess.run(command, capture_output=True, text=True, env=os.environ | SHORT, timeout=60, check=False)
     assert (locked.returncode, locked.stderr.count("\n")) == (2, 1)
