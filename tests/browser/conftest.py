@@ -31,6 +31,16 @@ PICTURES.mkdir(parents=True, exist_ok=True)
 expect.set_options(timeout=120_000)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A browser takes minutes; the page's logic needs none."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent and item.path.name != "test_page_logic.py":
+            item.add_marker(pytest.mark.slow)
+            if item.get_closest_marker("timeout") is None:
+                item.add_marker(pytest.mark.timeout(900))
+
+
 @pytest.fixture(scope="session")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("served")
@@ -94,6 +104,11 @@ class Viewer:
         """Go to the page, and wait until its script has run."""
         self.page.goto(url)
         self.page.wait_for_selector("body[data-ready]", state="attached")
+
+    def show(self, url: str) -> None:
+        """Go to the page of a job, and wait until its tree moves."""
+        self.open(url)
+        self.page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
 
     def wait_sharp(self) -> None:
         """Until the picture on the screen has all its pixels and its shadow."""

@@ -4,11 +4,9 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from tests.browser.conftest import JOB_MS, MOVING, Viewer
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 SIZES = ((1100, 720, "light"), (390, 760, "dark"), (780, 360, "light"))
 
@@ -19,9 +17,7 @@ def viewer(view: Callable[..., Viewer], request: pytest.FixtureRequest) -> Viewe
     return view(width, height, scheme=scheme, touch=width < 800)
 
 
-def test_no_rule_of_accessibility_is_broken(
-    viewer: Viewer, url: str, job_id: str, axe: Callable[[Page], list[str]]
-) -> None:
+def test_no_rule_of_accessibility_is_broken(viewer, url, job_id, axe) -> None:
     page = viewer.page
     viewer.open(url)
     assert axe(page) == [], "welcome"
@@ -50,12 +46,9 @@ def test_no_rule_of_accessibility_is_broken(
     assert axe(page) == [], "embed"
 
 
-def test_company_and_the_question_before_a_delete_break_no_rule(
-    viewer: Viewer, url: str, job_id: str, axe: Callable[[Page], list[str]]
-) -> None:
+def test_company_and_the_question_before_a_delete_break_no_rule(viewer, url, job_id, axe) -> None:
     page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     page.locator("#company input[value=forest]").check(force=True)
     viewer.wait_frames(2)
     assert axe(page) == [], "forest"

@@ -2,15 +2,12 @@
 
 import httpx
 import numpy as np
-import pytest
 from safetensors.numpy import load
 
 from dynamictree.wind_bands import drag
 from recipes.wind_reference import feet, half_turns, turned
 from service.routes.surface import ZERO
 from tests.browser.conftest import Open
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 STORM_GAIN = float(drag(np.float64(20.0)) / drag(np.float64(5.0)))
 TURN_RAD = 0.7

@@ -5,11 +5,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import pytest
-
 from dynamictree.formats.mesh_file import read_mesh
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 TESTS = Path(__file__).with_name("client.test.mjs")
 

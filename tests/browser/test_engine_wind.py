@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pygltflib
-import pytest
 from playwright.sync_api import Browser
 
 from benchmarks._engine_wind import read_engine_wind
@@ -58,8 +57,6 @@ async ([module, width, height, texels, places, lookup, runs]) => {
 """
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_three_moves_vertices_as_the_reference_does(browser: Browser, tmp_path: Path) -> None:
     sample = make_sample(3, "sapling")
     spectrum = with_gains(voxel_spectrum(sample, 32)[1])

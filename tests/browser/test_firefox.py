@@ -13,8 +13,6 @@ import pytest
 from tests.browser.conftest import PICTURES
 from tests.js_tools import by_node
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
-
 NAMES = ("firefox", "firefox-esr")
 
 

@@ -17,8 +17,6 @@ from dynamictree.render.contact_sheet import STRIP_PX
 from tests.browser.conftest import JOB_MS, MOVING, Open, animated, picture_of, web_server
 from tests.plant import stand
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 COVERED = "async () => (await (await import('/web/page/early.js')).page).stage.margins.bottom"
 EDGES = """async () => {
     await Promise.all([...document.querySelectorAll("#photos img")].map((photo) => photo.decode()));
@@ -42,9 +40,7 @@ def photos(folder: Path, count: int) -> list[str]:
 
 
 @pytest.mark.parametrize(("width", "height", "touch"), [(1280, 800, False), (390, 760, True)])
-def test_names_leave_everything_in_its_place(
-    view: Open, url: str, tree: Path, tmp_path: Path, width: int, height: int, touch: bool
-) -> None:
+def test_names_leave_everything_in_its_place(view, url, tree, tmp_path, width, height, touch) -> None:
     viewer = view(width, height, touch=touch)
     page = viewer.page
     page.route("**/v1/assets", lambda route: None)  # it waits for ever
@@ -200,8 +196,7 @@ def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, ur
 def test_formats_that_were_asked_for_are_there_again(view: Open, url: str, job_id: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     expect(page.locator("#artifacts")).to_contain_text("Animated GLB")
     page.locator("#more summary").click()
     page.locator("#more-formats button", has_text="Motion").click()
@@ -215,8 +210,7 @@ def test_formats_that_were_asked_for_are_there_again(view: Open, url: str, job_i
 def test_a_kit_for_the_web_stands_on_any_server(view: Open, url: str, job_id: str, tmp_path: Path) -> None:
     viewer = view(900, 620)
     page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     page.locator("#download").click()
     with page.expect_download() as blender:
         page.locator("#kit-list button", has_text="Blender").click()

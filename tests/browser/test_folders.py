@@ -12,8 +12,6 @@ from playwright.sync_api import Page, Route, expect
 from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, pixels
 from tests.plant import stand
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
-
 UPRIGHT = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
 """Columns: +Z up in the buffer is +Y up in the scene, as Sketchfab exports it."""
 

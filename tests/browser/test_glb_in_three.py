@@ -14,7 +14,6 @@ from dynamictree.spectrum import Wind
 from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.formats.test_webp_textures import PICTURES, pixels, tree_of, written
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 DECODER = Path(__file__).parents[2] / ".cache/js-tools/node_modules/meshoptimizer/meshopt_decoder.mjs"
 
 # of each file its vertices, one after another, after each number of seconds, and the textures of its last part

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, scrub, steady
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+from tests.browser.conftest import PICTURES, Open, scrub, steady
 
 GOLDENS = Path(__file__).with_name("goldens")
 WIDTH = 160
@@ -60,8 +58,7 @@ def test_every_view_looks_as_it_did(view: Open, url: str, job_id: str, size: str
     width, height = SIZES[size]
     viewer = view(width, height, scheme=scheme, touch=size == "phone")
     page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     page.locator("#play").click()
     steady(viewer)
     wrong = []

@@ -5,8 +5,6 @@ from playwright.sync_api import expect
 
 from tests.browser.conftest import AXE, JOB_MS, MOVING, Open
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 EMULATOR = AXE.parents[1] / "iwer/build/iwer.min.js"
 HEADSET = "new IWER.XRDevice(IWER.metaQuest3).installRuntime({ polyfillLayers: false, forceInstall: true });"
 SEEN = """async () => {
@@ -24,9 +22,7 @@ END = "async () => (await (await import('/web/page/early.js')).page).stage.rende
 
 @pytest.mark.skipif(not EMULATOR.is_file(), reason="the emulator is not installed: make js-tools")
 @pytest.mark.parametrize("kind", ["vr", "ar"])
-def test_the_tree_stands_in_its_true_size_before_who_wears_a_headset(
-    view: Open, url: str, job_id: str, kind: str
-) -> None:
+def test_the_tree_stands_in_its_true_size_before_who_wears_a_headset(view, url, job_id, kind) -> None:
     viewer = view(900, 620)
     page = viewer.page
     page.add_init_script(EMULATOR.read_text() + HEADSET)

@@ -12,8 +12,6 @@ import pytest
 
 from tests.browser.conftest import Viewer, web_server
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
-
 WEB = Path(__file__).parents[2] / "web"
 THREE = WEB / "vendor/three-0.187.0"
 

@@ -19,7 +19,6 @@ from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 FRAMES = (0, 31, 77)
 Opened = Callable[[Path], Page]
 

@@ -1,15 +1,13 @@
 """Who waits for a tree of photos sees it come to be."""
 
-from collections.abc import Callable
-
 import httpx
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.conftest import JOB_MS, Viewer, changed, pixels
+from tests.browser.conftest import JOB_MS, changed, pixels
 from tests.reconstruct.conftest import photographed
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+pytestmark = pytest.mark.timeout(1800)
 
 PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 600, "height_m": 1.2}
 LONGEST_MS = 6 * JOB_MS
@@ -37,9 +35,7 @@ def artifacts(url: str, job_id: str) -> set[str]:
     return {artifact["name"] for artifact in listed}
 
 
-def test_the_splat_is_shown_while_it_is_learned_and_then_the_tree(
-    view: Callable[..., Viewer], url: str, running_job: str
-) -> None:
+def test_the_splat_is_shown_while_it_is_learned_and_then_the_tree(view, url, running_job) -> None:
     viewer = view(1100, 720)
     page = viewer.page
     viewer.open(f"{url}/#job={running_job}")

@@ -10,9 +10,7 @@ from PIL import Image, ImageDraw
 
 from dynamictree.formats.gltf.writer import write_glb
 from lab.dataset.sample import make_sample
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, Viewer, animated, picture_of, press
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+from tests.browser.conftest import PICTURES, Open, Viewer, animated, picture_of, press
 
 GROWN = {"sapling": 3, "maple": 4, "weeping": 6, "conical-conifer": 5, "palm": 12, "pine": 11}
 REAL = {
@@ -121,8 +119,7 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
     touch = name in TOUCHED
     viewer = view(700, 520, touch=touch)
     page = viewer.page
-    viewer.open(f"{url}/#job={job}")
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job}")
     page.evaluate(WATCH)
     if name == DRAWN_AS_GAUSSIANS:
         page.evaluate(SORTED)

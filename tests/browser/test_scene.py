@@ -6,17 +6,14 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, animated, changed, scrub, steady
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+from tests.browser.conftest import Open, Viewer, animated, changed, scrub, steady
 
 
 @pytest.fixture
 def paused(view: Open, url: str, job_id: str) -> Viewer:
     """The tree of a job that has ended; its playback is paused."""
     viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job_id}")
-    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     viewer.page.locator("#play").click()
     return viewer
 
@@ -93,8 +90,7 @@ SHADOWS = """async (turns) => {
 def test_no_old_shadow_lies_on_a_tree_in_a_storm(view: Open, url: str, samples: Path) -> None:
     job = animated(url, samples / "mesh/quaternius_common_tree/CommonTree_2.obj")
     viewer = view(700, 520)
-    viewer.open(f"{url}/#job={job}")
-    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job}")
     viewer.page.locator("#wind-presets button", has_text="Storm").click()
     viewer.page.wait_for_timeout(3000)
     shares = viewer.page.evaluate(SHADOWS, 40)

@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Page, expect
 
 from jobs.clients.keys import create_key
 from jobs.store import Store
 from recipes.demo import served
 from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, animated, web_server
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 FRAMES = """async ([base64, times]) => {
     const bytes = Uint8Array.from(atob(base64), (sign) => sign.charCodeAt(0));
@@ -78,9 +76,7 @@ def frame_of(page: Page) -> Page:
     return frame  # type: ignore[return-value]
 
 
-def test_a_page_of_another_origin_shows_a_tree_of_a_service_with_keys(
-    view: Open, browser: Browser, locked: tuple[str, str], site: Site, tree: Path
-) -> None:
+def test_a_page_of_another_origin_shows_a_tree_of_a_service_with_keys(view, browser, locked, site, tree) -> None:
     url, key = locked
     job_id = animated(url, tree, key=key)
     viewer = view(900, 620)
@@ -131,13 +127,10 @@ def test_the_example_stands_in_a_transparent_frame(view: Open, url: str) -> None
     assert [line for line in viewer.complaints if "elsewhere" in line] == []
 
 
-def test_a_recorded_loop_closes_and_a_picture_has_all_pixels(
-    view: Open, browser: Browser, url: str, job_id: str
-) -> None:
+def test_a_recorded_loop_closes_and_a_picture_has_all_pixels(view, browser, url, job_id) -> None:
     viewer = view(640, 480)
     page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     page.locator("#hide-panel").click()
     expect(page.locator("#panel")).to_be_hidden()
     page.locator("#hide-panel").click()

@@ -16,7 +16,6 @@ from dynamictree.rotation import quaternion_matrices
 from dynamictree.up_axis import up_rotation
 from tests.formats.test_cloud_round_trips import covariances, make_cloud
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 ENGINE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/playcanvas/build/playcanvas.min.mjs"
 
 LOAD = """async ({ engine, glb }) => {

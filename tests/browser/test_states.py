@@ -14,8 +14,6 @@ from dynamictree.mesh import joined
 from tests.browser.conftest import Open, Viewer, animated
 from tests.plant import stand
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
-
 JOB_MS = 300_000.0
 LIT = """() => { const gl = document.getElementById("canvas").getContext("webgl2");
     window.loss = gl.getExtension("WEBGL_lose_context"); window.loss.loseContext(); }"""

@@ -12,10 +12,8 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material
 from lab.dataset.sample import make_sample
-from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, changed, job_of, picture_of, scrub
+from tests.browser.conftest import Open, Viewer, changed, job_of, picture_of, scrub
 from tests.devoxelize.test_interpolation import merged, tube
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 POT_M = 0.5
 TERRACOTTA = (0.62, 0.17, 0.06)
@@ -134,8 +132,7 @@ def stands_still(viewer: Viewer) -> None:
 def test_the_pot_of_a_mesh_does_not_move(view: Open, url: str, potted: Path) -> None:
     job = job_of(url, potted)
     viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job['id']}")
-    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job['id']}")
     most = viewer.page.evaluate(DISPLACEMENTS, job["result"]["spectrum_id"])
     assert most["count"] > 90
     assert most["still"] == most["bones"] == 0
@@ -149,8 +146,7 @@ def test_still_gaussians_stand_still_in_the_splat_shader(view: Open, url: str, s
     reading = {"up_axis": "+Z", "unit_m": "1"}
     job = job_of(url, splat, reading=reading, formats=["splat"], still_box_m=box)
     viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job['id']}")
-    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job['id']}")
     plant, seen = viewer.page.evaluate(FRAMED, [job["asset_id"], job["result"]["spectrum_id"]])
     assert plant < 0.4
     assert seen > 1.2, "the ball is not in the view"

@@ -1,7 +1,6 @@
 """Strokes on the photos of a real reconstruction cut out the plant, by mouse and by touch."""
 
 import io
-from collections.abc import Callable
 
 import httpx
 import pytest
@@ -11,7 +10,7 @@ from dynamictree.formats.splat.ply import read_gaussian_ply
 from tests.browser.conftest import JOB_MS, MOVING, Open, job_of, press
 from tests.reconstruct.conftest import photographed
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+pytestmark = pytest.mark.timeout(1800)
 
 LONGEST_MS = 6 * JOB_MS
 PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 100, "height_m": 1.2}
@@ -56,9 +55,7 @@ def blue_gaussians(url: str, job_id: str) -> int:
 
 
 @pytest.mark.parametrize(("width", "height", "scheme"), [(1100, 720, "light"), (390, 760, "dark")])
-def test_a_drag_on_a_photo_cuts_out_the_plant(
-    view: Open, url: str, photos_job: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
-) -> None:
+def test_a_drag_on_a_photo_cuts_out_the_plant(view, url, photos_job, axe, width, height, scheme) -> None:
     touch = width < 800
     viewer = view(width, height, scheme=scheme, touch=touch)
     page, draw = viewer.page, swipe if touch else drag
@@ -111,8 +108,7 @@ def test_a_drag_on_a_photo_cuts_out_the_plant(
 
 def test_a_tree_that_is_no_photos_offers_no_strokes(view: Open, url: str, job_id: str) -> None:
     viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job_id}")
-    viewer.page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job_id}")
     expect(viewer.page.locator("#apply-tree")).to_be_attached()
     assert viewer.page.locator("#plant-section").is_hidden()
     assert viewer.complaints == []

@@ -5,14 +5,12 @@ import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import pytest
 from playwright.sync_api import Browser, Page, Route
 
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from lab.dataset.sample import make_sample, voxel_spectrum
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 ROOT = Path(__file__).parents[2]
 HTML = """<!doctype html><meta charset="utf-8"><body style="margin: 0">
 <script type="importmap">{"imports": {"three": "/%s/three.module.js", "three/addons/": "/%s/addons/"}}</script>

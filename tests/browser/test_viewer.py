@@ -16,8 +16,6 @@ from jobs.store import Store
 from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, animated, changed, pixels, scrub, steady
 from tests.servers import api
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 AHEAD_RAD, LEVEL, KEY_RAD = np.arctan2(1, 0.38), np.hypot(1, 0.38) / np.linalg.norm([1, 0.38, 0.2]), 0.12
 """Where the camera looks at first, the level part of that, and how far an arrow key turns it: web/draw/stage.js."""
 Y_1, LOPSIDED = 0.4886025, 0.8  # the harmonics of degree 1, and a coefficient
@@ -94,8 +92,7 @@ def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Pa
 def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url: str) -> None:
     viewer = view(900, 620, scheme="dark")
     page = viewer.page
-    viewer.open(job_url)
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(job_url)
     page.locator("#play").click()
     steady(viewer)
     before = scrub(viewer, 0.0)
@@ -147,8 +144,7 @@ def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None
 def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
-    viewer.open(job_url)
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(job_url)
     page.locator("#canvas").focus()
     page.keyboard.press("Space")
     expect(page.locator("#play")).to_have_attribute("aria-label", "Play")
@@ -216,8 +212,7 @@ def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, ur
     job = animated(url, two_faced, reading={"up_axis": "+Z"}, formats=["splat"])
     viewer = view(900, 620)
     page = viewer.page
-    viewer.open(f"{url}/#job={job}")
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.show(f"{url}/#job={job}")
     expect(page.locator("#artifacts")).to_contain_text("Animated splat", timeout=JOB_MS)
     assert not page.evaluate(OF_ANOTHER), "what was dropped may be sorted when this one is there already"
     page.locator("#speed").fill("0")  # at rest nothing has turned

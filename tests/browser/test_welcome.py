@@ -6,15 +6,11 @@ from playwright.sync_api import expect
 
 from tests.browser.conftest import Open, Viewer, changed, picture_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 LIVE = "body[data-live=true]"
 
 
 @pytest.mark.parametrize(("width", "height", "scheme"), [(1100, 720, "light"), (390, 760, "dark")])
-def test_a_tree_sways_and_answers_a_pull_before_any_upload(
-    view: Open, url: str, width: int, height: int, scheme: str
-) -> None:
+def test_a_tree_sways_and_answers_a_pull_before_any_upload(view, url, width, height, scheme) -> None:
     viewer = view(width, height, scheme=scheme)
     page = viewer.page
     before = httpx.get(f"{url}/v1/jobs", timeout=60).json()["data"]

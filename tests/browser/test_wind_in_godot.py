@@ -91,8 +91,6 @@ def decoded(picture: str, count: int) -> np.ndarray:
     return ((high << 16 | middle << 8 | low) / 16_777_215 - 0.5) * 2 * REACH_M
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_godot_moves_vertices_as_the_reference_does(browser: Browser, serve: Any, tmp_path: Path) -> None:
     if not ENGINE.exists():
         pytest.skip("Godot's build for browsers is missing; call `make js-tools`")

@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 from playwright.sync_api import Browser
 
 from dynamictree.modal.turbulence import Wave, turbulent_wind
@@ -44,7 +43,6 @@ RUN = (
 )
 
 
-@pytest.mark.slow
 def test_the_shader_gives_the_references_coordinates(browser: Browser) -> None:
     source = re.findall(r"```glsl\n(uniform vec2 partial.*?)```", DOCS.read_text(), re.DOTALL)[0]
     wind = turbulent_wind(rod_spectrum(), seed=2)
