@@ -134,8 +134,8 @@ def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
     assert list(runtime.settings.scratch_dir.iterdir()) == []
 
 
-def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: AssetRecord, tmp_path: Path) -> None:
-    first, second = (reconstruct_job(runtime, film, **FILM) for _ in range(2))
+def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, unread: AssetRecord, tmp_path: Path) -> None:
+    first, second = (reconstruct_job(runtime, unread, **FILM) for _ in range(2))
     began, release = threading.Event(), threading.Event()
     learned = []
 
@@ -149,7 +149,7 @@ def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: Asse
         folder = tmp_path / job.id
         folder.mkdir()
         watching = watch(runtime, hold(runtime, job))
-        attempt = Attempt(runtime=runtime, watch=watching, folder=folder, asset=film)
+        attempt = Attempt(runtime=runtime, watch=watching, folder=folder, asset=unread)
         attempt.fetch()
         path = attempt.recall("reconstruct", folder, "reconstruction", make)
         assert path.read_bytes() == b"learned"
@@ -170,8 +170,15 @@ def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: Asse
 
 
 @pytest.fixture
-def work(runtime: Runtime, film: AssetRecord) -> Path:
-    folder = half_done_folder(runtime.settings, reconstruct_job(runtime, film, **FILM))
+def unread(runtime: Runtime, tmp_path: Path) -> AssetRecord:
+    """A film that nobody reads."""
+    (tmp_path / "walk.mp4").write_bytes(b"film")
+    return add_photos(runtime, [tmp_path / "walk.mp4"])
+
+
+@pytest.fixture
+def work(runtime: Runtime, unread: AssetRecord) -> Path:
+    folder = half_done_folder(runtime.settings, reconstruct_job(runtime, unread, **FILM))
     folder.mkdir(parents=True)
     return folder
 

@@ -110,8 +110,8 @@ def test_bytes_that_nothing_needs_are_removed_but_while_a_backup_copies(keeper: 
 
 
 def test_more_bytes_than_come_in_a_minute_go_in_a_minute(keeper: Housekeeper, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.housekeeper.FORGET_S", 0.05)
-    for number in range(500):  # 60 small jobs leave as many
+    monkeypatch.setattr("worker.housekeeper.FORGET_S", 0.01)
+    for number in range(120):  # 15 small jobs leave as many
         touch_blob(keeper.store, f"{number:064x}", 1)
     keeper.store.clock = lambda: time.time() + BLOB_GRACE_S + 1
     turns = 1
