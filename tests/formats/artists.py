@@ -61,22 +61,8 @@ class Artist:
         tangents = np.concatenate([normals[:, [2, 1, 0]] * np.float32([-1, 1, 1]), np.ones((24, 1))], axis=1)
         corner = np.arange(8)
         around = (corner + 1) % 8
-        faces = np.concatenate(
-            [
-                np.stack(
-                    [
-                        corner + 8 * k,
-                        corner + 8 * k + 8,
-                        around + 8 * k,
-                        around + 8 * k,
-                        corner + 8 * k + 8,
-                        around + 8 * k + 8,
-                    ]
-                )
-                for k in (0, 1)
-            ],
-            axis=1,
-        ).T
+        sides = np.stack([corner, corner + 8, around, around, corner + 8, around + 8])
+        faces = np.concatenate([sides, sides + 8], axis=1).T
         uv = [self.rng.random((24, 2), np.float32) for _ in range(2)]
         attributes = {
             "POSITION": self.accessor(positions, min=positions.min(0).tolist(), max=positions.max(0).tolist()),

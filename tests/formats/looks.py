@@ -12,6 +12,7 @@ from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.mesh import TriangleMesh, unit_vectors
 from tests.formats import artists
 from tests.formats.artists import Document, document_of
+from tests.formats.meshes import written
 
 MODELS = [
     *(artists.wooded, artists.repeated, artists.skinned, artists.morphing, artists.quantised),
@@ -119,9 +120,7 @@ def local_matrix(node: dict[str, Any]) -> np.ndarray:
 
 def through_the_parser(mesh: TriangleMesh) -> TriangleMesh:
     """The mesh as a job's worker gets it."""
-    stream = io.BytesIO()
-    write_bundle(mesh, stream)
-    return read_mesh_bundle(io.BytesIO(stream.getvalue()), with_source=True)
+    return read_mesh_bundle(io.BytesIO(written(write_bundle, mesh)), with_source=True)
 
 
 def angles_rad(normals: np.ndarray, others: np.ndarray) -> np.ndarray:

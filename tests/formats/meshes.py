@@ -3,12 +3,23 @@
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from PIL import Image
 
+from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
+
+
+def read(content: bytes, file_type: str, **options: object) -> TriangleMesh:
+    return read_mesh(io.BytesIO(content), file_type=file_type, **options)
+
+
+def written(write: Callable[..., object], *what: object, **options: object) -> bytes:
+    stream = io.BytesIO()
+    write(*what, stream, **options)
+    return stream.getvalue()
 
 
 def image_bytes(kind: str = "PNG", mode: str = "RGB", size: tuple[int, int] = (4, 4)) -> bytes:
@@ -80,9 +91,9 @@ def triangle_gltf(**changes: object) -> tuple[dict[str, object], bytes]:
     return root | changes, positions + indices
 
 
-def zipped(files: Mapping[str, bytes]) -> bytes:
+def zipped(files: Mapping[str, bytes], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(stream, "w", kind) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
     return stream.getvalue()

@@ -2,7 +2,6 @@
 
 import base64
 import copy
-import io
 import json
 import os
 from collections.abc import Callable
@@ -17,21 +16,13 @@ from dynamictree.cli import app
 from dynamictree.commands.input_files import load_mesh
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
 from dynamictree.skin import Skin
 from tests.formats import artists
 from tests.formats.artists import Artist, Document, document_of
-from tests.formats.looks import (
-    MODELS,
-    coefficients_of,
-    floats,
-    looks,
-    returned,
-    standing,
-    through_the_parser,
-)
+from tests.formats.looks import MODELS, coefficients_of, floats, looks, returned, standing, through_the_parser
+from tests.formats.meshes import read, written
 from tests.formats.test_engine_files import SUMMARY, posed, random_skin
 from tests.js_tools import validated
 
@@ -39,8 +30,8 @@ SAMPLES = Path(os.environ.get("DYNAMICTREE_SAMPLES", "/nowhere"))
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_skin_moves_a_model_of_an_artist_as_its_mesh(model: Callable[[], Artist], rng: np.random.Generator) -> None:
-    mesh = through_the_parser(read_mesh(io.BytesIO(model().glb()), file_type="glb"))
+def test_a_skin_moves_a_model_of_an_artist_as_its_mesh(model: Callable[[], Artist], rng) -> None:
+    mesh = through_the_parser(read(model().glb(), "glb"))
     skin = random_skin(mesh, rng)
     document = skinned(mesh, skin)
     for frame in (0, 3):
@@ -48,18 +39,16 @@ def test_a_skin_moves_a_model_of_an_artist_as_its_mesh(model: Callable[[], Artis
         np.testing.assert_allclose(moved, posed(mesh, skin)[frame] + mesh.vertices, atol=2e-5 * mesh.height_m)
 
 
-def test_a_model_with_places_of_its_own_becomes_one_mesh_with_its_materials(rng: np.random.Generator) -> None:
+def test_a_model_with_places_of_its_own_becomes_one_mesh_with_its_materials(rng) -> None:
     glb = artists.instanced().glb()
-    mesh = through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb"))
+    mesh = through_the_parser(read(glb, "glb"))
     after, before = skinned(mesh, random_skin(mesh, rng)).root, document_of(glb).root
     assert [node.get("name") for node in after["nodes"] if "mesh" in node] == ["tree"]
     assert after["materials"][1:] == before["materials"][1:]
 
 
 def skinned(mesh: TriangleMesh, skin: Skin) -> Document:
-    stream = io.BytesIO()
-    write_skinned_glb(mesh, skin, SUMMARY, stream, fps=24.0, packing=Packing(False, False))
-    return document_of(stream.getvalue())
+    return document_of(written(write_skinned_glb, mesh, skin, SUMMARY, fps=24.0, packing=Packing(False, False)))
 
 
 def at_key(document: Document, key: int) -> Document:
@@ -73,7 +62,7 @@ def at_key(document: Document, key: int) -> Document:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_model_of_an_artist_is_converted_to_itself(model: Callable[[], Artist], tmp_path: Path) -> None:
+def test_a_model_of_an_artist_is_converted_to_itself(model: Callable[[], Artist], tmp_path) -> None:
     (tmp_path / "source.glb").write_bytes(glb := model().glb())
     converted = CliRunner().invoke(app, ["convert", str(tmp_path / "source.glb"), str(tmp_path / "tree.glb")])
     assert converted.exit_code == 0, converted.output
@@ -92,7 +81,7 @@ def test_files_beside_a_model_move_into_the_glb() -> None:
         image["uri"] = name
     root["images"][0]["uri"] = "data:image/jpeg;base64," + base64.b64encode(inside.image(0)).decode()
     root["buffers"] = [{"byteLength": len(glb.binary), "uri": "tree.bin"}]
-    mesh = read_mesh(io.BytesIO(json.dumps(root).encode()), file_type="gltf", companions=files)
+    mesh = read(json.dumps(root).encode(), "gltf", companions=files)
     after, before = looks(returned(mesh)), looks(inside)
     for image in after["images"]:
         image["name"] = None
@@ -100,7 +89,7 @@ def test_files_beside_a_model_move_into_the_glb() -> None:
 
 
 def test_a_model_that_is_said_to_lie_is_turned_and_scaled_by_one_node() -> None:
-    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb", reading=Reading(up_axis="-X", unit_m=0.01))
+    mesh = read(artists.wooded().glb(), "glb", reading=Reading(up_axis="-X", unit_m=0.01))
     document = returned(mesh)
     places = standing(document, lambda node, primitive: 0.0)
     np.testing.assert_allclose(places, mesh.vertices, atol=3e-6 * np.abs(mesh.vertices).max())
@@ -108,8 +97,8 @@ def test_a_model_that_is_said_to_lie_is_turned_and_scaled_by_one_node() -> None:
     assert document.root["nodes"][root]["children"] == [0]
 
 
-def test_parts_that_stand_still_are_as_they_were(rng: np.random.Generator) -> None:
-    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
+def test_parts_that_stand_still_are_as_they_were(rng) -> None:
+    mesh = read(artists.wooded().glb(), "glb")
     skin = random_skin(mesh, rng)
     weights = skin.weights.copy()
     weights[:48] = (1, 0, 0, 0)  # trunk and crown hang on joint 0; the twig moves
@@ -117,20 +106,20 @@ def test_parts_that_stand_still_are_as_they_were(rng: np.random.Generator) -> No
     assert ["JOINTS_0" in mesh["primitives"][0]["attributes"] for mesh in meshes] == [False, True]
 
 
-def test_an_own_animation_is_mentioned_and_stays_after_ours(rng: np.random.Generator) -> None:
+def test_an_own_animation_is_mentioned_and_stays_after_ours(rng) -> None:
     artist = artists.wooded()
     sampler = {"input": artist.accessor(np.float32([0, 1])), "output": artist.accessor(np.zeros((2, 3), np.float32))}
     channel = {"sampler": 0, "target": {"node": 3, "path": "translation"}}
     artist.add("animations", {"name": "nod", "samplers": [sampler], "channels": [channel]})
-    mesh = read_mesh(io.BytesIO(artist.glb()), file_type="glb")
+    mesh = read(artist.glb(), "glb")
     assert "animations-ignored" in [warning.code for warning in mesh.warnings]
     names = [entry["name"] for entry in skinned(mesh, random_skin(mesh, rng)).root["animations"]]
     assert names == ["sway", "nod"]
 
 
-def test_what_is_too_much_to_return_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_too_much_to_return_is_said(monkeypatch) -> None:
     monkeypatch.setattr("dynamictree.formats.gltf.source.MAX_SOURCE_PRIMITIVES", 2)
-    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
+    mesh = read(artists.wooded().glb(), "glb")
     assert mesh.gltf is None
     assert "looks-reduced" in [warning.code for warning in mesh.warnings]
     leaf = returned(mesh).root["materials"][1]
@@ -140,18 +129,18 @@ def test_what_is_too_much_to_return_is_said(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_damaged_part_that_the_motion_needs_not_refuses_no_file() -> None:
     artist = artists.wooded()
     artist.root["images"].append({"uri": "data:image/png;base64,&"})
-    mesh = read_mesh(io.BytesIO(artist.glb()), file_type="glb")
+    mesh = read(artist.glb(), "glb")
     assert "looks-reduced" in [warning.code for warning in mesh.warnings]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("packing", [Packing(False, False), Packing(True, True)])
-def test_khronos_validator_finds_no_fault_that_is_not_of_the_source(packing: Packing, tmp_path: Path) -> None:
+def test_khronos_validator_finds_no_fault_that_is_not_of_the_source(packing: Packing, tmp_path) -> None:
     paths = []
     for number, model in enumerate(MODELS):
         paths += [tmp_path / f"{number}-{name}.glb" for name in ("before", "skin", "targets")]
         paths[-3].write_bytes(model().glb())
-        mesh = read_mesh(io.BytesIO(model().glb()), file_type="glb")
+        mesh = read(model().glb(), "glb")
         with paths[-2].open("wb") as stream:
             skin = random_skin(mesh, np.random.default_rng(0))
             write_skinned_glb(mesh, skin, SUMMARY, stream, fps=24.0, packing=packing)

@@ -1,6 +1,5 @@
 """A vertex texture moves a model of an artist, and has its materials."""
 
-import io
 import json
 import tempfile
 from collections.abc import Callable
@@ -10,13 +9,13 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.vertex_texture import vertex_texture_files
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import to_motion
 from tests.formats import artists
 from tests.formats.artists import Artist, Document, document_of
 from tests.formats.looks import MODELS, coefficients_of, looks, standing, through_the_parser
+from tests.formats.meshes import read
 from tests.formats.stored import archive_of
 
 
@@ -30,7 +29,7 @@ def vertex_texture(mesh: TriangleMesh, frames: np.ndarray) -> tuple[dict[str, An
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_vertex_texture_moves_a_model_of_an_artist_as_its_mesh(model: Callable[[], Artist]) -> None:
-    mesh = through_the_parser(read_mesh(io.BytesIO(model().glb()), file_type="glb"))
+    mesh = through_the_parser(read(model().glb(), "glb"))
     frames = to_motion(coefficients_of(mesh), 5)
     facts, document, texels = vertex_texture(mesh, frames)
 
@@ -50,7 +49,7 @@ def test_a_vertex_texture_moves_a_model_of_an_artist_as_its_mesh(model: Callable
 
 def test_materials_are_as_the_source_has_them_but_where_a_texture_lies_otherwise() -> None:
     glb = artists.wooded().glb()
-    mesh = through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb"))
+    mesh = through_the_parser(read(glb, "glb"))
     before, document = document_of(glb), vertex_texture(mesh, np.zeros((1, mesh.num_vertices, 3), np.float32))[1]
     bark, *others = document.root["materials"]
     assert others == before.root["materials"][1:]

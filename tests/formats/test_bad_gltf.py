@@ -1,6 +1,5 @@
 """A glTF or GLB that breaks the rules is refused with what was found and what is allowed."""
 
-import io
 import subprocess
 import sys
 
@@ -9,22 +8,9 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError, InputError, MeshError
-from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.mesh import TriangleMesh
-from tests.formats.meshes import gltf_bytes, triangle_gltf
+from tests.formats.meshes import gltf_bytes, read, triangle_gltf
 
 Changes = dict[str, object]
-
-
-def read(content: bytes, file_type: str, **companions: bytes) -> TriangleMesh:
-    return read_mesh(io.BytesIO(content), file_type=file_type, companions=companions)
-
-
-@pytest.mark.parametrize("named", [False, True])
-def test_nodes_outside_of_the_scene_may_form_a_circle(named: bool) -> None:
-    name = {"name": "a"} if named else {}
-    root, binary = triangle_gltf(nodes=[{"mesh": 0}, {"children": [2], **name}, {"children": [1]}])
-    assert read(gltf_bytes(root, binary), "glb").num_faces == 1
 
 
 def test_a_long_chain_of_nameless_nodes_is_read_in_linear_time() -> None:
@@ -42,12 +28,12 @@ def test_a_long_chain_of_nameless_nodes_is_read_in_linear_time() -> None:
 
 
 def test_instances_count_against_the_cap() -> None:
-    nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(1000)]
+    nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(30)]
     accessors = [
-        {"componentType": 5126, "count": 3000, "type": "VEC3"},
+        {"componentType": 5126, "count": 100_000, "type": "VEC3"},
         {"componentType": 5125, "count": 3, "type": "SCALAR"},
     ]
-    root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": list(range(1000))}], accessors=accessors)
+    root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": list(range(30))}], accessors=accessors)
     with pytest.raises(MeshError, match="3,000,000 vertices"):
         read(gltf_bytes(root, binary), "glb")
 
@@ -83,7 +69,6 @@ def test_instances_count_against_the_cap() -> None:
         ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": [0]}]}, "no JOINTS_0"),
         ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": [0], "inverseBindMatrices": 0}]}, "inverse bind"),
         ({"scenes": [{"nodes": [4]}]}, "0 to 0"),
-        ({"buffers": [{"byteLength": 43}]}, None),
         ({"buffers": [{"byteLength": 4300}]}, "says 4300 bytes"),
         ({"buffers": [{"byteLength": 42, "uri": "tree.bin"}]}, "'tree.bin' outside itself"),
         ({"buffers": [{"byteLength": 42, "uri": "/etc/passwd"}]}, "outside itself"),
@@ -100,11 +85,8 @@ def test_instances_count_against_the_cap() -> None:
         ({"materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1, 1]}}]}, "4 are needed"),
     ],
 )  # fmt: skip
-def test_a_gltf_that_breaks_the_rules_is_refused(changes: Changes, message: str | None) -> None:
+def test_a_gltf_that_breaks_the_rules_is_refused(changes: Changes, message: str) -> None:
     root, binary = triangle_gltf(**changes)
-    if message is None:
-        assert read(gltf_bytes(root, binary), "glb").num_faces == 1  # padding of the chunk may be counted
-        return
     with pytest.raises(InputError, match=message):
         read(gltf_bytes(root, binary), "glb")
 
@@ -128,9 +110,7 @@ def test_a_gltf_that_breaks_the_rules_is_refused(changes: Changes, message: str 
 )
 def test_an_accessor_that_breaks_the_rules_is_refused(accessor: Changes, message: str) -> None:
     root, binary = triangle_gltf()
-    accessors = root["accessors"]
-    assert isinstance(accessors, list)
-    accessors[0] |= accessor
+    root["accessors"][0] |= accessor
     with pytest.raises(InputError, match=message):
         read(gltf_bytes(root, binary), "glb")
 
@@ -144,18 +124,16 @@ def test_skin_weights_that_name_no_joint_are_refused() -> None:
         read(gltf_bytes(root, binary), "glb")
 
 
-def test_gpu_instances_that_do_not_agree_are_refused() -> None:
-    for attributes, message in (
-        ({"TRANSLATION": 0, "SCALE": 2}, "different lengths"),
-        ({"ROTATION": 0}, "3 numbers, not 4"),
-    ):
-        instancing = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
-        root, binary = triangle_gltf(nodes=[{"mesh": 0, "extensions": instancing}])
-        accessors = root["accessors"]
-        assert isinstance(accessors, list)
-        accessors.append({"componentType": 5126, "count": 2, "type": "VEC3"})
-        with pytest.raises(FormatError, match=message):
-            read(gltf_bytes(root, binary), "glb")
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [({"TRANSLATION": 0, "SCALE": 2}, "different lengths"), ({"ROTATION": 0}, "3 numbers, not 4")],
+)
+def test_gpu_instances_that_do_not_agree_are_refused(attributes: Changes, message: str) -> None:
+    instancing = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    root, binary = triangle_gltf(nodes=[{"mesh": 0, "extensions": instancing}])
+    root["accessors"].append({"componentType": 5126, "count": 2, "type": "VEC3"})
+    with pytest.raises(FormatError, match=message):
+        read(gltf_bytes(root, binary), "glb")
 
 
 def test_a_draco_stream_that_is_none_is_refused() -> None:
@@ -173,7 +151,6 @@ def test_a_draco_stream_that_is_none_is_refused() -> None:
 def test_a_draco_stream_of_points_is_refused() -> None:
     stream = DracoPy.encode(np.eye(3))
     root, binary = triangle_gltf(buffers=[{"byteLength": 44 + len(stream)}])
-    assert isinstance(root["bufferViews"], list)
     root["bufferViews"].append({"buffer": 0, "byteOffset": 44, "byteLength": len(stream)})
     extension = {"bufferView": 2, "attributes": {"POSITION": 0}}
     primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": extension}}

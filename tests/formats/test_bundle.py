@@ -12,6 +12,7 @@ from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.tensors.bundle import VERSION, read_mesh_bundle, write_bundle
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.source import Source
+from tests.formats.meshes import written
 
 LOOK = MeshLook(
     uv=np.array([[0, 0], [1, 0], [0, 1]], np.float32),
@@ -27,21 +28,15 @@ LEAF = TriangleMesh(
 )
 
 
-def written(mesh: TriangleMesh) -> bytes:
-    stream = io.BytesIO()
-    write_bundle(mesh, stream)
-    return stream.getvalue()
-
-
 def changed(text: bytes) -> bytes:
     """A bundle whose fields are other JSON."""
-    return save(load(written(LEAF)) | {"fields": np.frombuffer(text, np.uint8)})
+    return save(load(written(write_bundle, LEAF)) | {"fields": np.frombuffer(text, np.uint8)})
 
 
 @pytest.mark.parametrize("absent", [(), ("uv", "vertex_colors", "face_material")])
 def test_read_undoes_write(absent: tuple[str, ...]) -> None:
     mesh = replace(LEAF, look=replace(LOOK, **dict.fromkeys(absent)))
-    back = read_mesh_bundle(io.BytesIO(written(mesh)))
+    back = read_mesh_bundle(io.BytesIO(written(write_bundle, mesh)))
     for name in ("vertices", "faces"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
     for name in ("uv", "vertex_colors", "face_material"):
@@ -61,12 +56,11 @@ def test_what_is_no_bundle_is_refused(content: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"vertices": np.full((3, 3), np.nan, np.float32)}, {"faces": np.array([[0, 1, 3]], np.int32)}],
+    "change", [{"vertices": np.full((3, 3), np.nan, np.float32)}, {"faces": np.array([[0, 1, 3]], np.int32)}]
 )
 def test_a_mesh_that_cannot_be_used_is_refused(change: dict[str, np.ndarray]) -> None:
     with pytest.raises(MeshError):
-        read_mesh_bundle(io.BytesIO(written(replace(LEAF, **change))))
+        read_mesh_bundle(io.BytesIO(written(write_bundle, replace(LEAF, **change))))
 
 
 @pytest.mark.parametrize(

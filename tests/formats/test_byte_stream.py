@@ -2,7 +2,6 @@
 
 import io
 import tracemalloc
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +17,7 @@ def test_all_is_read_up_to_the_limit(size: int) -> None:
         read_all(io.BytesIO(content + b"x"), size)
 
 
-def test_a_small_file_takes_little_memory_below_a_large_limit(tmp_path: Path) -> None:
+def test_a_small_file_takes_little_memory_below_a_large_limit(tmp_path) -> None:
     path = tmp_path / "tree.obj"
     path.write_bytes(b"v 0 0 0\n")
     with path.open("rb") as stream:

@@ -4,7 +4,6 @@ import io
 import struct
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
@@ -21,6 +20,7 @@ from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0, harmonics
 from dynamictree.rotation import quaternion_matrices
+from tests.clouds import cloud_at
 from tests.formats.ksplat_bytes import ksplat_bytes
 
 Write = Callable[[GaussianCloud, BinaryIO], None]
@@ -30,12 +30,12 @@ def make_cloud(
     rng: np.random.Generator, count: int = 300, *, degree: int = 1, up_axis: str = "-Y", unit_m: float = 1.0
 ) -> GaussianCloud:
     quaternions = rng.normal(size=(count, 4))
-    cloud = GaussianCloud(
-        means=rng.normal(size=(count, 3)).astype(np.float32),
-        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
-        scales=np.exp(rng.normal(size=(count, 3)) - 3).astype(np.float32),
-        opacity=rng.uniform(0.01, 0.99, count).astype(np.float32),
-        sh=(rng.uniform(-0.9, 0.9, size=(count, (degree + 1) ** 2, 3))).astype(np.float32),
+    cloud = cloud_at(
+        rng.normal(size=(count, 3)),
+        turned=quaternions,
+        scale=np.exp(rng.normal(size=(count, 3)) - 3),
+        opacity=rng.uniform(0.01, 0.99, count),
+        sh=rng.uniform(-0.9, 0.9, size=(count, (degree + 1) ** 2, 3)),
     )
     return replace(cloud, source=replace(cloud.source, up_axis=up_axis, scale=unit_m))
 
@@ -55,7 +55,7 @@ def read_back(cloud: GaussianCloud, write: Write, file_type: str) -> GaussianClo
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize(("write", "file_type"), [(write_gaussian_ply, "ply"), (write_gltf_gaussian, "glb")])
-def test_ply_and_glb_keep_every_value(rng: np.random.Generator, degree: int, write: Write, file_type: str) -> None:
+def test_ply_and_glb_keep_every_value(rng, degree: int, write: Write, file_type: str) -> None:
     cloud = make_cloud(rng, degree=degree, unit_m=0.01)
     again = read_back(cloud, write, file_type)
     for name in ("means", "scales", "opacity", "sh"):
@@ -63,7 +63,7 @@ def test_ply_and_glb_keep_every_value(rng: np.random.Generator, degree: int, wri
     np.testing.assert_allclose(covariances(again), covariances(cloud), rtol=1e-4, atol=1e-7)
 
 
-def test_splat_keeps_positions_and_scales_and_rounds_the_rest(rng: np.random.Generator) -> None:
+def test_splat_keeps_positions_and_scales_and_rounds_the_rest(rng) -> None:
     cloud = make_cloud(rng, degree=2)
     again = read_back(cloud, write_splat, "splat")
     np.testing.assert_allclose(again.means, cloud.means, atol=1e-6)
@@ -76,7 +76,7 @@ def test_splat_keeps_positions_and_scales_and_rounds_the_rest(rng: np.random.Gen
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_spz_stays_within_its_rounding(rng: np.random.Generator, degree: int) -> None:
+def test_spz_stays_within_its_rounding(rng, degree: int) -> None:
     cloud = make_cloud(rng, degree=degree)
     again = read_back(cloud, write_spz, "spz")
     up = replace(again, source=replace(again.source, up_axis="-Y"))
@@ -90,7 +90,7 @@ def test_spz_stays_within_its_rounding(rng: np.random.Generator, degree: int) ->
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_sog_stays_within_its_rounding(rng: np.random.Generator, degree: int) -> None:
+def test_sog_stays_within_its_rounding(rng, degree: int) -> None:
     cloud = make_cloud(rng, degree=degree, up_axis="+Z", unit_m=0.1)
     again = read_back(cloud, write_sog, "sog")
     assert again.num_gaussians == 300
@@ -109,7 +109,7 @@ def test_sog_stays_within_its_rounding(rng: np.random.Generator, degree: int) ->
     assert np.sqrt(((np.log(again.scales) - np.log(cloud.scales)) ** 2).mean()) < 0.006
 
 
-def test_sog_of_few_values_keeps_them(rng: np.random.Generator) -> None:
+def test_sog_of_few_values_keeps_them(rng) -> None:
     cloud = make_cloud(rng, degree=0)
     scales = np.exp(np.linspace(-6, -1, 200)).astype(np.float32)[rng.integers(0, 200, (300, 3))]
     few = replace(
@@ -123,7 +123,7 @@ def test_sog_of_few_values_keeps_them(rng: np.random.Generator) -> None:
     )  # what is not visible has its colour
 
 
-def test_a_palette_has_a_near_row_for_every_row(rng: np.random.Generator) -> None:
+def test_a_palette_has_a_near_row_for_every_row(rng) -> None:
     middles = rng.normal(size=(32, 9))
     of = rng.integers(0, 32, 5000)
     rows = (middles[of] + 0.01 * rng.normal(size=(5000, 9))).astype(np.float32)
@@ -138,7 +138,7 @@ def test_a_palette_has_a_near_row_for_every_row(rng: np.random.Generator) -> Non
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_ksplat_is_read_within_its_rounding(rng: np.random.Generator, level: int, degree: int) -> None:
+def test_ksplat_is_read_within_its_rounding(rng, level: int, degree: int) -> None:
     cloud = make_cloud(rng, degree=degree)
     cloud = replace(cloud, means=np.clip(cloud.means, -2.4, 2.4))
     again = read_cloud(io.BytesIO(ksplat_bytes(cloud, level)), file_type="ksplat", up_axis="+Z")
@@ -150,7 +150,7 @@ def test_ksplat_is_read_within_its_rounding(rng: np.random.Generator, level: int
     np.testing.assert_allclose(covariances(again), covariances(cloud), rtol=0.02, atol=1e-3 * cloud.scales.max() ** 2)
 
 
-def test_ksplat_without_steps_or_range_has_those_of_its_viewer(rng: np.random.Generator) -> None:
+def test_ksplat_without_steps_or_range_has_those_of_its_viewer(rng) -> None:
     cloud = make_cloud(rng, degree=1)
     cloud = replace(cloud, means=np.clip(cloud.means, -2.4, 2.4))
     content = bytearray(ksplat_bytes(cloud, 2))
@@ -163,7 +163,7 @@ def test_ksplat_without_steps_or_range_has_those_of_its_viewer(rng: np.random.Ge
     np.testing.assert_array_equal(again.means, stated.means)
 
 
-def test_spz_holds_clouds_that_reach_far(rng: np.random.Generator) -> None:
+def test_spz_holds_clouds_that_reach_far(rng) -> None:
     cloud = make_cloud(rng, degree=0)
     far = replace(cloud, means=cloud.means * 20_000)
     again = read_back(far, write_spz, "spz")
@@ -171,7 +171,7 @@ def test_spz_holds_clouds_that_reach_far(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("up_axis", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
-def test_axes_and_units_are_undone_and_colours_turn_with_them(rng: np.random.Generator, up_axis: str) -> None:
+def test_axes_and_units_are_undone_and_colours_turn_with_them(rng, up_axis: str) -> None:
     source = make_cloud(rng, degree=3, up_axis="+Z")
     cloud = to_z_up(source, up_axis=up_axis, unit_m=0.1)
     again = to_source_axes(cloud)
@@ -195,7 +195,7 @@ def test_axes_and_units_are_undone_and_colours_turn_with_them(rng: np.random.Gen
         ("scan/tls_tree_1.txt", 30_826, 0),
     ],
 )
-def test_every_real_cloud_is_read(samples: Path, name: str, count: int, degree: int) -> None:
+def test_every_real_cloud_is_read(samples, name: str, count: int, degree: int) -> None:
     with (samples / name).open("rb") as stream:
         cloud = read_cloud(stream, file_type=name.rsplit(".", 1)[1])
     assert (cloud.num_gaussians, cloud.sh_degree) == (count, degree)
@@ -203,7 +203,7 @@ def test_every_real_cloud_is_read(samples: Path, name: str, count: int, degree: 
         assert np.ptp(cloud.means[:, 2]) > np.ptp(cloud.means[:, :2], axis=0).max()  # it stands
 
 
-def test_the_conformance_matrix_reads_the_same_value_from_every_type(samples: Path) -> None:
+def test_the_conformance_matrix_reads_the_same_value_from_every_type(samples) -> None:
     with (samples / "splat/khr_conformance_matrix.glb").open("rb") as stream:
         cloud = read_cloud(stream, file_type="glb")
     np.testing.assert_allclose(cloud.opacity[[0, 9, 10]], 0.25, atol=2e-3)

@@ -3,7 +3,6 @@
 import io
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
-from tests.formats.meshes import image_bytes, triangle_gltf
+from tests.formats.meshes import image_bytes, triangle_gltf, written
 
 FILES = {"scene.bin": b"1", "textures/My Bark.png": b"2", "a/leaf.png": b"3", "b/leaf.png": b"4"}
 
@@ -87,7 +86,7 @@ def textured(uri: str, **texture: object) -> tuple[bytes, bytes]:
         images=[{"uri": uri}],
         buffers=[{"byteLength": 42, "uri": "scene.bin"}],
     )
-    root["meshes"][0]["primitives"][0]["material"] = 0  # type: ignore[index]
+    root["meshes"][0]["primitives"][0]["material"] = 0
     return json.dumps(root).encode(), binary
 
 
@@ -99,7 +98,7 @@ def read(content: bytes, files: dict[str, bytes]) -> TriangleMesh:
 def test_a_gltf_with_folders_is_read_with_its_textures(kind: str) -> None:
     content, binary = textured(f"textures/bark.{kind.lower()}")
     mesh = read(content, {"scene.bin": binary, f"textures/bark.{kind.lower()}": image_bytes(kind)})
-    assert mesh.look.materials[0].texture_png is not None
+    assert mesh.look.materials[0].texture_png.startswith(b"\x89PNG")
     assert mesh.warnings == ()
 
 
@@ -110,9 +109,7 @@ def test_a_missing_texture_is_a_warning_with_its_name() -> None:
     assert [(warning.code, "'textures/bark old.png'" in warning.message) for warning in mesh.warnings] == [
         ("texture-missing", True)
     ]
-    stream = io.BytesIO()
-    write_bundle(mesh, stream)
-    assert read_mesh_bundle(io.BytesIO(stream.getvalue())).warnings == mesh.warnings
+    assert read_mesh_bundle(io.BytesIO(written(write_bundle, mesh))).warnings == mesh.warnings
 
 
 def test_a_missing_buffer_is_still_an_error() -> None:
@@ -146,7 +143,7 @@ def test_a_size_that_trees_do_not_have_is_doubted(scale: float, unit_m: float | 
         assert re.search(proposal, mesh.warnings[0].message)
 
 
-def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path: Path) -> None:
+def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path) -> None:
     for name in ("tree.obj", "tree.mtl", "bark.PNG", "notes.txt"):
         (tmp_path / name).write_bytes(name.encode())
     (tmp_path / "folder.png").mkdir()
@@ -155,7 +152,7 @@ def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path: Path)
     assert len(companions) == 2
 
 
-def test_a_companion_may_lie_in_a_folder_below_and_nowhere_else(tmp_path: Path) -> None:
+def test_a_companion_may_lie_in_a_folder_below_and_nowhere_else(tmp_path) -> None:
     model = tmp_path / "model"
     (model / "textures").mkdir(parents=True)
     (model / "textures" / "bark.png").write_bytes(b"bark")

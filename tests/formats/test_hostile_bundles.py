@@ -5,7 +5,6 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.sog import write_sog
 from tests.formats.ksplat_bytes import ksplat_bytes
+from tests.formats.meshes import zipped
 from tests.formats.test_cloud_round_trips import make_cloud
 
 Files = dict[str, bytes]
@@ -35,11 +35,7 @@ def files() -> Files:
 
 
 def packed(files: Files, kind: int = zipfile.ZIP_STORED) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", kind) as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return stream.getvalue()
+    return zipped(files, kind)
 
 
 def picture(width: int, height: int, alpha: int = 255) -> bytes:
@@ -109,7 +105,7 @@ def test_a_rotation_of_no_known_kind_is_none(files: Files) -> None:
     np.testing.assert_allclose(np.abs(cloud.quaternions[0]), np.abs(cloud.quaternions[-1]))
 
 
-def test_a_sog_folder_is_read_as_its_bundle(files: Files, tmp_path: Path) -> None:
+def test_a_sog_folder_is_read_as_its_bundle(files: Files, tmp_path) -> None:
     whole = read_capture(io.BytesIO(packed(files)), file_type="sog").cloud
     folder = read_capture(io.BytesIO(files["meta.json"]), file_type="sog", companions=files).cloud
     np.testing.assert_array_equal(folder.means, whole.means)

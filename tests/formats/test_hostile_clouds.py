@@ -2,21 +2,23 @@
 
 import gzip
 import io
-import json
 import struct
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import zstandard
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.gltf.gaussian import EXTENSION, write_gltf_gaussian
 from dynamictree.formats.splat.compressed_ply import read_compressed_ply
-from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
+from dynamictree.formats.splat.ply import property_names, read_gaussian_ply, write_gaussian_ply
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
+from tests.formats.artists import document_of
+from tests.formats.meshes import gltf_bytes, written
 from tests.formats.test_cloud_round_trips import make_cloud
 
 ASCII = b"ply\nformat ascii 1.0\n"
@@ -29,11 +31,9 @@ def read(content: bytes, file_type: str) -> GaussianCloud:
     return read_cloud(io.BytesIO(content), file_type=file_type)
 
 
-def written(write: Callable[[GaussianCloud, io.BytesIO], None], count: int = 10) -> bytes:
-    stream = io.BytesIO()
+def cloud_bytes(write: Callable[..., object], count: int = 10) -> bytes:
     cloud = make_cloud(np.random.default_rng(0), count)
-    write(replace(cloud, sh=np.zeros_like(cloud.sh)), stream)
-    return stream.getvalue()
+    return written(write, replace(cloud, sh=np.zeros_like(cloud.sh)))
 
 
 def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
@@ -82,8 +82,6 @@ def test_a_contradictory_ply_is_reported_with_the_place(content: bytes, message:
 
 
 def test_missing_properties_are_named_when_read_as_a_splat() -> None:
-    from dynamictree.formats.splat.ply import read_gaussian_ply
-
     with pytest.raises(FormatError, match="no f_dc_0, f_dc_1, f_dc_2, opacity"):
         read_gaussian_ply(io.BytesIO(ply(1, ["x", "y", "z"], bytes(12))))
 
@@ -133,8 +131,6 @@ def test_a_contradictory_spz_is_reported_with_the_place(content: bytes, message:
 
 
 def test_an_spz_stream_that_ends_early_is_refused() -> None:
-    import zstandard
-
     packed = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(5))
     sizes = struct.pack("<2Q", len(packed), 9) + struct.pack("<10Q", *[0, 0] * 5)
     with pytest.raises(FormatError, match="ends after 5 of 9"):
@@ -142,28 +138,23 @@ def test_an_spz_stream_that_ends_early_is_refused() -> None:
 
 
 def test_a_damaged_gzip_is_refused() -> None:
-    content = bytearray(written(write_spz, 1000))
+    content = bytearray(cloud_bytes(write_spz, 1000))
     content[40:60] = bytes(20)
     with pytest.raises(FormatError, match=r"damaged|truncated"):
         read(bytes(content), "spz")
 
 
 def changed_glb(change: Callable[[dict[str, object]], None]) -> bytes:
-    content = written(write_gltf_gaussian)
-    length = struct.unpack("<I", content[12:16])[0]
-    document = json.loads(content[20 : 20 + length])
-    change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    return b"glTF" + struct.pack("<IIII", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+    document = document_of(cloud_bytes(write_gltf_gaussian))
+    change(document.root)
+    return gltf_bytes(document.root, document.buffers[0])
 
 
 def _set(document: object, path: str, value: object) -> None:
     *parents, last = [int(key) if key.isdecimal() else key for key in path.split("/")]
     for key in parents:
-        document = document[key]  # type: ignore[index]
-    document[last] = value  # type: ignore[index]
+        document = document[key]
+    document[last] = value
 
 
 @pytest.mark.parametrize(
@@ -205,7 +196,7 @@ def test_a_glb_placed_by_its_node_is_read_where_it_stands() -> None:
         ),
         "glb",
     )
-    plain = read(written(write_gltf_gaussian), "glb")
+    plain = read(cloud_bytes(write_gltf_gaussian), "glb")
     x, y, z = plain.means.T
     np.testing.assert_allclose(moved.means, np.stack([2 * -y + 1, 2 * x - 3, 2 * z + 2], axis=1), atol=1e-5)
     np.testing.assert_allclose(as_parts.means, moved.means, atol=1e-5)
@@ -248,20 +239,21 @@ def test_a_compressed_ply_is_unpacked() -> None:
 
 
 def test_a_compressed_ply_that_lies_is_refused() -> None:
-    with pytest.raises(FormatError, match="2 chunks"):
-        read(compressed(10, 2), "ply")
-    with pytest.raises(FormatError, match="bounds or packed"):
-        read(compressed(10, 1, bounds=False), "ply")
-    with pytest.raises(FormatError, match="truncated"):
-        read(compressed(10, 1)[:-1], "ply")
+    for content, message in (
+        (compressed(10, 2), "2 chunks"),
+        (compressed(10, 1, bounds=False), "bounds or packed"),
+        (compressed(10, 1)[:-1], "truncated"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            read(content, "ply")
     with pytest.raises(FormatError, match="no compressed splat"):
-        read_compressed_ply(io.BytesIO(written(write_gaussian_ply)))
+        read_compressed_ply(io.BytesIO(cloud_bytes(write_gaussian_ply)))
 
 
 def test_types_axes_and_units_that_do_not_exist_are_refused() -> None:
     with pytest.raises(FormatError, match=r"no cloud is read from \.obj"):
         read(b"", "obj")
-    content = written(write_gaussian_ply)
+    content = cloud_bytes(write_gaussian_ply)
     with pytest.raises(InputError, match="up_axis"):
         read_cloud(io.BytesIO(content), file_type="ply", up_axis="Y")
     for unit_m in (0.0, -1.0, float("inf")):

@@ -56,13 +56,11 @@ def test_a_square_is_read_however_it_is_written(text: str) -> None:
 )
 def test_colours_behind_the_position(behind: str, color: list[int]) -> None:
     mesh = read(SQUARE.replace("\n", behind + "\n") + "f 1 2 3\n")
-    assert mesh.look.vertex_colors is not None
     assert mesh.look.vertex_colors[0].tolist() == [*color, 255]
 
 
 def test_vertices_without_a_colour_are_white_beside_others() -> None:
     mesh = read(SQUARE.replace("v 1 0 0", "v 1 0 0 255 0 0") + "f 1 2 3 4\n")
-    assert mesh.look.vertex_colors is not None
     assert mesh.look.vertex_colors[:2].tolist() == [[255, 255, 255, 255], [255, 0, 0, 255]]
 
 

@@ -39,7 +39,7 @@ def ply_of(rows: np.ndarray, *, text: bool, order: str) -> bytes:
     return ("\n".join([*head, "end_header"]) + "\n").encode() + body
 
 
-def test_trimesh_reads_what_we_write(rng: np.random.Generator) -> None:
+def test_trimesh_reads_what_we_write(rng) -> None:
     cloud = make_cloud(rng, degree=2)
     stream = BytesIO()
     write_gaussian_ply(cloud, stream)
@@ -53,7 +53,7 @@ def test_trimesh_reads_what_we_write(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(("text", "order"), [(True, "<"), (False, "<"), (False, ">")])
-def test_a_ply_of_any_encoding_is_read_by_its_names(rng: np.random.Generator, text: bool, order: str) -> None:
+def test_a_ply_of_any_encoding_is_read_by_its_names(rng, text: bool, order: str) -> None:
     cloud = make_cloud(rng, degree=1)
     stream = BytesIO()
     write_gaussian_ply(cloud, stream)
@@ -102,9 +102,7 @@ def assert_alike(read: GaussianCloud, cloud: GaussianCloud, tolerance: float) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("ending", "tolerance"), [("ply", 1e-5), ("compressed.ply", 0.02)])
-def test_splat_transform_reads_our_ply(
-    transform: Path, tmp_path: Path, rng: np.random.Generator, ending: str, tolerance: float
-) -> None:
+def test_splat_transform_reads_our_ply(transform: Path, tmp_path, rng, ending: str, tolerance: float) -> None:
     cloud = make_cloud(rng, degree=3)
     with (tmp_path / "ours.ply").open("wb") as stream:
         write_gaussian_ply(cloud, stream)
@@ -112,7 +110,7 @@ def test_splat_transform_reads_our_ply(
 
 
 @pytest.mark.slow
-def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path, rng) -> None:
     cloud = make_cloud(rng, degree=0)
     with (tmp_path / "ours.splat").open("wb") as stream:
         write_splat(cloud, stream)
@@ -126,9 +124,7 @@ def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("degree", [0, 1])
-def test_splat_transform_and_we_read_each_others_sog(
-    transform: Path, tmp_path: Path, rng: np.random.Generator, degree: int
-) -> None:
+def test_splat_transform_and_we_read_each_others_sog(transform: Path, tmp_path, rng, degree: int) -> None:
     cloud = make_cloud(rng, degree=degree)
     with (tmp_path / "ours.sog").open("wb") as stream:
         write_sog(cloud, stream)
@@ -144,9 +140,7 @@ def test_splat_transform_and_we_read_each_others_sog(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_splat_transform_and_we_read_the_same_ksplat(
-    transform: Path, tmp_path: Path, rng: np.random.Generator, level: int
-) -> None:
+def test_splat_transform_and_we_read_the_same_ksplat(transform: Path, tmp_path, rng, level: int) -> None:
     cloud = make_cloud(rng, degree=2)
     cloud = replace(cloud, means=np.clip(cloud.means, -2.4, 2.4))
     (tmp_path / "a.ksplat").write_bytes(ksplat_bytes(cloud, level))

@@ -11,48 +11,40 @@ from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.splat.ply import write_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
+from tests.formats.meshes import written
+from tests.formats.test_cloud_round_trips import make_cloud
 
 
 def lying_mesh() -> TriangleMesh:
     """As a fallen trunk: wider than high, so that the guess would turn it."""
     rng = np.random.default_rng(0)
-    vertices = (rng.uniform(0, 1, (6000, 3)) * [0.2, 3, 0.3]).astype(np.float32)
-    return TriangleMesh(vertices=vertices, faces=np.arange(6000, dtype=np.int32).reshape(2000, 3))
+    vertices = (rng.uniform(0, 1, (900, 3)) * [0.2, 3, 0.3]).astype(np.float32)
+    return TriangleMesh(vertices=vertices, faces=np.arange(900, dtype=np.int32).reshape(300, 3))
 
 
 def test_our_own_mesh_is_read_back_as_it_stood():
-    mesh, stream = lying_mesh(), io.BytesIO()
-    write_ply(mesh, stream)
-    read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply")
+    mesh = lying_mesh()
+    content = written(write_ply, mesh)
+    read = read_mesh(io.BytesIO(content), file_type="ply")
     assert np.array_equal(read.vertices, mesh.vertices)
     assert (read.source.up_axis, read.source.scale) == ("+Z", 1.0)
-    plain = b"".join(line for line in stream.getvalue().splitlines(keepends=True) if not line.startswith(b"comment"))
+    plain = b"".join(line for line in content.splitlines(keepends=True) if not line.startswith(b"comment"))
     assert not np.allclose(read_mesh(io.BytesIO(plain), file_type="ply").vertices, mesh.vertices)
 
 
 def test_what_the_caller_says_counts_more_than_the_comment():
-    mesh, stream = lying_mesh(), io.BytesIO()
-    write_ply(mesh, stream)
-    read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", reading=Reading(up_axis="+Y", unit_m=0.5))
+    mesh = lying_mesh()
+    read = read_mesh(io.BytesIO(written(write_ply, mesh)), file_type="ply", reading=Reading(up_axis="+Y", unit_m=0.5))
     assert (read.source.up_axis, read.source.scale) == ("+Y", 0.5)
 
 
 @pytest.mark.parametrize(("up_axis", "scale"), [("-Y", 1.0), ("+Z", 0.01), ("+Y", 2.5)])
 def test_our_own_splat_is_read_back_as_it_stood(up_axis, scale):
-    rng = np.random.default_rng(0)
-    cloud = GaussianCloud(
-        means=rng.normal(size=(9, 3)).astype(np.float32),
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (9, 1)),
-        scales=np.full((9, 3), 0.1, np.float32),
-        opacity=np.full(9, 0.5, np.float32),
-        sh=np.zeros((9, 1, 3), np.float32),
-    )
-    stream = io.BytesIO()
-    write_gaussian_ply(replace(cloud, source=replace(cloud.source, up_axis=up_axis, scale=scale)), stream)
-    read = read_cloud(io.BytesIO(stream.getvalue()), file_type="ply")
+    cloud = make_cloud(np.random.default_rng(0), 9)
+    content = written(write_gaussian_ply, replace(cloud, source=replace(cloud.source, up_axis=up_axis, scale=scale)))
+    read = read_cloud(io.BytesIO(content), file_type="ply")
     assert np.allclose(read.means, cloud.means, atol=1e-5)
     assert (read.source.up_axis, read.source.scale) == (up_axis, scale)
 

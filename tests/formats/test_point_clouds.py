@@ -4,7 +4,7 @@ import io
 import re
 from dataclasses import replace
 
-import laspy  # type: ignore[import-untyped]
+import laspy
 import numpy as np
 import pytest
 
@@ -72,7 +72,7 @@ def test_points_at_one_place_among_others_keep_a_size() -> None:
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_las_and_laz_keep_positions_and_colours(rng: np.random.Generator, packed: bool) -> None:
+def test_las_and_laz_keep_positions_and_colours(rng, packed: bool) -> None:
     points = _lattice(0.2) + np.array(
         [500_000, 5_300_000, 400]
     )  # as surveys have it: float32 alone would round to 0.5 m
@@ -188,7 +188,7 @@ def test_points_at_one_place_are_refused() -> None:
         cloud_of_points(Scan(points=np.zeros((10, 3))))
 
 
-def test_a_text_larger_than_any_cloud_is_refused_unread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_larger_than_any_cloud_is_refused_unread(monkeypatch) -> None:
     monkeypatch.setattr("dynamictree.formats.scan.text.MAX_GAUSSIANS", 1)
     with pytest.raises(InputError, match="at most 1 points"):
         read_cloud(io.BytesIO(b"1 2 3\n" * 100), file_type="txt")
@@ -257,15 +257,13 @@ def test_an_unknown_format_is_refused_with_all_that_are_read() -> None:
 
 
 @pytest.mark.parametrize(("count", "height", "doubted"), [(400, 5.0, True), (2000, 0.3, True), (2000, 5.0, False)])
-def test_what_does_not_look_like_a_plant_is_doubted(
-    count: int, height: float, doubted: bool, rng: np.random.Generator
-) -> None:
+def test_what_does_not_look_like_a_plant_is_doubted(count: int, height: float, doubted: bool, rng) -> None:
     lines = rng.uniform([-1, -1, 0], [1, 1, height], size=(count, 3))
     warnings = doubt_cloud(cloud_of_points(Scan(points=lines)))
     assert ("not-like-a-plant" in [warning.code for warning in warnings]) == doubted
 
 
-def test_specks_far_from_each_other_are_doubted(rng: np.random.Generator) -> None:
+def test_specks_far_from_each_other_are_doubted(rng) -> None:
     places = rng.uniform([-1, -1, 0], [1, 1, 2], size=(2000, 3))
     solid = cloud_of_points(Scan(points=places))
     specks = replace(solid, scales=solid.scales / 20)
@@ -277,7 +275,7 @@ def test_specks_far_from_each_other_are_doubted(rng: np.random.Generator) -> Non
 
 
 @pytest.mark.parametrize("up_axis", ["+Z", "-Y"])
-def test_points_without_colour_are_lit_from_above(up_axis: str, rng: np.random.Generator) -> None:
+def test_points_without_colour_are_lit_from_above(up_axis: str, rng) -> None:
     ball = rng.uniform(-1, 1, size=(40_000, 3))
     ball = ball[np.linalg.norm(ball, axis=1) < 1][:20_000]  # a crown
     cloud = cloud_of_points(Scan(points=ball), up_axis=up_axis)

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import MeshLook, TriangleMesh, unit_vectors
 from dynamictree.requests import Reading
-from tests.formats.meshes import trunk_and_crown
+from tests.formats.meshes import read, trunk_and_crown, written
 
 WRITERS = {"glb": write_glb, "ply": write_ply, "obj": write_obj}
 
@@ -47,7 +46,7 @@ def test_corners_coordinates_and_colours(
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
     WRITERS[kind](mesh, stream)
     reading = None if kind == "glb" else Reading(up_axis="+Z", unit_m=1.0)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type=kind, reading=reading)
+    result = read(stream.getvalue(), kind, reading=reading)
     assert_geometry(result, mesh)
     used = np.unique(mesh.faces)  # OBJ has no texture places of vertices without faces, and no alpha
     assert_optional(of_rows(result.look.uv, used), of_rows(mesh.look.uv, used), atol=uv_error)
@@ -56,7 +55,7 @@ def test_corners_coordinates_and_colours(
     assert_optional(*colors, atol=0)
 
 
-def test_obj_keeps_groups_normals_and_colours(rng: np.random.Generator) -> None:
+def test_obj_keeps_groups_normals_and_colours(rng) -> None:
     mesh = trunk_and_crown(rng)
     normals = unit_vectors(rng.normal(size=(mesh.num_vertices, 3)))
     colors = rng.integers(0, 256, (mesh.num_vertices, 4)).astype(np.uint8) | np.uint8([0, 0, 0, 255])
@@ -67,14 +66,10 @@ def test_obj_keeps_groups_normals_and_colours(rng: np.random.Generator) -> None:
         look=replace(mesh.look, normals=normals, vertex_colors=colors),
         parts=replace(mesh.parts, names=names, of_face=part),
     )
-    stream = io.BytesIO()
-    write_obj(mesh, stream)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
+    result = read(written(write_obj, mesh), "obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert_geometry(result, mesh)
-    assert result.parts.of_face is not None
     assert [result.parts.names[one] for one in result.parts.of_face] == [names[one] for one in part]
     used = np.unique(mesh.faces)
-    assert result.look.normals is not None
     np.testing.assert_allclose(result.look.normals[used], normals[used], atol=1e-6)
     assert_optional(result.look.vertex_colors, colors, atol=0)
 
@@ -92,31 +87,26 @@ def assert_optional(result: np.ndarray | None, expected: np.ndarray | None, *, a
     if expected is None:
         assert result is None
     else:
-        assert result is not None
         np.testing.assert_allclose(result, expected, atol=atol)
 
 
-def test_glb_keeps_materials_and_textures(rng: np.random.Generator) -> None:
-    mesh, stream = trunk_and_crown(rng), io.BytesIO()
-    write_glb(mesh, stream)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
+def test_glb_keeps_materials_and_textures(rng) -> None:
+    mesh = trunk_and_crown(rng)
+    result = read(written(write_glb, mesh), "glb")
     assert result.look.materials == mesh.look.materials
     assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
     assert_geometry(result, mesh)
 
 
-def test_obj_keeps_materials_and_textures(rng: np.random.Generator) -> None:
+def test_obj_keeps_materials_and_textures(rng) -> None:
     mesh, stream = trunk_and_crown(rng), io.BytesIO()
     companions = write_obj(mesh, stream, library="tree.mtl")
-    result = read_mesh(
-        io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z"), companions=companions
-    )
+    result = read(stream.getvalue(), "obj", reading=Reading(up_axis="+Z"), companions=companions)
     assert result.look.materials == mesh.look.materials
     assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
 
 
-def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.random.Generator) -> None:
-    stream = io.BytesIO()
-    write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z"))
+def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng) -> None:
+    content = written(write_obj, trunk_and_crown(rng), library="tree.mtl")
+    result = read(content, "obj", reading=Reading(up_axis="+Z"))
     assert [material.name for material in result.look.materials] == ["bark", "leaf"]

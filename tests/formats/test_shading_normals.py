@@ -1,8 +1,5 @@
 """Normals for shading: those of the source where it has any, smooth ones otherwise, turned with the surface."""
 
-import io
-from pathlib import Path
-
 import numpy as np
 import OpenEXR
 import pytest
@@ -10,14 +7,13 @@ import trimesh
 
 from dynamictree.formats.gltf.normals import iter_normals, rest_normals
 from dynamictree.formats.gltf.writer import write_glb
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.vertex_texture import vertex_texture_files
 from dynamictree.mesh import TriangleMesh, vertex_normals
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 from tests.formats.artists import TURNED, Artist, document_of
 from tests.formats.looks import angles_rad
-from tests.formats.meshes import trunk_and_crown
+from tests.formats.meshes import read, trunk_and_crown, written
 from tests.formats.stored import archive_of
 
 ROOF = "v 0 0 0\nv 2 0 0\nv 2 1 1\nv 0 1 1\nv 2 2 0\nv 0 2 0\nvn 0 -1 1\nvn 0 1 1\n"
@@ -44,16 +40,14 @@ def test_normals_of_gltf_stay_across_their_faces_wherever_a_node_puts_them(place
     artist.add("meshes", {"primitives": [{"attributes": attributes}]})
     artist.add("nodes", {"mesh": 0, **place})
     artist.scene(0)
-    mesh = read_mesh(io.BytesIO(artist.glb()), file_type="glb")
-    assert mesh.look.normals is not None
+    mesh = read(artist.glb(), "glb")
     faces = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces).astype(np.float32)
     assert angles_rad(mesh.look.normals, faces).max() < 1e-5
 
 
 def test_normals_of_obj_are_turned_upright_with_it() -> None:
     faces = "f 1//1 2//1 3//1 4//1\nf 4//2 3//2 5//2 6//2\n"
-    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Y", unit_m=1.0))
-    assert mesh.look.normals is not None
+    mesh = read((ROOF + faces).encode(), "obj", reading=Reading(up_axis="+Y", unit_m=1.0))
     half = np.sqrt(0.5)
     of_corners = mesh.look.normals[mesh.faces]
     np.testing.assert_allclose(of_corners[:2], np.full((2, 3, 3), [0, -half, -half]), atol=1e-6)  # (0, -1, 1) of +Y up
@@ -63,13 +57,13 @@ def test_normals_of_obj_are_turned_upright_with_it() -> None:
 
 def test_one_direction_of_several_lines_in_an_obj_is_one_normal() -> None:
     faces = "vn 0 0.7072 0.7071\nf 1//2 2//2 3//2 4//2\nf 4//3 3//3 5//3 6//3\n"
-    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Y", unit_m=1.0))
+    mesh = read((ROOF + faces).encode(), "obj", reading=Reading(up_axis="+Y", unit_m=1.0))
     assert mesh.num_vertices == 6
 
 
 @pytest.mark.parametrize("faces", ["f 1//9 2//9 3//9\n", "f 1//a 2//1 3//-7\n", "vn 0 1\nf 1//1 2//1 3//1\n"])
 def test_damaged_normals_of_obj_refuse_no_file(faces: str) -> None:
-    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
+    mesh = read((ROOF + faces).encode(), "obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert np.isfinite(rest_normals(mesh)).all()
 
 
@@ -91,9 +85,7 @@ def test_a_seam_of_the_texture_does_not_show() -> None:
 
 
 def test_every_written_glb_has_normals_of_unit_length() -> None:
-    stream = io.BytesIO()
-    write_glb(ball(), stream)
-    document = document_of(stream.getvalue())
+    document = document_of(written(write_glb, ball()))
     (primitive,) = document.root["meshes"][0]["primitives"]
     normals = document.accessor(primitive["attributes"]["NORMAL"])
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
@@ -108,7 +100,7 @@ def test_normals_turn_with_the_surface() -> None:
     assert angles_rad(normals, (sphere.vertices @ turn.T).astype(np.float32)).max() < 0.01
 
 
-def test_the_normal_texture_has_the_normals_of_every_frame(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_the_normal_texture_has_the_normals_of_every_frame(rng, tmp_path) -> None:
     mesh = trunk_and_crown(rng)
     motion = rng.normal(0, 0.05, (20, mesh.num_vertices, 3)).astype(np.float32)
     normals = list(iter_normals(mesh, motion))

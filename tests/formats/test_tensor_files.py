@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import save
+from safetensors.numpy import load, save
 
 from dynamictree.errors import FormatError, InputError, NumericsError
 from dynamictree.formats.tensors import container
@@ -19,6 +19,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import moments_of_normals
 from dynamictree.voxel.voxelize import SurfaceVoxels
+from tests.formats.meshes import written
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 
@@ -44,16 +45,12 @@ def small_spectrum(rng: np.random.Generator, num_voxels: int = 50) -> SparseVoxe
     )
 
 
-def written(spectrum: SparseVoxelSpectrum, dtype: str = "float16") -> bytes:
-    stream = io.BytesIO()
-    write_spectrum(spectrum, stream, dtype=dtype)  # type: ignore[arg-type]
-    return stream.getvalue()
+def spectrum_bytes(spectrum: SparseVoxelSpectrum, dtype: str = "float16") -> bytes:
+    return written(write_spectrum, spectrum, dtype=dtype)
 
 
 def with_changes(content: bytes, tensors: Mapping[str, np.ndarray | None], metadata: Mapping[str, str | None]) -> bytes:
     """The same file with some tensors or fields replaced, or taken out where None."""
-    from safetensors.numpy import load
-
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     all_metadata = header["__metadata__"] | dict(metadata)
     all_tensors = load(content) | dict(tensors)
@@ -73,23 +70,23 @@ def assert_same(result: SparseVoxelSpectrum, expected: SparseVoxelSpectrum) -> N
 
 
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
-def test_read_undoes_write(rng: np.random.Generator, dtype: str) -> None:
+def test_read_undoes_write(rng, dtype: str) -> None:
     spectrum = small_spectrum(rng)
-    assert_same(read_spectrum(io.BytesIO(written(spectrum, dtype))), spectrum)
+    assert_same(read_spectrum(io.BytesIO(spectrum_bytes(spectrum, dtype))), spectrum)
 
 
-def test_a_spectrum_without_wind_or_source_survives(rng: np.random.Generator) -> None:
+def test_a_spectrum_without_wind_or_source_survives(rng) -> None:
     spectrum = replace(small_spectrum(rng), wind=None, source=Source(), model="")
-    assert_same(read_spectrum(io.BytesIO(written(spectrum))), spectrum)
+    assert_same(read_spectrum(io.BytesIO(spectrum_bytes(spectrum))), spectrum)
 
 
-def test_the_same_spectrum_gives_the_same_bytes(rng: np.random.Generator) -> None:
+def test_the_same_spectrum_gives_the_same_bytes(rng) -> None:
     spectrum = small_spectrum(rng)
-    assert written(spectrum) == written(spectrum)
+    assert spectrum_bytes(spectrum) == spectrum_bytes(spectrum)
 
 
-def test_7000_voxels_take_less_than_one_and_a_half_megabytes(rng: np.random.Generator) -> None:
-    assert len(written(small_spectrum(rng, 7000))) < 1_500_000
+def test_7000_voxels_take_less_than_one_and_a_half_megabytes(rng) -> None:
+    assert len(spectrum_bytes(small_spectrum(rng, 7000))) < 1_500_000
 
 
 def test_the_golden_file_of_version_1_stays_readable() -> None:
@@ -97,19 +94,19 @@ def test_the_golden_file_of_version_1_stays_readable() -> None:
         assert_same(read_spectrum(stream), small_spectrum(np.random.default_rng(1)))
 
 
-def test_what_float16_cannot_hold_is_not_written(rng: np.random.Generator) -> None:
+def test_what_float16_cannot_hold_is_not_spectrum_bytes(rng) -> None:
     spectrum = small_spectrum(rng)
     spectrum.coefficients[3, 2, 1] = 1e5
     with pytest.raises(NumericsError, match="float16 holds at most"):
-        written(spectrum)
-    assert read_spectrum(io.BytesIO(written(spectrum, "float32"))).coefficients[3, 2, 1] == 1e5
+        spectrum_bytes(spectrum)
+    assert read_spectrum(io.BytesIO(spectrum_bytes(spectrum, "float32"))).coefficients[3, 2, 1] == 1e5
 
 
-def test_values_that_became_infinite_are_not_written(rng: np.random.Generator) -> None:
+def test_values_that_became_infinite_are_not_spectrum_bytes(rng) -> None:
     spectrum = small_spectrum(rng)
     spectrum.coefficients[3, 2, 1] = np.nan
     with pytest.raises(NumericsError):
-        written(spectrum, "float32")
+        spectrum_bytes(spectrum, "float32")
 
 
 @pytest.mark.parametrize(
@@ -162,13 +159,13 @@ def test_values_that_became_infinite_are_not_written(rng: np.random.Generator) -
 def test_a_spectrum_file_that_was_tampered_with_is_refused(
     tensors: Mapping[str, np.ndarray | None], metadata: Mapping[str, str | None], message: str
 ) -> None:
-    content = written(small_spectrum(np.random.default_rng(1)))
+    content = spectrum_bytes(small_spectrum(np.random.default_rng(1)))
     with pytest.raises(InputError, match=message):
         read_spectrum(io.BytesIO(with_changes(content, tensors, metadata)))
 
 
-def test_what_is_not_safetensors_is_refused(rng: np.random.Generator) -> None:
-    content = written(small_spectrum(rng))
+def test_what_is_not_safetensors_is_refused(rng) -> None:
+    content = spectrum_bytes(small_spectrum(rng))
     for broken in (b"", b"glTF", content[:100], content[:-1], b"\xff" * 100):
         with pytest.raises(FormatError, match="safetensors"):
             read_spectrum(io.BytesIO(broken))
@@ -179,10 +176,13 @@ def test_a_file_without_metadata_is_refused() -> None:
         read_spectrum(io.BytesIO(save({"coords": np.zeros((1, 3), np.int32)})))
 
 
-def test_a_file_over_the_cap_is_refused(rng: np.random.Generator) -> None:
+def test_a_file_over_the_cap_is_refused(rng) -> None:
     with pytest.raises(FormatError, match="1,000 bytes"):
         container.read_tensors(
-            io.BytesIO(written(small_spectrum(rng))), file_format="sparse-voxel-spectrum", version="1", max_bytes=1000
+            io.BytesIO(spectrum_bytes(small_spectrum(rng))),
+            file_format="sparse-voxel-spectrum",
+            version="1",
+            max_bytes=1000,
         )
 
 
@@ -194,7 +194,7 @@ def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:
     return SurfaceVoxels(grid=grid, normals=unit, moments=moments_of_normals(unit), source=source)
 
 
-def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
+def test_read_voxels_undoes_write_voxels(rng) -> None:
     voxels, stream = small_voxels(rng), io.BytesIO()
     write_voxels(voxels, stream)
     stream.seek(0)
@@ -204,29 +204,25 @@ def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(result.moments, voxels.moments)
     assert result.grid.origin_m == voxels.grid.origin_m
     assert result.source == voxels.source
-    bare = io.BytesIO()
-    write_voxels(replace(voxels, moments=None), bare)
-    assert read_voxels(io.BytesIO(bare.getvalue())).moments is None
+    assert read_voxels(io.BytesIO(written(write_voxels, replace(voxels, moments=None)))).moments is None
 
 
 @pytest.mark.parametrize(
-    "moments", [np.zeros((50, 16), np.float32), np.full((50, 16), 2, np.float32), np.ones((50, 9), np.float32)]
+    ("name", "rows"),
+    [
+        ("moments", np.zeros((50, 16), np.float32)),
+        ("moments", np.full((50, 16), 2, np.float32)),
+        ("moments", np.ones((50, 9), np.float32)),
+        ("normals", np.full((50, 3), 5, np.float32)),
+        ("normals", np.zeros((3, 3), np.float32)),
+    ],
 )
-def test_moments_that_are_none_are_refused(moments: np.ndarray) -> None:
-    voxels, stream = small_voxels(np.random.default_rng(1)), io.BytesIO()
-    write_voxels(voxels, stream)
-    with pytest.raises(FormatError, match="moments"):
-        read_voxels(io.BytesIO(with_changes(stream.getvalue(), {"moments": moments}, {})))
+def test_rows_of_voxels_that_are_none_are_refused(name: str, rows: np.ndarray) -> None:
+    content = written(write_voxels, small_voxels(np.random.default_rng(1)))
+    with pytest.raises(FormatError, match=name.removesuffix("s")):
+        read_voxels(io.BytesIO(with_changes(content, {name: rows}, {})))
 
 
-@pytest.mark.parametrize("normals", [np.full((50, 3), 5, np.float32), np.zeros((3, 3), np.float32)])
-def test_normals_that_are_none_are_refused(normals: np.ndarray) -> None:
-    voxels, stream = small_voxels(np.random.default_rng(1)), io.BytesIO()
-    write_voxels(voxels, stream)
-    with pytest.raises(FormatError, match="normal"):
-        read_voxels(io.BytesIO(with_changes(stream.getvalue(), {"normals": normals}, {})))
-
-
-def test_a_spectrum_is_no_voxel_file(rng: np.random.Generator) -> None:
+def test_a_spectrum_is_no_voxel_file(rng) -> None:
     with pytest.raises(FormatError, match="'surface-voxels'"):
-        read_voxels(io.BytesIO(written(small_spectrum(rng))))
+        read_voxels(io.BytesIO(spectrum_bytes(small_spectrum(rng))))

@@ -25,11 +25,11 @@ def exported(mesh: TriangleMesh, kind: str) -> bytes:
 
 def read(content: bytes, kind: str, companions: Mapping[str, bytes] | None = None, **options: object) -> TriangleMesh:
     assert sniff_file_type(content[:65536], f"tree.{kind}") == kind
-    return read_mesh(io.BytesIO(content), file_type=kind, companions=companions, **options)  # type: ignore[arg-type]
+    return read_mesh(io.BytesIO(content), file_type=kind, companions=companions, **options)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_file_s_vertices_come_in_its_order(rng: np.random.Generator, kind: str) -> None:
+def test_the_file_s_vertices_come_in_its_order(rng, kind: str) -> None:
     mesh = trunk_and_crown(rng)
     result = read(exported(mesh, kind), kind, reading=Reading(up_axis="+Z", unit_m=1.0))
     if kind == "dae":  # COLLADA's writer gives each face corners of its own
@@ -39,14 +39,14 @@ def test_the_file_s_vertices_come_in_its_order(rng: np.random.Generator, kind: s
         np.testing.assert_array_equal(result.faces, mesh.faces)
 
 
-def test_a_3mf_is_in_its_own_unit_and_stands_on_z(rng: np.random.Generator) -> None:
+def test_a_3mf_is_in_its_own_unit_and_stands_on_z(rng) -> None:
     mesh = trunk_and_crown(rng)
     result = read(exported(mesh, "3mf"), "3mf")
     assert (result.source.up_axis, result.source.scale) == ("+Z", 0.001)
     assert result.height_m == pytest.approx(mesh.height_m / 1000, rel=1e-4)
 
 
-def test_a_collada_file_s_axis_and_unit_are_its_own(rng: np.random.Generator) -> None:
+def test_a_collada_file_s_axis_and_unit_are_its_own(rng) -> None:
     content = exported(trunk_and_crown(rng), "dae")
     declared = b'<asset><unit name="inch" meter="0.0254"/><up_axis>Z_UP</up_axis>'
     start, end = content.index(b"<asset"), content.index(b"</asset>")
@@ -55,7 +55,7 @@ def test_a_collada_file_s_axis_and_unit_are_its_own(rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_truncated_file_is_refused(rng: np.random.Generator, kind: str) -> None:
+def test_a_truncated_file_is_refused(rng, kind: str) -> None:
     content = exported(trunk_and_crown(rng), kind)
     for share in (0.3, 0.6, 0.9):
         with pytest.raises(InputError):
@@ -92,7 +92,7 @@ def test_a_zip_of_something_else_is_no_3mf() -> None:
         read_mesh(io.BytesIO(zipped({"tree.obj": b"v 0 0 0"})), file_type="3mf")
 
 
-def test_a_texture_comes_from_trimesh(rng: np.random.Generator) -> None:
+def test_a_texture_comes_from_trimesh(rng) -> None:
     mesh = trunk_and_crown(rng)
     leaf = trimesh.visual.material.PBRMaterial(
         name="leaf",
@@ -100,20 +100,18 @@ def test_a_texture_comes_from_trimesh(rng: np.random.Generator) -> None:
         baseColorTexture=Image.open(io.BytesIO(image_bytes())),
         alphaMode="MASK",
     )
-    assert mesh.look.uv is not None
     upward = mesh.look.uv * [1, -1] + [0, 1]
     visual = trimesh.visual.TextureVisuals(uv=upward, material=leaf)
     result = TriangleMesh.from_trimesh(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, visual=visual))
     np.testing.assert_array_equal(result.vertices, mesh.vertices)
     np.testing.assert_array_equal(result.faces, mesh.faces)
-    assert result.look.uv is not None
     np.testing.assert_allclose(result.look.uv, mesh.look.uv, atol=1e-6)
     assert result.look.materials[0].texture_png is not None
     assert (result.look.materials[0].name, result.look.materials[0].alpha_cutoff) == ("leaf", 0.5)
     np.testing.assert_allclose(result.look.materials[0].base_color, (0.2, 0.6, 0.2, 1.0), atol=1 / 255)
 
 
-def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) -> None:
+def test_colours_and_placed_parts_come_from_trimesh(rng) -> None:
     mesh = trunk_and_crown(rng)
     own = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_colors=mesh.look.vertex_colors)
     scene = trimesh.Scene(own)
@@ -124,7 +122,6 @@ def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) ->
     np.testing.assert_array_equal(result.vertices[: mesh.num_vertices], mesh.vertices)
     np.testing.assert_allclose(result.vertices[mesh.num_vertices :], mesh.vertices * [-1, 1, 1] + [10, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(result.faces[mesh.num_faces :], mesh.faces[:, ::-1] + mesh.num_vertices)
-    assert result.look.vertex_colors is not None
     np.testing.assert_array_equal(result.look.vertex_colors[: mesh.num_vertices], mesh.look.vertex_colors)
 
 
@@ -135,5 +132,5 @@ def test_a_scene_of_points_is_no_mesh() -> None:
 
 def test_names_of_collada_nodes_and_materials_are_those_of_parts() -> None:
     mesh = read_mesh(io.BytesIO(named_collada()), file_type="dae")
-    names = [mesh.parts.names[part] for part in mesh.parts.of_face]  # type: ignore[union-attr]
+    names = [mesh.parts.names[part] for part in mesh.parts.of_face]
     assert names == ["Trunk", "Trunk", "Pots/FlowerPot/Cylinder", "Pots/Saucer/Cylinder"]

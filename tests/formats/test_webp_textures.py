@@ -10,11 +10,11 @@ from PIL import Image
 
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf.webp import webp_textures
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.requests import ExportParams, Format, Reading
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from tests.formats.artists import Artist, document_of
+from tests.formats.meshes import read
 from tests.js_tools import validated
 
 WEBP = "EXT_texture_webp"
@@ -59,12 +59,12 @@ def tree_of(pictures: dict[str, bytes]) -> bytes:
 
 def written(glb: bytes, folder: Path, *formats: Format, **options: object) -> dict[str, bytes]:
     """Products by format, `glb` if none is named."""
-    mesh = read_mesh(io.BytesIO(glb), file_type="glb")
+    mesh = read(glb, "glb")
     grid = voxelize(mesh, 32).grid
     coefficients = np.zeros((len(grid), 3, 3), np.complex64)
     coefficients[:, 1, 0] = 0.05 * grid.centres_m[:, 2]
     spectrum = SparseVoxelSpectrum(grid=grid, coefficients=coefficients, num_frames=4)
-    params = ExportParams(formats=formats or ("glb",), joints=32, **options)  # type: ignore[arg-type]
+    params = ExportParams(formats=formats or ("glb",), joints=32, **options)
     return {name: path.read_bytes() for name, path in write_products(mesh, spectrum, params, folder).items()}
 
 
@@ -85,7 +85,7 @@ PICTURES = {
 
 
 @pytest.mark.parametrize("compression", ["none", "meshopt"])
-def test_textures_become_webp_where_that_is_smaller(tmp_path: Path, compression: str) -> None:
+def test_textures_become_webp_where_that_is_smaller(tmp_path, compression: str) -> None:
     plain = written(tree_of(PICTURES), tmp_path)["glb"]
     packed = written(tree_of(PICTURES), tmp_path, glb_textures="webp", glb_compression=compression)["glb"]
     assert len(packed) < len(plain)
@@ -103,9 +103,9 @@ def test_textures_become_webp_where_that_is_smaller(tmp_path: Path, compression:
     assert small == PICTURES["emissiveTexture"]
 
 
-def test_a_packed_file_is_read_with_its_texture(tmp_path: Path) -> None:
+def test_a_packed_file_is_read_with_its_texture(tmp_path) -> None:
     content = written(tree_of(PICTURES), tmp_path, glb_textures="webp")["glb"]
-    again = read_mesh(io.BytesIO(content), file_type="glb", reading=Reading(up_axis="+Y"))
+    again = read(content, "glb", reading=Reading(up_axis="+Y"))
     assert again.look.materials[0].texture_png is not None
     assert [warning.code for warning in again.warnings] == ["animations-ignored"]
 
@@ -122,7 +122,7 @@ def test_an_image_that_cannot_be_decoded_or_has_another_beside_it_stays() -> Non
 
 
 @pytest.mark.slow
-def test_the_validator_finds_no_error(tmp_path: Path) -> None:
+def test_the_validator_finds_no_error(tmp_path) -> None:
     paths = []
     for compression in ("none", "meshopt"):
         options = {"glb_textures": "webp", "glb_compression": compression}
