@@ -2,7 +2,6 @@ import errno
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -10,12 +9,12 @@ from dynamictree.errors import InputError
 from dynamictree.files import opened, published
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_named(tmp_path) -> None:
     with pytest.raises(InputError, match=r"none\.obj cannot be read: No such file"), opened(tmp_path / "none.obj"):
         pass
 
 
-def test_what_is_published_appears_whole_over_what_was_there(tmp_path: Path) -> None:
+def test_what_is_published_appears_whole_over_what_was_there(tmp_path) -> None:
     out = tmp_path / "a" / "out"
     for content in ("old", "new"):
         with published(out) as folder:
@@ -25,7 +24,7 @@ def test_what_is_published_appears_whole_over_what_was_there(tmp_path: Path) -> 
     assert (out / "tree.glb").read_text() == "new"
 
 
-def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_what_fails_leaves_what_was_there(tmp_path) -> None:
     (tmp_path / "tree.glb").write_text("old")
     for out in (tmp_path, tmp_path / "new"):
         with pytest.raises(ZeroDivisionError), published(out) as folder:
@@ -34,20 +33,20 @@ def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert (tmp_path / "tree.glb").read_text() == "old"
 
 
-def test_a_place_that_is_no_folder_is_reported(tmp_path: Path) -> None:
+def test_a_place_that_is_no_folder_is_reported(tmp_path) -> None:
     (tmp_path / "out").write_text("a file")
     message = r"nothing can be written to .*out: File exists; choose another"
     with pytest.raises(InputError, match=message), published(tmp_path / "out"):
         pass
 
 
-def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path) -> None:
     with pytest.raises(InputError, match="no room"), published(tmp_path / "out"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_path) -> None:
     code = (
         "import os, sys; from pathlib import Path; from dynamictree.files import published\n"
         "with published(Path(sys.argv[1])) as folder:\n"

@@ -42,7 +42,7 @@ def test_a_mesh_that_cannot_be_used_is_refused(mesh: TriangleMesh, message: str)
 
 
 @pytest.mark.parametrize("cap", ["MAX_FACES", "MAX_VERTICES"])
-def test_a_mesh_over_a_cap_is_refused(monkeypatch: pytest.MonkeyPatch, cap: str) -> None:
+def test_a_mesh_over_a_cap_is_refused(monkeypatch, cap: str) -> None:
     monkeypatch.setattr(mesh_module, cap, 0)
     with pytest.raises(MeshError, match="decimate"):
         validate_mesh(mesh_of())
@@ -54,7 +54,7 @@ def test_other_vertices_keep_all_else() -> None:
     np.testing.assert_array_equal(moved.vertices, CORNERS + 1)
 
 
-def test_edges_are_those_of_a_slow_search_each_once(rng: np.random.Generator) -> None:
+def test_edges_are_those_of_a_slow_search_each_once(rng) -> None:
     faces = rng.integers(0, 30, (80, 3)).astype(np.int32)
     expected = sorted({tuple(sorted((int(f[i]), int(f[(i + 1) % 3])))) for f in faces for i in range(3)})
     assert [tuple(edge) for edge in edges_of(faces).tolist()] == expected

@@ -1,17 +1,15 @@
 """The method on one page, called as a reader of it would."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 
 from dynamictree import method
 from dynamictree.export.write import write_products
-from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams, Format, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, to_motion
+from tests.clouds import cloud_at
 
 NUM_FRAMES = 6
 
@@ -45,14 +43,7 @@ def test_vertices_follow_the_spectrum(post: trimesh.Trimesh, spectrum: SparseVox
 
 
 def test_a_splat_follows_its_mesh(post: trimesh.Trimesh, spectrum: SparseVoxelSpectrum) -> None:
-    points = post.triangles_center.astype(np.float32)
-    cloud = GaussianCloud(
-        means=points,
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
-        scales=np.full((len(points), 3), 0.02, np.float32),
-        opacity=np.full(len(points), 0.9, np.float32),
-        sh=np.zeros((len(points), 1, 3), np.float32),
-    )
+    cloud = cloud_at(post.triangles_center)
     motion = list(method.move(spectrum, post, num_frames=NUM_FRAMES))
     for frame, displacement in zip(
         method.animate_splat(cloud, post, spectrum, num_frames=NUM_FRAMES), motion, strict=True
@@ -68,7 +59,7 @@ def test_a_shape_becomes_a_loop(post: trimesh.Trimesh) -> None:
     assert np.abs(frames[0] - frames[2]).max() > 1e-6
 
 
-def test_the_readme_s_lines_take_a_mesh_of_trimesh_to_its_files(post: trimesh.Trimesh, tmp_path: Path) -> None:
+def test_the_readme_s_lines_take_a_mesh_of_trimesh_to_its_files(post: trimesh.Trimesh, tmp_path) -> None:
     voxels = method.voxelize(post)
     spectrum = method.generate(voxels, seed=0, wind=Wind(speed_m_s=6.0), num_steps=1)
     formats: tuple[Format, ...] = ("png", "motion", "ply", "glb", "vat")

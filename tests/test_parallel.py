@@ -24,7 +24,7 @@ def test_bands_cover_every_row_once(num_rows: int) -> None:
     assert sorted(rows) == list(range(num_rows))
 
 
-def test_there_are_no_more_threads_than_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_there_are_no_more_threads_than_bands(monkeypatch) -> None:
     """On a machine of 64 cores, three rows start two threads beside the caller's."""
     monkeypatch.setattr(parallel, "num_cores", lambda: 64)
     together, threads = threading.Barrier(3, timeout=20), set[int]()

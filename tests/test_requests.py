@@ -142,7 +142,7 @@ def test_turbulent_wind_needs_no_whole_period_and_lasts_ten_minutes() -> None:
     assert ExportParams(wind_mode="turbulent", num_frames=MAX_TURBULENT_FRAMES).count_frames(100 / 24) == 14_400
     assert ExportParams(wind_mode="turbulent").chosen_formats(cloud=False) == ("ply", "png")
     assert ExportParams().chosen_formats(cloud=False) == ("ply", "glb", "png")
-    assert ExportParams(formats=("glb-skinned",)).formats == ("glb",)  # type: ignore[arg-type]  # its older name
+    assert ExportParams(formats=("glb-skinned",)).formats == ("glb",)  # its older name
 
 
 @pytest.mark.parametrize(

@@ -29,20 +29,20 @@ def _directions(rng: np.random.Generator, count: int) -> np.ndarray:
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def test_a_matrix_becomes_a_quaternion_and_back(rng: np.random.Generator) -> None:
+def test_a_matrix_becomes_a_quaternion_and_back(rng) -> None:
     rotations = _rotations(rng, 200)
     quaternions = matrix_quaternions(rotations)
     assert (quaternions[:, 0] >= 0).all()
     np.testing.assert_allclose(quaternion_matrices(quaternions), rotations, atol=1e-12)
 
 
-def test_the_product_turns_by_the_right_one_first(rng: np.random.Generator) -> None:
+def test_the_product_turns_by_the_right_one_first(rng) -> None:
     left, right = _rotations(rng, 50), _rotations(rng, 50)[::-1].copy()
     product = quaternion_products(matrix_quaternions(left), matrix_quaternions(right))
     np.testing.assert_allclose(quaternion_matrices(product), left @ right, atol=1e-12)
 
 
-def test_the_polar_rotation_is_the_nearest_one_and_never_a_mirror(rng: np.random.Generator) -> None:
+def test_the_polar_rotation_is_the_nearest_one_and_never_a_mirror(rng) -> None:
     rotations = _rotations(rng, 100)
     stretch = rng.normal(size=(100, 3, 3)) * 0.3
     stretch = np.eye(3) + (stretch + stretch.transpose(0, 2, 1)) / 4
@@ -56,7 +56,7 @@ def test_a_quaternion_without_length_is_refused() -> None:
         unit_quaternions(np.array([[2, 0, 0, 0], [0, 0, 0, 0]], np.float32))
 
 
-def test_harmonics_are_those_of_scipy(rng: np.random.Generator) -> None:
+def test_harmonics_are_those_of_scipy(rng) -> None:
     directions = _directions(rng, 64)
     theta, phi = np.arccos(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
     values = harmonics(directions, 3)
@@ -69,7 +69,7 @@ def test_harmonics_are_those_of_scipy(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_turned_harmonics_show_the_same_to_an_eye_that_turned(rng: np.random.Generator, degree: int) -> None:
+def test_turned_harmonics_show_the_same_to_an_eye_that_turned(rng, degree: int) -> None:
     rotations = _rotations(rng, 40)
     sh = rng.normal(size=(40, (degree + 1) ** 2, 3)).astype(np.float32)
     turned = turn_sh(sh, rotations)

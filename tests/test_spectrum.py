@@ -6,14 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamictree.errors import InputError
-from dynamictree.spectrum import (
-    SparseVoxelSpectrum,
-    bin_weights,
-    displacement_at,
-    from_motion,
-    iter_motion,
-    to_motion,
-)
+from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights, displacement_at, from_motion, iter_motion, to_motion
 from dynamictree.voxel.grid import VoxelGrid
 
 
@@ -52,7 +45,7 @@ def test_a_sway_of_amplitude_a_has_2_c_k_equal_a_whatever_t(num_frames: int, dat
 
 
 @pytest.mark.parametrize("num_frames", [100, 61])
-def test_the_formula_of_the_format_is_the_inverse_transform(rng: np.random.Generator, num_frames: int) -> None:
+def test_the_formula_of_the_format_is_the_inverse_transform(rng, num_frames: int) -> None:
     """Re Σ_k w_k c_k e^{2πikn/T}, summed slowly."""
     coefficients = spectrum_of(rng)
     expected = np.zeros((num_frames, 7, 3))
@@ -63,7 +56,7 @@ def test_the_formula_of_the_format_is_the_inverse_transform(rng: np.random.Gener
 
 
 @pytest.mark.parametrize(("num_frequencies", "num_frames"), [(16, 100), (51, 100), (11, 20), (31, 61)])
-def test_every_way_to_motion_agrees(rng: np.random.Generator, num_frequencies: int, num_frames: int) -> None:
+def test_every_way_to_motion_agrees(rng, num_frequencies: int, num_frames: int) -> None:
     coefficients = spectrum_of(rng, num_frequencies=num_frequencies)
     if num_frequencies == num_frames // 2 + 1 and num_frames % 2 == 0:
         coefficients[:, -1].imag = 0
@@ -74,7 +67,7 @@ def test_every_way_to_motion_agrees(rng: np.random.Generator, num_frequencies: i
         np.testing.assert_allclose(displacement_at(coefficients, float(phase), num_frames), frame, atol=2e-5)
 
 
-def test_the_loop_is_exact(rng: np.random.Generator) -> None:
+def test_the_loop_is_exact(rng) -> None:
     coefficients = spectrum_of(rng)
     first, after = iter_motion(coefficients, np.array([0.0, 1.0]))
     np.testing.assert_allclose(after, first, atol=1e-5)
@@ -83,13 +76,13 @@ def test_the_loop_is_exact(rng: np.random.Generator) -> None:
     assert np.abs(first - last).max() <= step  # the seam is no larger than any other step
 
 
-def test_motion_is_smooth_between_the_frames(rng: np.random.Generator) -> None:
+def test_motion_is_smooth_between_the_frames(rng) -> None:
     coefficients = spectrum_of(rng)
     between = displacement_at(coefficients, 0.125 + 1e-4)
     np.testing.assert_allclose(between, displacement_at(coefficients, 0.125), atol=0.1)
 
 
-def test_the_mean_of_a_motion_is_its_first_coefficient(rng: np.random.Generator) -> None:
+def test_the_mean_of_a_motion_is_its_first_coefficient(rng) -> None:
     coefficients = spectrum_of(rng)
     np.testing.assert_allclose(to_motion(coefficients).mean(axis=0), coefficients[:, 0].real, atol=1e-5)
 

@@ -19,6 +19,7 @@ from dynamictree.requests import Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, mode_sizes
 from dynamictree.wind_bands import BANDS_M_S, WindBands, bands_of_sizes, power_law
 from lab.dataset.sample import make_sample
+from tests.formats.meshes import written
 from tests.formats.test_tensor_files import with_changes
 from tests.modal.conftest import rod_spectrum
 
@@ -57,7 +58,6 @@ def test_without_bands_gains_are_those_of_the_drag(own: float, speed: float) -> 
 def test_each_band_has_the_sizes_of_its_own_wind() -> None:
     steps: list[tuple[int, int]] = []
     spectrum = with_bands(rod_in, Wind(speed_m_s=OWN_M_S), lambda done, total: steps.append((done, total)))
-    assert spectrum.bands is not None
     assert spectrum.bands.speeds_m_s == (0.0, 1.0, 4.0, 5.0, 8.0, 14.0, 20.0)
     np.testing.assert_array_equal(spectrum.coefficients, rod_in(Wind(speed_m_s=OWN_M_S)).coefficients)
     np.testing.assert_array_equal(spectrum.bands.at(OWN_M_S), 1)
@@ -82,16 +82,15 @@ def test_the_models_storm_is_weaker_than_the_drag_of_its_training() -> None:
 
 def test_a_file_gives_the_bands_back() -> None:
     spectrum = with_bands(rod_in, Wind(speed_m_s=OWN_M_S))
-    stream = io.BytesIO()
-    write_spectrum(spectrum, stream)
-    assert read_spectrum(io.BytesIO(stream.getvalue())).bands == spectrum.bands
+    content = written(write_spectrum, spectrum)
+    assert read_spectrum(io.BytesIO(content)).bands == spectrum.bands
     for tensors in (
         {"band_gains": None},
         {"band_gains": np.full((7, 16), -1, np.float32)},
         {"band_speeds_m_s": np.zeros(7, np.float32)},
     ):
         with pytest.raises((FormatError, InputError), match=r"band"):
-            read_spectrum(io.BytesIO(with_changes(stream.getvalue(), tensors, {})))
+            read_spectrum(io.BytesIO(with_changes(content, tensors, {})))
 
 
 def test_bands_of_other_bins_are_refused() -> None:

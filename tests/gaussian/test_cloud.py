@@ -11,7 +11,7 @@ from tests.formats.test_cloud_round_trips import make_cloud
 
 
 @pytest.mark.parametrize("name", ["means", "quaternions", "scales", "opacity", "sh"])
-def test_values_that_are_not_finite_are_refused_by_name_and_place(rng: np.random.Generator, name: str) -> None:
+def test_values_that_are_not_finite_are_refused_by_name_and_place(rng, name: str) -> None:
     cloud = make_cloud(rng)
     values = getattr(cloud, name).copy()
     values[7] = np.nan
@@ -19,7 +19,7 @@ def test_values_that_are_not_finite_are_refused_by_name_and_place(rng: np.random
         validate_cloud(replace(cloud, **{name: values}))
 
 
-def test_a_cloud_of_which_nothing_is_seen_is_refused(rng: np.random.Generator) -> None:
+def test_a_cloud_of_which_nothing_is_seen_is_refused(rng) -> None:
     cloud = make_cloud(rng)
     with pytest.raises(InputError, match="nothing is visible"):
         validate_cloud(replace(cloud, opacity=np.zeros_like(cloud.opacity)))
@@ -33,7 +33,7 @@ def test_an_empty_and_a_too_large_cloud_are_refused() -> None:
     check_count(MAX_GAUSSIANS)
 
 
-def test_negative_scales_and_broken_degrees_are_refused(rng: np.random.Generator) -> None:
+def test_negative_scales_and_broken_degrees_are_refused(rng) -> None:
     cloud = make_cloud(rng)
     with pytest.raises(InputError, match="negative"):
         validate_cloud(replace(cloud, scales=-cloud.scales))
@@ -41,7 +41,7 @@ def test_negative_scales_and_broken_degrees_are_refused(rng: np.random.Generator
         validate_cloud(replace(cloud, sh=np.zeros((cloud.num_gaussians, 5, 3), np.float32)))
 
 
-def test_a_level_of_detail_covers_the_same_area(rng: np.random.Generator) -> None:
+def test_a_level_of_detail_covers_the_same_area(rng) -> None:
     cloud = make_cloud(rng, 1000)
     light = look_level(cloud, 0.25)
     assert light.num_gaussians == 250
@@ -53,7 +53,7 @@ def test_a_level_of_detail_covers_the_same_area(rng: np.random.Generator) -> Non
             look_level(cloud, share)
 
 
-def test_a_level_of_detail_covers_fine_parts_as_well_as_coarse_ones(rng: np.random.Generator) -> None:
+def test_a_level_of_detail_covers_fine_parts_as_well_as_coarse_ones(rng) -> None:
     cloud = make_cloud(rng, 4000)
     fine = np.arange(4000) < 3000  # a stem, scanned from near
     size = np.where(fine, 0.01, 0.03).astype(np.float32)
@@ -65,7 +65,7 @@ def test_a_level_of_detail_covers_fine_parts_as_well_as_coarse_ones(rng: np.rand
         np.testing.assert_allclose(area_m2(light)[part].sum(), area_m2(cloud)[whole].sum(), rtol=0.02)
 
 
-def test_a_lower_degree_keeps_the_lower_harmonics(rng: np.random.Generator) -> None:
+def test_a_lower_degree_keeps_the_lower_harmonics(rng) -> None:
     cloud = make_cloud(rng, degree=3)
     assert cloud.sh_degree == 3
     np.testing.assert_array_equal(cloud.with_sh_degree(1).sh, cloud.sh[:, :4])

@@ -18,6 +18,7 @@ from dynamictree.gaussian.from_mesh import PER_FACE, face_shapes, splats_of_mesh
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.rotation import quaternion_matrices
+from tests.clouds import cloud_at
 
 
 def sphere_cloud(rng: np.random.Generator, *, opacity: float = 0.9) -> GaussianCloud:
@@ -25,13 +26,7 @@ def sphere_cloud(rng: np.random.Generator, *, opacity: float = 0.9) -> GaussianC
     count = 4000
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return GaussianCloud(
-        means=(directions + np.array([3, 0, 0])).astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        scales=np.full((count, 3), 0.03, np.float32),
-        opacity=np.full(count, opacity, np.float32),
-        sh=np.full((count, 1, 3), 0.3 / SH_0, np.float32),
-    )
+    return cloud_at(np.add(directions, [3, 0, 0]), scale=0.03, opacity=opacity, sh=np.full((count, 1, 3), 0.3 / SH_0))
 
 
 def plane(side: int = 6) -> TriangleMesh:
@@ -55,7 +50,7 @@ def png(pixels: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def test_the_surface_lies_around_the_gaussians(rng: np.random.Generator) -> None:
+def test_the_surface_lies_around_the_gaussians(rng) -> None:
     cloud = sphere_cloud(rng)
     mesh = mesh_of_cloud(cloud, cells_along=64, max_faces=100_000)
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -67,18 +62,12 @@ def test_the_surface_lies_around_the_gaussians(rng: np.random.Generator) -> None
     assert bind(cloud, mesh).moving.all()
 
 
-def test_a_large_surface_is_simplified(rng: np.random.Generator) -> None:
+def test_a_large_surface_is_simplified(rng) -> None:
     assert mesh_of_cloud(sphere_cloud(rng), cells_along=64, max_faces=2000).num_faces <= 2000
 
 
 def test_the_grid_holds_the_opacity_of_each_gaussian() -> None:
-    one = GaussianCloud(
-        means=np.array([[0.5, 0.5, 0.5]], np.float32),
-        quaternions=np.array([[np.cos(0.3), 0, 0, np.sin(0.3)]], np.float32),
-        scales=np.array([[0.3, 0.1, 0.001]], np.float32),
-        opacity=np.array([0.8], np.float32),
-        sh=np.zeros((1, 1, 3), np.float32),
-    )
+    one = cloud_at(np.full((1, 3), 0.5), turned=[np.cos(0.3), 0, 0, np.sin(0.3)], scale=[0.3, 0.1, 0.001], opacity=0.8)
     grid = opacity_grid(one, np.zeros(3, np.float32), 0.1, (10, 10, 10))
     places = (np.stack(np.meshgrid(*[np.arange(10)] * 3, indexing="ij"), axis=-1) + 0.5) * 0.1 - 0.5
     own = places @ quaternion_matrices(one.quaternions.astype(np.float64))[0] / [0.3, 0.1, 0.05]  # half a cell at least
@@ -87,7 +76,7 @@ def test_the_grid_holds_the_opacity_of_each_gaussian() -> None:
     np.testing.assert_allclose(grid, expected, atol=1e-4)
 
 
-def test_what_has_no_surface_is_reported(rng: np.random.Generator) -> None:
+def test_what_has_no_surface_is_reported(rng) -> None:
     with pytest.raises(InputError, match="nowhere denser"):
         mesh_of_cloud(sphere_cloud(rng, opacity=0.01).subset(np.arange(10)), cells_along=32)
     cloud = sphere_cloud(rng)
@@ -95,7 +84,7 @@ def test_what_has_no_surface_is_reported(rng: np.random.Generator) -> None:
         mesh_of_cloud(replace(cloud, means=np.zeros_like(cloud.means), scales=np.zeros_like(cloud.scales)))
 
 
-def test_gaussians_in_one_another_have_the_surface_of_the_largest(rng: np.random.Generator) -> None:
+def test_gaussians_in_one_another_have_the_surface_of_the_largest(rng) -> None:
     cloud = sphere_cloud(rng).subset(np.arange(5))
     scales = np.full((5, 3), 0.1, np.float32)
     scales[0] = 0.5
@@ -104,7 +93,7 @@ def test_gaussians_in_one_another_have_the_surface_of_the_largest(rng: np.random
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), radius, rtol=0.05)
 
 
-def test_far_strays_do_not_coarsen_the_surface(rng: np.random.Generator) -> None:
+def test_far_strays_do_not_coarsen_the_surface(rng) -> None:
     cloud = sphere_cloud(rng)
     means = cloud.means.copy()
     means[:3] += 1000
@@ -112,7 +101,7 @@ def test_far_strays_do_not_coarsen_the_surface(rng: np.random.Generator) -> None
     assert np.ptp(mesh.vertices, axis=0).max() < 3
 
 
-def test_gaussians_of_a_mesh_cover_it_evenly(rng: np.random.Generator) -> None:
+def test_gaussians_of_a_mesh_cover_it_evenly(rng) -> None:
     mesh = plane()
     splat = splats_of_mesh(mesh, at_least=0, rng=rng)
     assert splat.cloud.num_gaussians == PER_FACE * mesh.num_faces
@@ -129,7 +118,7 @@ def test_gaussians_of_a_mesh_cover_it_evenly(rng: np.random.Generator) -> None:
     assert counts.std() < 0.2 * counts.mean()
 
 
-def test_face_shapes_are_those_of_games(rng: np.random.Generator) -> None:
+def test_face_shapes_are_those_of_games(rng) -> None:
     corners = rng.normal(size=(20, 3, 3))
     rotations, scales = face_shapes(corners)
     middle = corners.mean(axis=1)
@@ -142,7 +131,7 @@ def test_face_shapes_are_those_of_games(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(ratio, np.linalg.norm(second, axis=1) / width, rtol=1e-6)
 
 
-def test_colours_come_from_the_texture(rng: np.random.Generator) -> None:
+def test_colours_come_from_the_texture(rng) -> None:
     left_red = np.zeros((8, 8, 3))
     left_red[:, :4, 0], left_red[:, 4:, 2] = 255, 255
     mesh = textured(Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png(left_red)))
@@ -154,7 +143,7 @@ def test_colours_come_from_the_texture(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(color[inner, 2], x[inner] > 0.5, atol=0.05)
 
 
-def test_colours_come_from_the_vertices(rng: np.random.Generator) -> None:
+def test_colours_come_from_the_vertices(rng) -> None:
     mesh = plane()
     mesh = replace(
         mesh,
@@ -164,7 +153,7 @@ def test_colours_come_from_the_vertices(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, np.tile(np.array([30, 200, 90]) / 255, (250, 1)), atol=0.01)
 
 
-def test_holes_of_a_texture_have_no_gaussians(rng: np.random.Generator) -> None:
+def test_holes_of_a_texture_have_no_gaussians(rng) -> None:
     half = np.full((8, 8, 4), 255)
     half[:, :4, 3] = 0
     mesh = textured(Material(texture_png=png(half), alpha_cutoff=0.5))
@@ -174,6 +163,6 @@ def test_holes_of_a_texture_have_no_gaussians(rng: np.random.Generator) -> None:
         splats_of_mesh(textured(Material(texture_png=png(np.zeros((4, 4, 4))), alpha_cutoff=0.5)), at_least=0, rng=rng)
 
 
-def test_too_many_a_face_are_refused(rng: np.random.Generator) -> None:
+def test_too_many_a_face_are_refused(rng) -> None:
     with pytest.raises(InputError, match="per_face is 0"):
         splats_of_mesh(plane(), per_face=0, rng=rng)

@@ -13,7 +13,7 @@ from dynamictree.rotation import quaternion_products
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("antialias", [True, False])
-def test_gsplat_and_the_cpu_draw_the_same_picture(antialias: bool, rng: np.random.Generator) -> None:
+def test_gsplat_and_the_cpu_draw_the_same_picture(antialias: bool, rng) -> None:
     if not gsplat_is_there():
         pytest.skip("gsplat or a CUDA device is not there")
     cloud = crown(20_000)

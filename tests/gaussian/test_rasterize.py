@@ -7,13 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.gaussian.deform import Pose, posed
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import draw, render_cloud
 from dynamictree.gaussian.rasterize_kernel import MIN_ALPHA
 from dynamictree.render.camera import Camera
 from dynamictree.rotation import matrix_quaternions, quaternion_products
+from tests.clouds import cloud_at
 from tests.gaussian.slow_splat import draw_slowly, leaves_of
 
 
@@ -22,12 +23,12 @@ def cloud() -> GaussianCloud:
     rng = np.random.default_rng(3)
     count = 400
     quaternions = rng.normal(size=(count, 4))
-    return GaussianCloud(
-        means=(rng.normal(size=(count, 3)) * 0.6).astype(np.float32),
-        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
-        scales=np.exp(rng.normal(size=(count, 3)) * 0.7 - 3).astype(np.float32),
-        opacity=rng.uniform(0.1, 1, count).astype(np.float32),
-        sh=(rng.normal(size=(count, 16, 3)) * 0.4).astype(np.float32),
+    return cloud_at(
+        rng.normal(size=(count, 3)) * 0.6,
+        turned=quaternions,
+        scale=np.exp(rng.normal(size=(count, 3)) * 0.7 - 3),
+        opacity=rng.uniform(0.1, 1, count),
+        sh=rng.normal(size=(count, 16, 3)) * 0.4,
     )
 
 
@@ -62,18 +63,7 @@ def test_fast_and_slow_pictures_agree(
 
 
 def one(scale: float, *, at: tuple[float, ...] = (0, 0, 0), color: float = 1.0) -> GaussianCloud:
-    return GaussianCloud(
-        means=np.array([at], np.float32),
-        quaternions=np.array([[1, 0, 0, 0]], np.float32),
-        scales=np.full((1, 3), scale, np.float32),
-        opacity=np.ones(1, np.float32),
-        sh=np.full((1, 1, 3), (color - 0.5) / SH_0, np.float32),
-    )
-
-
-def joined(*clouds: GaussianCloud) -> GaussianCloud:
-    names = ("means", "quaternions", "scales", "opacity", "sh")
-    return replace(clouds[0], **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in names})
+    return cloud_at(np.array([at]), scale=scale, opacity=1, sh=np.full((1, 1, 3), (color - 0.5) / SH_0))
 
 
 def test_a_gaussian_is_where_the_camera_projects_it(camera: Camera) -> None:
@@ -90,7 +80,7 @@ def test_a_gaussian_is_where_the_camera_projects_it(camera: Camera) -> None:
 
 
 def test_the_nearer_hides_the_farther(camera: Camera) -> None:
-    white_near = joined(one(0.3, color=0.0), one(0.3, at=(0.1, -0.8, 0.1), color=1.0))
+    white_near = joined([one(0.3, color=0.0), one(0.3, at=(0.1, -0.8, 0.1), color=1.0)])
     both_ways = [white_near, white_near.subset(np.array([1, 0]))]
     for cloud in both_ways:
         picture = render_cloud(cloud, camera, width=64, height=64).over((0.0, 0.0, 0.0))
@@ -98,7 +88,7 @@ def test_the_nearer_hides_the_farther(camera: Camera) -> None:
 
 
 def test_what_is_behind_or_beside_the_camera_is_not_seen(camera: Camera) -> None:
-    picture = render_cloud(joined(one(0.1, at=(0, -9, 0)), one(0.1, at=(50, 0, 0))), camera, width=64, height=64)
+    picture = render_cloud(joined([one(0.1, at=(0, -9, 0)), one(0.1, at=(50, 0, 0))]), camera, width=64, height=64)
     assert picture.alpha.max() == 0
     np.testing.assert_array_equal(picture.over((0.2, 0.4, 0.6))[0, 0], [51, 102, 153])
 

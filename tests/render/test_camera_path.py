@@ -7,7 +7,7 @@ from dynamictree.requests import Shot
 
 
 @pytest.mark.parametrize("shot", [Shot(), Shot(orbit=True), Shot(orbit=True, elevation_deg=60.0, azimuth_deg=200.0)])
-def test_every_picture_holds_all_points(shot: Shot, rng: np.random.Generator) -> None:
+def test_every_picture_holds_all_points(shot: Shot, rng) -> None:
     points = rng.normal(size=(500, 3)) * [1, 2, 3] + [10, -5, 2]
     cameras = cameras_of(shot, points, 7)
     assert len(cameras) == 7
@@ -17,7 +17,7 @@ def test_every_picture_holds_all_points(shot: Shot, rng: np.random.Generator) ->
         assert (depth > 0).all()
 
 
-def test_a_camera_that_goes_around_stays_as_far(rng: np.random.Generator) -> None:
+def test_a_camera_that_goes_around_stays_as_far(rng) -> None:
     points = rng.normal(size=(500, 3)) * [1, 2, 3]
     places = np.stack([camera.position_m for camera in cameras_of(Shot(orbit=True), points, 12)])
     middle = places.mean(axis=0)
@@ -31,7 +31,7 @@ def test_a_camera_that_goes_around_stays_as_far(rng: np.random.Generator) -> Non
 )
 def test_a_shot_out_of_bounds_is_reported(options: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Shot(**options)  # type: ignore[arg-type]
+        Shot(**options)
 
 
 def test_a_shadow_lies_where_the_sun_puts_it() -> None:
@@ -48,7 +48,7 @@ def test_a_shadow_lies_where_the_sun_puts_it() -> None:
     assert (shaded <= bare + 1e-6).all()
 
 
-def test_a_spool_gives_back_every_picture(rng: np.random.Generator) -> None:
+def test_a_spool_gives_back_every_picture(rng) -> None:
     frames = rng.integers(0, 255, (5, 4, 6, 3), dtype=np.uint8)
     with spooled(iter(frames)) as film:
         np.testing.assert_array_equal(film, frames)

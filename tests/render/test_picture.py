@@ -116,12 +116,7 @@ def test_a_texture_lies_as_its_coordinates_say():
         vertices=vertices, faces=faces, look=MeshLook(uv=uv, face_material=np.zeros(2, np.int32), materials=(material,))
     )
     picture = Renderer(card, PLAIN).picture(camera=FRONT).astype(int)
-    above_left, above_right, below_left, below_right = (
-        picture[24, 24],
-        picture[24, 40],
-        picture[40, 24],
-        picture[40, 40],
-    )
+    above_left, above_right, below_left, below_right = picture[[24, 24, 40, 40], [24, 40, 24, 40]]
     assert above_left.argmax() == 0
     assert above_left[1] < 60
     assert above_right.argmax() == 1
@@ -203,24 +198,21 @@ def test_refuses_a_mesh_without_faces(two_balls):
         render_mesh(replace(two_balls, faces=np.zeros((0, 3), np.int32)))
 
 
-def test_refuses_a_texture_that_is_no_picture(two_balls):
-    broken = Material(texture_png=b"\x89PNG but then nothing")
-    textured = replace(
-        two_balls,
-        look=replace(two_balls.look, materials=(broken,), face_material=np.zeros(two_balls.num_faces, np.int32)),
+@pytest.mark.parametrize(
+    ("texture", "message"),
+    [
+        (lambda: b"\x89PNG but then nothing", "no picture"),
+        (lambda: png_of(np.zeros((8001, 8001), np.bool_)), "8001 x 8001"),
+    ],
+)
+def test_refuses_a_texture_that_is_none_or_has_too_many_pixels(two_balls, texture, message):
+    look = replace(
+        two_balls.look,
+        materials=(Material(texture_png=texture()),),
+        face_material=np.zeros(two_balls.num_faces, np.int32),
     )
-    with pytest.raises(FormatError, match="no picture"):
-        render_mesh(textured)
-
-
-def test_refuses_a_texture_of_too_many_pixels(two_balls):
-    huge = Material(texture_png=png_of(np.zeros((8001, 8001), np.uint8)))
-    textured = replace(
-        two_balls,
-        look=replace(two_balls.look, materials=(huge,), face_material=np.zeros(two_balls.num_faces, np.int32)),
-    )
-    with pytest.raises(FormatError, match="8001 x 8001"):
-        render_mesh(textured)
+    with pytest.raises(FormatError, match=message):
+        render_mesh(replace(two_balls, look=look))
 
 
 def test_the_plant_fills_the_picture_whatever_it_stands_on() -> None:

@@ -15,14 +15,14 @@ def grid_of(coords: list[list[int]] | np.ndarray, resolution: int = 32) -> Voxel
     )
 
 
-def test_edges_are_those_of_a_slow_search_over_26_neighbours(rng: np.random.Generator) -> None:
+def test_edges_are_those_of_a_slow_search_over_26_neighbours(rng) -> None:
     grid = grid_of(rng.integers(0, 6, (150, 3)))  # dense enough to hang together
     steps = np.abs(grid.coords[:, None] - grid.coords[None]).max(axis=2)
     expected = np.where(steps == 1, cdist(grid.centres_m, grid.centres_m), 0)
     np.testing.assert_allclose(voxel_graph(grid).toarray(), expected, rtol=1e-6)
 
 
-def test_a_graph_of_many_parts_is_made_one_by_shortest_gaps(rng: np.random.Generator) -> None:
+def test_a_graph_of_many_parts_is_made_one_by_shortest_gaps(rng) -> None:
     grid = grid_of(rng.integers(0, 32, (300, 3)))
     graph = voxel_graph(grid)
     assert connected_components(graph, directed=False)[0] == 1

@@ -11,10 +11,10 @@ from dynamictree.voxel.grid import VoxelGrid, distinct, grid_frame
 
 def grid_of(coords: np.ndarray | list[list[int]], **options: object) -> VoxelGrid:
     frame = {"origin_m": (-1.0, 0.5, 2.0), "voxel_size_m": 0.25, "resolution": 32} | options
-    return VoxelGrid.from_coords(np.array(coords, np.int32).reshape(-1, 3), **frame)  # type: ignore[arg-type]
+    return VoxelGrid.from_coords(np.array(coords, np.int32).reshape(-1, 3), **frame)
 
 
-def test_voxels_are_in_ascending_order_of_x_y_z_each_once(rng: np.random.Generator) -> None:
+def test_voxels_are_in_ascending_order_of_x_y_z_each_once(rng) -> None:
     coords = rng.integers(0, 32, (500, 3))
     grid = grid_of(coords)
     assert [tuple(c) for c in grid.coords.tolist()] == sorted({tuple(c) for c in coords.tolist()})
@@ -22,7 +22,7 @@ def test_voxels_are_in_ascending_order_of_x_y_z_each_once(rng: np.random.Generat
     assert len(grid) == len(grid.coords)
 
 
-def test_a_voxel_s_centre_lies_in_it(rng: np.random.Generator) -> None:
+def test_a_voxel_s_centre_lies_in_it(rng) -> None:
     grid = grid_of(rng.integers(0, 32, (200, 3)))
     np.testing.assert_array_equal(grid.coords_of(grid.centres_m), grid.coords)
     np.testing.assert_array_equal(grid.rows_of(grid.coords), np.arange(len(grid)))
@@ -49,7 +49,7 @@ def test_the_frame_holds_all_points_and_stands_centred_under_them(seed: int, sca
 
 
 @pytest.mark.parametrize("resolution", [32, 64, 128, 256])
-def test_frames_of_twice_the_resolution_nest_exactly(rng: np.random.Generator, resolution: int) -> None:
+def test_frames_of_twice_the_resolution_nest_exactly(rng, resolution: int) -> None:
     points = rng.normal(size=(50, 3)).astype(np.float32)
     origin, size = grid_frame(points, resolution)
     fine_origin, fine_size = grid_frame(points, 2 * resolution)
@@ -75,6 +75,6 @@ def test_a_grid_that_cannot_be_is_refused(coords: list[list[int]], options: dict
         VoxelGrid(coords=np.array(coords, np.int32).reshape(-1, 3), **frame)
 
 
-def test_distinct_keys_are_those_of_numpy(rng: np.random.Generator) -> None:
+def test_distinct_keys_are_those_of_numpy(rng) -> None:
     for keys in (rng.integers(-50, 50, 400), np.zeros(3, np.int64), np.zeros(0, np.int64)):
         np.testing.assert_array_equal(distinct(keys), np.unique(keys))

@@ -45,7 +45,7 @@ def separated(corners: np.ndarray, lows: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [0.03, 0.3, 1.0])
-def test_every_sampled_surface_point_lies_in_an_occupied_voxel(rng: np.random.Generator, size: float) -> None:
+def test_every_sampled_surface_point_lies_in_an_occupied_voxel(rng, size: float) -> None:
     mesh = soup(rng, 40, size)
     grid = voxelize(mesh, 64).grid
     points = dense_samples(mesh, grid.voxel_size_m / 6)
@@ -55,7 +55,7 @@ def test_every_sampled_surface_point_lies_in_an_occupied_voxel(rng: np.random.Ge
 
 
 @pytest.mark.parametrize("size", [0.05, 0.5])
-def test_occupied_voxels_are_those_that_the_separating_axis_test_finds(rng: np.random.Generator, size: float) -> None:
+def test_occupied_voxels_are_those_that_the_separating_axis_test_finds(rng, size: float) -> None:
     mesh = soup(rng, 12, size)
     grid = voxelize(mesh, 32).grid
     expected = set()
@@ -67,7 +67,7 @@ def test_occupied_voxels_are_those_that_the_separating_axis_test_finds(rng: np.r
     assert {tuple(voxel) for voxel in grid.coords.tolist()} == expected
 
 
-def test_finer_grids_nest_in_coarser_ones(rng: np.random.Generator) -> None:
+def test_finer_grids_nest_in_coarser_ones(rng) -> None:
     mesh = soup(rng, 60, 0.2)
     fine, coarse = voxelize(mesh, 128).grid, voxelize(mesh, 32).grid
     pooled = VoxelGrid.from_coords(
@@ -79,7 +79,7 @@ def test_finer_grids_nest_in_coarser_ones(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("resolution", [32, 64, 128, 256, 512])
-def test_every_resolution_holds_every_vertex(rng: np.random.Generator, resolution: int) -> None:
+def test_every_resolution_holds_every_vertex(rng, resolution: int) -> None:
     mesh = soup(rng, 30, 0.05)
     grid = voxelize(mesh, resolution).grid
     assert grid.resolution == resolution
@@ -101,7 +101,7 @@ def test_surface_average_gives_linear_values_at_the_middle_of_the_surface_in_eac
     np.testing.assert_allclose(middle[inner][:, :2], grid.centres_m[inner][:, :2], atol=1e-6)
 
 
-def test_surface_average_weighs_by_area(rng: np.random.Generator) -> None:
+def test_surface_average_weighs_by_area(rng) -> None:
     mesh = soup(rng, 30, 0.3)
     grid = voxelize(mesh, 32).grid
     average = surface_average(mesh, grid)
@@ -166,7 +166,7 @@ def test_a_mesh_without_a_surface_is_refused(along: int, faces: list[list[int]],
         voxelize(TriangleMesh(vertices=line, faces=np.array(faces, np.int32).reshape(-1, 3)))
 
 
-def test_more_surface_than_memory_allows_is_refused_before_it_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_surface_than_memory_allows_is_refused_before_it_is_cut(monkeypatch) -> None:
     monkeypatch.setattr(voxelize_module, "MAX_PIECES", 1000)
     with pytest.raises(MeshError, match="at most 1e\\+03"):
         voxelize(square(), 128)

@@ -34,7 +34,7 @@ def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np
     return turn_modes(along, across, twig, wind, frequency_hz, np.random.default_rng(seed))
 
 
-def test_nothing_flutters_below_the_still_speed_and_most_leaves_do_at_five(rng: np.random.Generator) -> None:
+def test_nothing_flutters_below_the_still_speed_and_most_leaves_do_at_five(rng) -> None:
     critical = critical_speeds(5000, rng)
     moving = [
         (onset(np.full((5000, 1), speed, np.float32), critical) > 0).mean() for speed in (STILL_M_S, 2.0, 5.0, 12.0)
@@ -52,7 +52,7 @@ def test_flutter_grows_with_the_speed_and_not_beyond_its_full_size() -> None:
     assert size[-1] < 1
 
 
-def test_leaves_have_frequencies_of_their_own_in_the_measured_range(rng: np.random.Generator) -> None:
+def test_leaves_have_frequencies_of_their_own_in_the_measured_range(rng) -> None:
     own = leaf_frequencies(2000, rng)
     assert SLOWEST_HZ <= own.min() < 2.1
     assert 7.8 < own.max() <= FASTEST_HZ
