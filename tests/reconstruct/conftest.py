@@ -77,8 +77,6 @@ def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> tuple
         )
     corners = 3 * np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     ground = np.int32([[0, 1, 2], [0, 2, 3]]) + len(points)
-    assert stump.look.uv is not None
-    assert stump.look.face_material is not None
     both = TriangleMesh(
         vertices=np.concatenate([stump.vertices, corners]),
         faces=np.concatenate([faces, ground]),
@@ -92,7 +90,7 @@ def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> tuple
 
 
 @pytest.fixture(scope="session")
-def orbit(tmp_path_factory: pytest.TempPathFactory) -> Orbit:
+def orbit(tmp_path_factory) -> Orbit:
     return photographed(tmp_path_factory.mktemp("photos"))
 
 

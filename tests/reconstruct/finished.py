@@ -14,6 +14,7 @@ from dynamictree.reconstruct.photo_cameras import PhotoCamera, write_cameras
 from dynamictree.reconstruct.photo_previews import write_photo_previews
 from dynamictree.reconstruct.views import View
 from dynamictree.render.camera import Camera
+from tests.clouds import cloud_at
 
 BOX = ((-0.3, -0.3, 0.2), (0.3, 0.3, 1.5))
 NUM_STEM, NUM_FLOOR, NUM_LAMP = 200, 300, 100
@@ -45,14 +46,7 @@ def write_finished(folder: Path) -> None:
             np.array([0, 0, 2.2]) + 0.08 * rng.normal(size=(NUM_LAMP, 3)),
         ]
     ).astype(np.float32)
-    number = len(means)
-    scene = GaussianCloud(
-        means=means,
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (number, 1)),
-        scales=np.full((number, 3), 0.02, np.float32),
-        opacity=np.full(number, 0.9, np.float32),
-        sh=rng.normal(size=(number, 1, 3)).astype(np.float32),
-    )
+    scene = cloud_at(means, sh=rng.normal(size=(len(means), 1, 3)))
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(scene, stream)
     write_photos(folder, scene, [PhotoCamera(photo="a.jpg", camera=CAMERA, width=160, height=120)])

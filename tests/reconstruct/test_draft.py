@@ -17,12 +17,12 @@ OPACITY = 0.1
 
 
 @pytest.fixture
-def published(tmp_path: Path) -> list[GaussianCloud]:
+def published(tmp_path) -> list[GaussianCloud]:
     return []
 
 
 @pytest.fixture
-def draft(tmp_path: Path, published: list[GaussianCloud]) -> Draft:
+def draft(tmp_path, published: list[GaussianCloud]) -> Draft:
     def publish(path: Path) -> None:
         with path.open("rb") as stream:
             published.append(read_cloud(stream, file_type="splat"))

@@ -1,6 +1,7 @@
 """Photos that a camera exposed differently are brought into one light; photos in one light stay as they are."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
 from tests.reconstruct.conftest import sparse_model
 
+Gains = tuple[tuple[float, ...], ...]
 SIDE_PX, NUM_VIEWS, NUM_POINTS = 400, 12, 400
 
 
-def photographed(gains: np.ndarray) -> SparseModel:
+@cache
+def photographed(gains: Gains) -> SparseModel:
     """Coloured points on a ball, each seen from its own side, as squares of five pixels before grey."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(NUM_POINTS, 3))
@@ -28,34 +31,38 @@ def photographed(gains: np.ndarray) -> SparseModel:
         x, y, depth = camera.project(points, SIDE_PX, SIDE_PX).T
         for point in np.argsort(-depth):
             column, line = int(x[point]), int(y[point])
-            image[max(line - 2, 0) : line + 3, max(column - 2, 0) : column + 3] = colors[point] * gain
+            image[max(line - 2, 0) : line + 3, max(column - 2, 0) : column + 3] = colors[point] * np.array(gain)
         near = np.flatnonzero(depth < 3.6)
         seen += [(row, point) for point in near]
         views.append(View(source=f"{row}.jpg", image=np.rint(image).astype(np.uint8), camera=camera))
     return sparse_model(views, points, seen, colors)
 
 
+ALIKE = ((1.0,) * 3,) * NUM_VIEWS
+UNEVEN = np.exp(0.2 * np.random.default_rng(1).normal(size=(NUM_VIEWS, 3)))
+
+
+def uneven() -> SparseModel:
+    return photographed(tuple(map(tuple, UNEVEN.tolist())))
+
+
 def test_gains_are_those_of_the_camera() -> None:
-    gains = np.exp(0.2 * np.random.default_rng(1).normal(size=(NUM_VIEWS, 3)))
-    expected = np.log(gains) - np.log(gains).mean(axis=0)
-    assert np.abs(log_gains(photographed(gains)) - expected).max() < 0.03
+    expected = np.log(UNEVEN) - np.log(UNEVEN).mean(axis=0)
+    assert np.abs(log_gains(uneven()) - expected).max() < 0.03
 
 
 def test_photos_are_brought_into_one_light() -> None:
-    gains = np.exp(0.2 * np.random.default_rng(1).normal(size=(NUM_VIEWS, 3)))
-    even = evenly_exposed(photographed(gains))
-    assert np.abs(log_gains(even)).max() < 0.02
+    assert np.abs(log_gains(evenly_exposed(uneven()))).max() < 0.02
 
 
 def test_photos_in_one_light_stay_as_they_are() -> None:
-    model = photographed(np.ones((NUM_VIEWS, 3)))
+    model = photographed(ALIKE)
     assert evenly_exposed(model) is model
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02])
 def test_a_photo_of_few_points_stays_as_it_is(share: float) -> None:
-    model = photographed(np.full((NUM_VIEWS, 3), 1.0))
-    dark = photographed(np.array([[0.5] * 3, *[[1.0] * 3] * (NUM_VIEWS - 1)]))
+    model, dark = photographed(ALIKE), photographed(((0.5,) * 3, *ALIKE[1:]))
     few = model.seen[:, 0] > 0
     few[np.flatnonzero(~few)[: int(share * NUM_POINTS)]] = True
     assert np.array_equal(evenly_exposed(replace(dark, seen=model.seen[few])).views[0].image, dark.views[0].image)

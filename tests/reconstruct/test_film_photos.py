@@ -70,7 +70,7 @@ def film() -> Recorder:
 
 
 @pytest.fixture
-def photos(film: Recorder, tmp_path: Path) -> FilmPhotos:
+def photos(film: Recorder, tmp_path) -> FilmPhotos:
     return FilmPhotos(
         film=Film(path=tmp_path / "walk.mp4", count=len(FRAMES)),
         folder=tmp_path / "frames",
@@ -92,9 +92,7 @@ def test_frames_are_added_where_neighbouring_ones_were_lost(photos: FilmPhotos) 
     assert photos.more(model(registered)) == []  # once
 
 
-def test_progress_never_goes_back_while_more_frames_are_sought(
-    film: Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_never_goes_back_while_more_frames_are_sought(film: Recorder, tmp_path, monkeypatch) -> None:
     """It fell from 0.32 to 0, and then stood still for 65 s."""
     models, totals = [model([frame for frame in FRAMES if not 100 < frame < 170])], []
 
@@ -136,7 +134,7 @@ def test_a_fast_walk_is_sampled_more_closely_and_neighbours_are_not_asked_for() 
 
 
 @pytest.fixture
-def sharp_film(rng: np.random.Generator, tmp_path: Path) -> Path:
+def sharp_film(rng, tmp_path) -> Path:
     """Noise that drifts; of five frames one is sharp. Its brightness tells a frame's number."""
     pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
     noise = scipy.ndimage.zoom(rng.normal(size=(40, 40)), 8, order=1)
@@ -158,9 +156,7 @@ def grey(path: Path) -> np.ndarray:
         return np.asarray(picture.convert("L"), np.float64)
 
 
-def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(
-    sharp_film: Path, tmp_path: Path
-) -> None:
+def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(sharp_film: Path, tmp_path) -> None:
     photos = write_sharp_frames(sharp_film, tmp_path / "photos", NUM_CHOSEN)
     pictures = [grey(path) for path in photos]
     levels = np.array([picture.mean() for picture in pictures])
@@ -172,12 +168,12 @@ def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(
     assert numbers[-1] > 0.7 * NUM_FRAMES
 
 
-def test_a_film_gives_the_same_photos_again(sharp_film: Path, tmp_path: Path) -> None:
+def test_a_film_gives_the_same_photos_again(sharp_film: Path, tmp_path) -> None:
     first, again = (write_sharp_frames(sharp_film, tmp_path / name, NUM_CHOSEN) for name in ("first", "again"))
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in again]
 
 
-def test_each_stretch_gives_one_frame_and_no_two_are_neighbours(rng: np.random.Generator) -> None:
+def test_each_stretch_gives_one_frame_and_no_two_are_neighbours(rng) -> None:
     for num_frames in (8, 9, 31, 400):
         chosen = chosen_frames(rng.random(num_frames), 8)
         assert np.all(np.diff(chosen) > 0)
@@ -185,7 +181,7 @@ def test_each_stretch_gives_one_frame_and_no_two_are_neighbours(rng: np.random.G
     assert np.diff(chosen).min() > 0.25 * num_frames / 8
 
 
-def test_what_is_no_film_or_too_short_is_refused(sharp_film: Path, tmp_path: Path) -> None:
+def test_what_is_no_film_or_too_short_is_refused(sharp_film: Path, tmp_path) -> None:
     with pytest.raises(InputError, match="has 80 frames, 100 are to be chosen"):
         write_sharp_frames(sharp_film, tmp_path / "photos", 100)
     with pytest.raises(InputError, match="8 to 300"):

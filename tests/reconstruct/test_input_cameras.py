@@ -80,7 +80,6 @@ WRITERS = {
 def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
     WRITERS[name](tmp_path, orbit)
     given = find_input_cameras(tmp_path, sizes_of(orbit))
-    assert given is not None
     assert [camera.photo for camera in given] == names_of(orbit)
     for camera, true in zip(given, orbit.cameras, strict=True):
         assert np.allclose(camera.world_to_camera[:, :3], true.world_to_camera, atol=1e-6)
@@ -95,7 +94,6 @@ def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp
     write_llff(tmp_path / "llff", orbit)
     sizes = dict(zip((f"images_4/image{n:03}.png" for n in range(99)), sizes_of(orbit).values(), strict=False))
     given = find_input_cameras(tmp_path, sizes)
-    assert given is not None
     assert [camera.photo for camera in given] == list(sizes)
     assert {camera.model for camera in find_input_cameras(tmp_path, sizes_of(orbit)) or ()} == {"PINHOLE"}  # names lead
 
@@ -108,7 +106,6 @@ def test_frames_without_photos_are_left_out_and_each_camera_keeps_its_lens(tmp_p
     path.write_text(json.dumps(document))
     some = dict(list(sizes_of(orbit).items())[2:9])
     given = find_input_cameras(tmp_path, some)
-    assert given is not None
     assert [camera.photo for camera in given] == list(some)
     assert [camera.params[:2] for camera in given] == [(FOCAL + n, FOCAL + 2 * n) for n in range(2, 9)]
 
@@ -205,7 +202,7 @@ def test_refuses_a_file_of_too_many_bytes(tmp_path, orbit):
         find_input_cameras(tmp_path, sizes_of(orbit))
 
 
-def test_cameras_that_are_all_the_same_are_refused(orbit: Orbit, tmp_path: Path) -> None:
+def test_cameras_that_are_all_the_same_are_refused(orbit: Orbit, tmp_path) -> None:
     frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names_of(orbit)]
     path = write_transforms(tmp_path, orbit, frames=frames)
     with pytest.raises(FormatError, match="at one place"):

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -38,8 +37,6 @@ def marker_png(number: int) -> bytes:
 
 def with_marker(scene: TriangleMesh, enlarged: float) -> TriangleMesh:
     """The scene with a marker that lies on the ground, turned and a little tilted."""
-    assert scene.look.uv is not None
-    assert scene.look.face_material is not None
     half = 0.5 * enlarged * EDGE_M * 10 / 8  # with its white border
     turn = np.radians(25)
     corners = half * np.array([[-1, 1, 0], [1, 1, 0.05], [1, -1, 0.05], [-1, -1, 0]])
@@ -132,7 +129,7 @@ def test_the_sheet_in_the_documentation_is_the_one_that_is_read() -> None:
         assert MarkerFinder().find(np.concatenate([padded, padded])) == {}
 
 
-def test_a_recut_takes_the_scale_from_a_marker_of_another_size(tmp_path: Path) -> None:
+def test_a_recut_takes_the_scale_from_a_marker_of_another_size(tmp_path) -> None:
     write_finished(tmp_path / "finished")
     with pytest.raises(InputError, match="no marker was found in three photos"):
         recut(tmp_path / "finished", tmp_path / "finished", CutParams(marker_m=0.2))
@@ -141,7 +138,6 @@ def test_a_recut_takes_the_scale_from_a_marker_of_another_size(tmp_path: Path) -
     (tmp_path / "finished" / "report.json").write_text(json.dumps(report))
     (tmp_path / "metric").mkdir()
     capture = recut(tmp_path / "finished", tmp_path / "metric", CutParams(marker_m=0.2))
-    assert capture.mesh is not None
     assert capture.mesh.height_m == pytest.approx(1.3 * 0.2 / 0.5, rel=1e-5)
     metric = json.loads((tmp_path / "metric" / "report.json").read_text())
     assert metric["scale"] == "marker"
@@ -160,7 +156,7 @@ def test_height_and_marker_are_not_both_given(model: type[CutParams] | type[Phot
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_photos_with_a_marker_become_a_plant_of_its_true_height(tmp_path: Path) -> None:
+def test_photos_with_a_marker_become_a_plant_of_its_true_height(tmp_path) -> None:
     """Cameras are found, so their unit is any; the stump is 1.2 m high above the ground and twice as large as life."""
     _, scene = stump_and_ground(np.random.default_rng(5))
     for view in photographed(with_marker(scene, 2.0), 14, 360.0):

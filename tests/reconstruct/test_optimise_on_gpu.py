@@ -77,9 +77,9 @@ def fake_rasterization(**given: Any) -> tuple[torch.Tensor, torch.Tensor, dict[s
 
 
 @pytest.fixture
-def trainer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def trainer(monkeypatch) -> Iterator[Any]:
     fake = ModuleType("gsplat")
-    fake.rasterization, fake.MCMCStrategy = fake_rasterization, FakeStrategy  # type: ignore[attr-defined]
+    fake.rasterization, fake.MCMCStrategy = fake_rasterization, FakeStrategy
     monkeypatch.setitem(sys.modules, "gsplat", fake)
     yield importlib.import_module(TRAINER)
     sys.modules.pop(TRAINER)  # it has the stand-in
@@ -92,7 +92,7 @@ def table_of(rng: np.random.Generator, number: int = 30) -> np.ndarray:
 
 
 @pytest.fixture
-def task(rng: np.random.Generator) -> SplatTask:
+def task(rng) -> SplatTask:
     """Photos of Gaussians, cut out; the last one is held out."""
     truth = table_of(rng)
     targets = [Target(camera=camera, photo=np.zeros((HEIGHT, WIDTH, 3), np.float32)) for camera in CAMERAS]
@@ -100,7 +100,7 @@ def task(rng: np.random.Generator) -> SplatTask:
     return SplatTask(targets=targets[:3], held_out=targets[3:], extent=2.5)
 
 
-def test_it_learns_what_photos_show(trainer: Any, task: SplatTask, rng: np.random.Generator) -> None:
+def test_it_learns_what_photos_show(trainer: Any, task: SplatTask, rng) -> None:
     state = SplatState.beginning(table_of(rng))
     before = mean_psnr(state.table, task.targets, 1)
     seen: list[int] = []
@@ -112,7 +112,7 @@ def test_it_learns_what_photos_show(trainer: Any, task: SplatTask, rng: np.rando
     assert state.checks[-1, 2] == pytest.approx(mean_psnr(state.table, task.held_out, 1), abs=0.01)
 
 
-def test_what_is_cut_out_stands_before_any_colour(trainer: Any, task: SplatTask, rng: np.random.Generator) -> None:
+def test_what_is_cut_out_stands_before_any_colour(trainer: Any, task: SplatTask, rng) -> None:
     """Gaussians outside of the masks fade, whatever the photos show there."""
     nothing = [replace(target, alpha=np.zeros((HEIGHT, WIDTH), np.float32)) for target in task.targets]
     state = SplatState.beginning(table_of(rng))
@@ -121,7 +121,7 @@ def test_what_is_cut_out_stands_before_any_colour(trainer: Any, task: SplatTask,
     assert state.table[:, LOGIT].mean() < opacity - 0.5
 
 
-def test_a_stop_leaves_a_state_that_goes_on(trainer: Any, task: SplatTask, rng: np.random.Generator) -> None:
+def test_a_stop_leaves_a_state_that_goes_on(trainer: Any, task: SplatTask, rng) -> None:
     state = SplatState.beginning(table_of(rng))
     start = state.table[:, MEAN].copy()
 
@@ -137,14 +137,14 @@ def test_a_stop_leaves_a_state_that_goes_on(trainer: Any, task: SplatTask, rng: 
     assert state.step == 4
 
 
-def test_its_loss_is_that_of_the_cpu(trainer: Any, rng: np.random.Generator) -> None:
+def test_its_loss_is_that_of_the_cpu(trainer: Any, rng) -> None:
     picture, photo = rng.random((2, 3, 37, 29)).astype(np.float32)
     loss = trainer._loss(torch.from_numpy(picture), torch.from_numpy(photo))
     assert loss.item() == pytest.approx(picture_loss(picture, photo).value, rel=1e-5)
 
 
 @pytest.mark.gpu
-def test_gsplat_learns_what_photos_show(task: SplatTask, rng: np.random.Generator) -> None:
+def test_gsplat_learns_what_photos_show(task: SplatTask, rng) -> None:
     if not gsplat_is_there():
         pytest.skip("gsplat or a CUDA device is not there")
     optimise_on_gpu = importlib.import_module(TRAINER).optimise_on_gpu

@@ -35,7 +35,7 @@ def read(folder: Path) -> tuple[list[str], list[np.ndarray]]:
 
 
 @pytest.mark.parametrize(("width", "height"), [(2400, 1600), (900, 1200), (320, 240)])
-def test_a_place_is_the_same_share_of_the_preview(tmp_path: Path, width: int, height: int) -> None:
+def test_a_place_is_the_same_share_of_the_preview(tmp_path, width: int, height: int) -> None:
     write_photo_previews(views(3, width, height), tmp_path)
     names, pictures = read(tmp_path)
     assert names == ["000.jpg", "001.jpg", "002.jpg"]
@@ -46,7 +46,7 @@ def test_a_place_is_the_same_share_of_the_preview(tmp_path: Path, width: int, he
         np.testing.assert_allclose(place, (0.75, 0.25), atol=0.004)
 
 
-def test_of_many_photos_some_are_written_evenly(tmp_path: Path) -> None:
+def test_of_many_photos_some_are_written_evenly(tmp_path) -> None:
     write_photo_previews(views(100, 320, 240), tmp_path)
     names, pictures = read(tmp_path)
     numbers = np.array([int(name[:3]) for name in names])
@@ -56,7 +56,7 @@ def test_of_many_photos_some_are_written_evenly(tmp_path: Path) -> None:
     assert [int(np.median(picture)) for picture in pictures] == pytest.approx(numbers, abs=3)
 
 
-def test_the_same_photos_give_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_photos_give_the_same_bytes(tmp_path) -> None:
     contents = set()
     for _ in range(8):
         write_photo_previews(views(3, 40, 30), tmp_path)

@@ -24,7 +24,7 @@ def save_photo(path: Path, size: tuple[int, int] = (400, 300), **options: object
 
 
 @pytest.fixture
-def eight(tmp_path: Path) -> list[Path]:
+def eight(tmp_path) -> list[Path]:
     return [save_photo(tmp_path / f"{number}.jpg") for number in range(8)]
 
 

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -111,7 +110,7 @@ def test_shares_in_a_pixel_add_up_to_its_alpha() -> None:
         assert weights.sum() == pytest.approx(picture.alpha[pixel[1], pixel[0]], abs=1e-3)
 
 
-def test_a_stroke_over_the_whole_photo_costs_no_more_than_a_thousand_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stroke_over_the_whole_photo_costs_no_more_than_a_thousand_pixels(monkeypatch) -> None:
     planted = potted()
     looked_at: list[int] = []
 
@@ -148,7 +147,7 @@ def test_a_stroke_on_no_photo_and_one_on_nothing_are_refused() -> None:
         marked(empty, views, [Scribble(photo="00.jpg", plant=True, points=((0.01, 0.99),))])
 
 
-def test_the_command_cuts_by_strokes_and_meshes_the_plant_alone(tmp_path: Path) -> None:
+def test_the_command_cuts_by_strokes_and_meshes_the_plant_alone(tmp_path) -> None:
     planted = on_lawn()
     write_planted(planted, tmp_path / "finished")
     stroke = stroke_across(planted, BENCH)
@@ -168,7 +167,7 @@ def test_the_command_cuts_by_strokes_and_meshes_the_plant_alone(tmp_path: Path) 
     assert "a photo, plant or other, and places are needed" in str(wrong.exception)
 
 
-def test_a_cut_reports_how_far_it_is_and_can_be_stopped_between_rounds(tmp_path: Path) -> None:
+def test_a_cut_reports_how_far_it_is_and_can_be_stopped_between_rounds(tmp_path) -> None:
     planted, folder = potted(), tmp_path / "finished"
     write_planted(planted, folder)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -191,7 +190,7 @@ def test_a_cut_reports_how_far_it_is_and_can_be_stopped_between_rounds(tmp_path:
     assert 0.89 < shares[-1] <= 1
 
 
-def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path: Path) -> None:
+def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path) -> None:
     planted = potted()
     tree = planted.scene.subset(planted.plant)
     tree = replace(tree, opacity=np.full_like(tree.opacity, 0.9))
@@ -248,12 +247,11 @@ def test_a_plant_of_faint_gaussians_has_no_fog() -> None:
 
 
 @pytest.mark.parametrize("planted", [potted, on_lawn])
-def test_a_plant_that_is_cut_out_is_closed_and_whole(planted, tmp_path: Path) -> None:
+def test_a_plant_that_is_cut_out_is_closed_and_whole(planted, tmp_path) -> None:
     """Faces whose nearest Gaussian was no plant left holes: 0 boundary loops became 812 on a fern."""
     folder = tmp_path / "finished"
     write_planted(planted(), folder)
     capture = recut(folder, folder, CutParams(only_plant=True))
-    assert capture.mesh is not None
     sides = np.sort(capture.mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert (np.unique(sides, axis=0, return_counts=True)[1] > 1).all(), "an edge of one face is open"
     own = capture.cloud.means[capture.cloud.opacity > 0.6]

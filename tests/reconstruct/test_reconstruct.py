@@ -34,7 +34,7 @@ OPTIONS = ReconstructOptions(schedule=Schedule(num_steps=400, side_px=WIDTH, che
 
 
 @pytest.fixture(scope="module")
-def reconstruction(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory):
+def reconstruction(orbit: Orbit, tmp_path_factory):
     folder = tmp_path_factory.mktemp("reconstruction")
     shares: list[float] = []
     listening = Callbacks(on_progress=lambda progress: shares.append(progress.total))

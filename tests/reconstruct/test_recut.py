@@ -22,7 +22,7 @@ from tests.reconstruct.planted import potted, stroke_across, write_planted
 
 
 @pytest.fixture
-def finished(tmp_path: Path) -> Path:
+def finished(tmp_path) -> Path:
     write_finished(tmp_path / "finished")
     return tmp_path / "finished"
 
@@ -32,11 +32,10 @@ def cloud(path: Path) -> GaussianCloud:
         return read_gaussian_ply(stream)
 
 
-def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: Path, tmp_path: Path) -> None:
+def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: Path, tmp_path) -> None:
     target = tmp_path / "cut"
     target.mkdir()
     capture = recut(finished, target, CutParams(box_m=BOX, height_m=2.5))
-    assert capture.mesh is not None
     assert capture.mesh.height_m == pytest.approx(2.5, rel=1e-5)
     assert capture.mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-6)
     splat = cloud(target / "splat.ply")
@@ -52,7 +51,7 @@ def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: P
     assert report["mesh_by"] == "splat"  # not what the mesh of everything was made of
 
 
-def test_the_report_shows_the_mesh_that_is_delivered(finished: Path, tmp_path: Path) -> None:
+def test_the_report_shows_the_mesh_that_is_delivered(finished: Path, tmp_path) -> None:
     """The floor was on the picture of a mesh that has none."""
     recut(finished, finished, CutParams(box_m=BOX))
     picture = np.asarray(Image.open(finished / "report.png"))
@@ -63,7 +62,7 @@ def test_the_report_shows_the_mesh_that_is_delivered(finished: Path, tmp_path: P
     assert seen.any(axis=0).sum() < 12  # a stem, 6 cm wide
 
 
-def test_a_plant_that_the_photos_do_not_show_is_refused_unless_someone_marked_it(tmp_path: Path) -> None:
+def test_a_plant_that_the_photos_do_not_show_is_refused_unless_someone_marked_it(tmp_path) -> None:
     """8 of 24 photos made black fog, which was delivered as the plant."""
     write_planted(potted(), tmp_path / "finished")
     (tmp_path / "cut").mkdir()
@@ -81,7 +80,7 @@ def test_a_plant_that_the_photos_do_not_show_is_refused_unless_someone_marked_it
     assert "the splat shows no plant there" in warning
 
 
-def test_cameras_look_at_what_they_saw(finished: Path, tmp_path: Path) -> None:
+def test_cameras_look_at_what_they_saw(finished: Path, tmp_path) -> None:
     def directions(folder: Path) -> np.ndarray:
         [camera] = json.loads((folder / "cameras.json").read_text())["cameras"]
         toward = cloud(folder / "scene.ply").means - np.array(camera["position_m"])
@@ -92,7 +91,7 @@ def test_cameras_look_at_what_they_saw(finished: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(directions(finished), before, atol=1e-5)
 
 
-def test_a_cut_and_then_a_height_is_both_at_once(finished: Path, tmp_path: Path) -> None:
+def test_a_cut_and_then_a_height_is_both_at_once(finished: Path, tmp_path) -> None:
     for name in ("once", "first", "second"):
         (tmp_path / name).mkdir()
     recut(finished, tmp_path / "once", CutParams(box_m=BOX, height_m=3.0))
@@ -103,14 +102,13 @@ def test_a_cut_and_then_a_height_is_both_at_once(finished: Path, tmp_path: Path)
     np.testing.assert_allclose(twice.means, once.means, atol=1e-5)
 
 
-def test_what_the_mesh_lacks_gets_a_surface_of_its_gaussians(finished: Path, tmp_path: Path) -> None:
+def test_what_the_mesh_lacks_gets_a_surface_of_its_gaussians(finished: Path, tmp_path) -> None:
     capture = recut(finished, finished, CutParams(box_m=((-0.5, -0.5, 1.9), (0.5, 0.5, 2.6))))
-    assert capture.mesh is not None
     assert capture.mesh.num_faces > 100
     assert capture.cloud.num_gaussians > 0.9 * NUM_LAMP
 
 
-def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: Path, tmp_path: Path) -> None:
+def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: Path, tmp_path) -> None:
     with pytest.raises(InputError, match=r"no Gaussian is in the box"):
         recut(finished, finished, CutParams(box_m=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))))
     with pytest.raises(InputError, match=r"Gaussians of a plant are in the cut; at least 50"):
@@ -119,7 +117,7 @@ def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: P
         recut(tmp_path, tmp_path, CutParams())
 
 
-def test_unpack_undoes_pack(finished: Path, tmp_path: Path) -> None:
+def test_unpack_undoes_pack(finished: Path, tmp_path) -> None:
     pack(finished, tmp_path / "all.zip")
     unpack(tmp_path / "all.zip", tmp_path / "again")
     names = sorted(path.name for path in finished.iterdir())
@@ -127,7 +125,7 @@ def test_unpack_undoes_pack(finished: Path, tmp_path: Path) -> None:
     assert all((finished / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in names)
 
 
-def test_the_command_writes_another_folder(finished: Path, tmp_path: Path) -> None:
+def test_the_command_writes_another_folder(finished: Path, tmp_path) -> None:
     box = ",".join(str(value) for corner in BOX for value in corner)
     arguments = ["recut", str(finished), "-o", str(tmp_path / "plant"), "--box", box, "--height-m", "1.4", "--json"]
     done = CliRunner().invoke(app, arguments)

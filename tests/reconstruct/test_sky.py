@@ -1,6 +1,7 @@
 """Sky is separated from leaves to a share of a pixel; walls, lamps and white things below the horizon are no sky."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ LEAF, CROWN = (50, 90, 30), np.array([0, 0, 1.4])
 BLUE, WHITE, EVENING = (110, 160, 225), (225, 225, 230), (225, 150, 90)
 
 
+@cache
 def leaves_in_the_open(sky: tuple[int, int, int]) -> tuple[list[View], list[np.ndarray]]:
     """Photos at eye level of leaves in the air above a lawn, and how much of each pixel a leaf covers."""
     rng = np.random.default_rng(0)
@@ -46,6 +48,13 @@ def leaves_in_the_open(sky: tuple[int, int, int]) -> tuple[list[View], list[np.n
     return views, covers
 
 
+@cache
+def blue_sky() -> list[View]:
+    """Cover of the leaves before a blue sky."""
+    views, _ = leaves_in_the_open(BLUE)
+    return without_sky(views, unmeasured(views))
+
+
 def unmeasured(views: list[View]) -> list[np.ndarray]:
     return [np.zeros(view.image.shape[:2], np.float32) for view in views]
 
@@ -54,7 +63,6 @@ def unmeasured(views: list[View]) -> list[np.ndarray]:
 def test_a_pixel_is_as_much_leaf_as_was_drawn(sky: tuple[int, int, int]) -> None:
     views, covers = leaves_in_the_open(sky)
     split = without_sky(views, unmeasured(views))
-    assert split is not None
     for view, cover in zip(split, covers, strict=True):
         upper = slice(0, SIDE // 2)
         assert np.abs(view.alpha[upper] / 255 - cover[upper]).mean() < 0.01
@@ -88,10 +96,8 @@ def test_a_sky_in_few_photos_is_left() -> None:
 
 def test_stereo_gives_the_sky_no_depth() -> None:
     views, covers = leaves_in_the_open(BLUE)
-    sky = without_sky(views, unmeasured(views))
-    assert sky is not None
     everywhere = [np.full((80, 80), 2.0, np.float32) for _ in views]
-    maps = outside_sky(DepthMaps(views=[stereo_view(view, 80) for view in views], depths=everywhere), sky)
+    maps = outside_sky(DepthMaps(views=[stereo_view(view, 80) for view in views], depths=everywhere), blue_sky())
     for depth, cover in zip(maps.depths, covers, strict=True):
         upper = cover.reshape(80, 2, 80, 2).mean(axis=(1, 3))[:40]
         assert (depth[:40][upper > 0.8] == 2).all()
@@ -108,9 +114,8 @@ def model_of(views: list[View]) -> SparseModel:
 
 def test_a_splat_begins_without_sky() -> None:
     views, _ = leaves_in_the_open(BLUE)
-    sky = without_sky(views, unmeasured(views))
     rng = np.random.default_rng(0)
-    table = first_table(model_of(views), None, number=2000, sh_degree=0, sky=sky, rng=rng)
+    table = first_table(model_of(views), None, number=2000, sh_degree=0, sky=blue_sky(), rng=rng)
     far = table[np.linalg.norm(table[:, MEAN], axis=1) > 5]
     assert len(far) > 50
     red, _, blue = far[:, COLOR].T
@@ -119,9 +124,7 @@ def test_a_splat_begins_without_sky() -> None:
 
 def test_the_sky_goes_on_beyond_the_photos() -> None:
     views, _ = leaves_in_the_open(BLUE)
-    sky = without_sky(views, unmeasured(views))
-    assert sky is not None
-    behind = cloud_of(sky_table(views, sky, 0))
+    behind = cloud_of(sky_table(views, blue_sky(), 0))
     wider = replace(views[0].camera, focal=0.8 * views[0].camera.focal)
     picture = render_cloud(behind, wider, width=SIDE, height=SIDE)
     assert picture.alpha[: SIDE // 2].min() > 0.9
@@ -132,7 +135,7 @@ def test_the_sky_goes_on_beyond_the_photos() -> None:
 def test_what_is_learned_before_a_sky_is_leaves_alone() -> None:
     views, covers = leaves_in_the_open(BLUE)
     schedule = Schedule(num_steps=100, side_px=SIDE, sh_degree=0)
-    fit = fit_splat(model_of(views), None, schedule, sky=without_sky(views, unmeasured(views)))
+    fit = fit_splat(model_of(views), None, schedule, sky=blue_sky())
     near = cloud_of(fit.table[np.linalg.norm(fit.table[:, MEAN], axis=1) < 5])
     for view, cover in zip(views, covers, strict=True):
         alpha = render_cloud(near, view.camera, width=SIDE, height=SIDE).alpha[SKY]

@@ -43,23 +43,27 @@ def with_walls(stump: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices=np.concatenate([stump.vertices, corners]), faces=np.concatenate([stump.faces, faces]))
 
 
+def coloured(mesh: TriangleMesh, orbit: Orbit) -> TriangleMesh:
+    return replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, views_of(orbit))))
+
+
+@pytest.fixture(scope="module")
+def stump(orbit: Orbit) -> TriangleMesh:
+    return coloured(TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces), orbit)
+
+
 @pytest.mark.parametrize("worse", [lower_half, fat, with_walls])
-@pytest.mark.parametrize("first", [True, False])
-def test_photos_choose_the_true_mesh(orbit: Orbit, scene: GaussianCloud, worse, first: bool) -> None:
-    views = views_of(orbit)
-    stump = TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces)
-    meshes = {
-        name: replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, views)))
-        for name, mesh in (("true", stump), ("worse", worse(stump)))
-    }
-    ordered = dict(sorted(meshes.items(), reverse=first))
-    assert best_mesh(ordered, scene, views[2::5], radius=1.0) == "true"
+def test_photos_choose_the_true_mesh(orbit: Orbit, scene: GaussianCloud, stump: TriangleMesh, worse) -> None:
+    meshes = {"true": stump, "worse": coloured(worse(stump), orbit)}
+    for first in (True, False):
+        ordered = dict(sorted(meshes.items(), reverse=first))
+        assert best_mesh(ordered, scene, views_of(orbit)[2::5], radius=1.0) == "true"
 
 
-def test_the_first_mesh_is_taken_unless_another_is_clearly_better(orbit: Orbit, scene: GaussianCloud) -> None:
+def test_the_first_mesh_is_taken_unless_another_is_clearly_better(
+    orbit: Orbit, scene: GaussianCloud, stump: TriangleMesh
+) -> None:
     views = views_of(orbit)
-    stump = TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces)
-    stump = replace(stump, look=replace(stump.look, vertex_colors=photo_colors(stump, views)))
     wider = stump.with_vertices((stump.vertices * np.float32([1.001, 1.001, 1])).astype(np.float32))
     for first, second in ((stump, wider), (wider, stump)):
         assert best_mesh({"first": first, "second": second}, scene, views[2::5], radius=1.0) == "first"

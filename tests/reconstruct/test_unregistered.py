@@ -1,7 +1,5 @@
 """Whoever loses a photo reads why."""
 
-from pathlib import Path
-
 import numpy as np
 import pycolmap
 import pytest
@@ -10,7 +8,7 @@ from dynamictree.reconstruct.mapping import leave_out_loose, reasons
 
 
 @pytest.fixture
-def database(tmp_path: Path):
+def database(tmp_path):
     """Six photos of 300 points, one with 500 features of nothing that the others show, and a dark one."""
     with pycolmap.Database.open(tmp_path / "features.db") as database:
         pycolmap.synthesize_dataset(six_photos(num_points=300), database)

@@ -115,7 +115,7 @@ def leaves_of(rng: np.random.Generator) -> np.ndarray:
     return around + np.array([0, 0, 0.6])
 
 
-def test_every_leaf_of_a_crown_has_points(orbit: Orbit, rng: np.random.Generator) -> None:
+def test_every_leaf_of_a_crown_has_points(orbit: Orbit, rng) -> None:
     leaves = leaves_of(rng)
     points, colors = texture_points(crown_before_a_sky(orbit, leaves), 4000, rng)
     assert 1000 < len(points) <= 4000
@@ -124,15 +124,13 @@ def test_every_leaf_of_a_crown_has_points(orbit: Orbit, rng: np.random.Generator
     assert np.linalg.norm(points - [0, 0, 0.6], axis=1).max() < 0.4  # not in the sky
 
 
-def test_plain_pictures_have_none(orbit: Orbit, rng: np.random.Generator) -> None:
+def test_plain_pictures_have_none(orbit: Orbit, rng) -> None:
     sky = crown_before_a_sky(orbit, np.zeros((0, 3)))
     assert not textured_mask(sky[0].image).any()
     assert len(texture_points(sky, 1000, rng)[0]) == 0
 
 
-def test_a_splat_begins_in_the_crown_unless_masks_say_where_the_plant_is(
-    orbit: Orbit, rng: np.random.Generator
-) -> None:
+def test_a_splat_begins_in_the_crown_unless_masks_say_where_the_plant_is(orbit: Orbit, rng) -> None:
     views = crown_before_a_sky(orbit, leaves_of(rng))
     model = replace(model_of(orbit, rng), views=tuple(views))
     low = model.points[:, 2] < 0.2
