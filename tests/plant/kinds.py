@@ -1,6 +1,5 @@
 """Made inputs of kinds that were once taken wrongly, and what must be stated of each."""
 
-import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -21,6 +20,7 @@ from dynamictree.plant.capture import moving_part
 from dynamictree.source import Source
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
+from tests.formats.meshes import written
 
 Verdict = Mapping[str, Any]
 """As `verdict` gives it."""
@@ -171,9 +171,8 @@ def lawn(radius: float) -> trimesh.Trimesh:
 
 def splat_bytes(*clouds: GaussianCloud) -> bytes:
     """A PLY that names neither axis nor unit, in the axes of a camera that looked level."""
-    stream = io.BytesIO()
-    write_gaussian_ply(replace(joined(clouds), source=Source(up_axis="-Y")), stream)
-    head, body = stream.getvalue().split(b"end_header\n", 1)
+    content = written(write_gaussian_ply, replace(joined(clouds), source=Source(up_axis="-Y")))
+    head, body = content.split(b"end_header\n", 1)
     lines = [line for line in head.split(b"\n") if not line.startswith(b"comment")]
     return b"\n".join(lines) + b"end_header\n" + body
 

@@ -14,6 +14,7 @@ from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.choice import choose_gaussians, with_choice
 from dynamictree.requests import CloudParams, Reading
+from tests.formats.meshes import written
 
 
 def scene() -> bytes:
@@ -34,16 +35,13 @@ def scene() -> bytes:
 
 def read() -> TriangleMesh:
     """As a worker has it: through the bundle."""
-    stream = BytesIO()
-    write_bundle(read_mesh(BytesIO(scene()), file_type="glb"), stream)
-    return read_mesh_bundle(BytesIO(stream.getvalue()))
+    return read_mesh_bundle(BytesIO(written(write_bundle, read_mesh(BytesIO(scene()), file_type="glb"))))
 
 
 def still_names(mesh: TriangleMesh, **options: object) -> set[str]:
     """Which nodes stand still."""
     chosen = with_choice(mesh, CloudParams.model_validate(options))
     still = np.zeros(mesh.num_faces, np.bool_) if chosen.still_faces is None else chosen.still_faces
-    assert mesh.parts.of_face is not None
     return {mesh.parts.names[part].rpartition("/")[2] for part in np.unique(mesh.parts.of_face[still])}
 
 
@@ -84,10 +82,8 @@ def test_groups_of_an_obj_have_names() -> None:
     square = "v 0 0 {0}\nv 1 0 {0}\nv 1 1 {0}\nv 0 1 {0}\n"
     text = square.format(0) + "f 1 2 3 4\no Bush\n" + square.format(1) + "f 5 6 7 8\ng Basket\nf 5 7 8\n"
     mesh = read_mesh(BytesIO(text.encode()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
-    assert mesh.parts.of_face is not None
     assert [mesh.parts.names[part] for part in mesh.parts.of_face] == ["", "", "Bush", "Bush", "Basket"]
     chosen = with_choice(mesh, CloudParams(still=("basket",), moving=("Bush",)))
-    assert chosen.still_faces is not None
     assert chosen.still_faces[-1]
     assert not chosen.still_faces[2:4].any()
 

@@ -2,7 +2,6 @@
 
 import io
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +26,9 @@ from dynamictree.plant.capture import Capture, carrying_mesh, move_only_tree, mo
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import CloudParams, ExportParams
 from dynamictree.rig.rig import rig_of
-from dynamictree.spectrum import Wind
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.voxel.voxelize import SurfaceVoxels
+from tests.formats.meshes import written
 from tests.plant.stand import tree
 from tests.service.test_clouds import post_cloud
 
@@ -40,10 +41,14 @@ def pair() -> TriangleMesh:
     return replace(both, face_tree=np.repeat(np.int32([0, 1]), [left.num_faces, right.num_faces]))
 
 
-def test_a_tree_moves_as_it_does_alone_and_its_foot_stays(pair: TriangleMesh) -> None:
+@pytest.fixture(scope="module")
+def swaying(pair: TriangleMesh) -> tuple[SurfaceVoxels, SparseVoxelSpectrum]:
     voxels = method.voxelize(pair)
-    assert voxels.tree is not None
-    spectrum = method.generate(voxels, wind=Wind(), seed=3, num_steps=1)
+    return voxels, method.generate(voxels, wind=Wind(), seed=3, num_steps=1)
+
+
+def test_a_tree_moves_as_it_does_alone_and_its_foot_stays(pair, swaying) -> None:
+    voxels, spectrum = swaying
     for number in (0, 1):
         rows = np.flatnonzero(voxels.tree == number)
         alone = method.generate(tree_voxels(voxels, rows), wind=Wind(), seed=3 + number, num_steps=1)
@@ -56,17 +61,15 @@ def test_a_tree_moves_as_it_does_alone_and_its_foot_stays(pair: TriangleMesh) ->
         assert motion[own][up > 0.6].mean() > 20 * motion[own][up < 0.02].max()
 
 
-def test_a_pull_on_a_tree_leaves_the_others_still(pair: TriangleMesh) -> None:
-    voxels = method.voxelize(pair)
-    assert voxels.tree is not None
-    stream = io.BytesIO()
-    write_spectrum(method.generate(voxels, wind=Wind(), num_steps=1), stream)
-    system = modal_system(read_spectrum(io.BytesIO(stream.getvalue())))
+def test_a_pull_on_a_tree_leaves_the_others_still(pair, swaying) -> None:
+    voxels, spectrum = swaying
+    spectrum = read_spectrum(io.BytesIO(written(write_spectrum, spectrum)))
+    system = modal_system(spectrum)
     one, other = (np.flatnonzero(voxels.tree == number) for number in (0, 1))
     gap = cKDTree(voxels.grid.centres_m[other]).query(voxels.grid.centres_m[one])[0]
     pulled = int(one[np.argmin(gap)])
     drag = Drag(at=contact_at_voxel(system.grid, pulled), displacement_m=(1.0, 0.0, 0.0))
-    stand = InteractiveTree(system, rig_of(pair, read_spectrum(io.BytesIO(stream.getvalue()))), pair)
+    stand = InteractiveTree(system, rig_of(pair, spectrum), pair)
     groups = group_forces([drag], falloff_m=default_falloff_m(system))
     answer = respond(system, groups, dt_s=1 / 30, num_frames=1, start="held", bent=stand)
     moved = np.linalg.norm(next(iter(stand.voxels(answer, warp=True))), axis=1)
@@ -74,10 +77,8 @@ def test_a_pull_on_a_tree_leaves_the_others_still(pair: TriangleMesh) -> None:
     assert moved[voxels.tree == 1].max() < 1e-6
 
 
-def test_each_tree_has_joints_of_its_own(pair: TriangleMesh) -> None:
-    voxels = method.voxelize(pair)
-    assert voxels.tree is not None
-    spectrum = method.generate(voxels, wind=Wind(), num_steps=1)
+def test_each_tree_has_joints_of_its_own(pair, swaying) -> None:
+    voxels, spectrum = swaying
     joints = joints_of(bones_of(rig_of(pair, spectrum)), pair, spectrum.coefficients[:, 1:])
     trees_of: dict[int, set[int]] = {}
     for voxel, number in enumerate(voxels.tree.tolist()):
@@ -86,7 +87,7 @@ def test_each_tree_has_joints_of_its_own(pair: TriangleMesh) -> None:
     assert set(map(frozenset, trees_of.values())) == {frozenset({0}), frozenset({1})}
 
 
-def test_the_products_of_a_stand_keep_lengths_in_each_tree(pair: TriangleMesh, tmp_path: Path) -> None:
+def test_the_products_of_a_stand_keep_lengths_in_each_tree(pair: TriangleMesh, tmp_path) -> None:
     spectrum = method.generate(method.voxelize(pair), wind=Wind(speed_m_s=20.0), num_steps=1)
     edges = edges_of(pair.faces)
     rest = np.linalg.norm(pair.vertices[edges[:, 0]] - pair.vertices[edges[:, 1]], axis=1)
@@ -109,16 +110,12 @@ def test_trees_side_by_side_get_a_grid_as_fine_as_a_single_one(pair: TriangleMes
 
 
 def test_bundles_and_voxel_files_hold_the_trees(pair: TriangleMesh) -> None:
-    stream = io.BytesIO()
-    write_bundle(pair, stream)
-    assert (read_mesh_bundle(io.BytesIO(stream.getvalue())).face_tree == pair.face_tree).all()
-    voxels, stream = method.voxelize(pair, resolution=32), io.BytesIO()
-    write_voxels(voxels, stream)
-    assert (read_voxels(io.BytesIO(stream.getvalue())).tree == voxels.tree).all()
-    stream = io.BytesIO()
-    write_voxels(replace(voxels, tree=np.full(len(voxels.grid), -1, np.int32)), stream)
+    assert (read_mesh_bundle(io.BytesIO(written(write_bundle, pair))).face_tree == pair.face_tree).all()
+    voxels = method.voxelize(pair, resolution=32)
+    assert (read_voxels(io.BytesIO(written(write_voxels, voxels))).tree == voxels.tree).all()
+    content = written(write_voxels, replace(voxels, tree=np.full(len(voxels.grid), -1, np.int32)))
     with pytest.raises(FormatError, match="trees are numbered from -1"):
-        read_voxels(io.BytesIO(stream.getvalue()))
+        read_voxels(io.BytesIO(content))
 
 
 def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() -> None:
@@ -129,10 +126,7 @@ def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() ->
     number = np.repeat(np.int32([0, 1]), 400)
     number[:10] = -1
     capture = Capture(cloud=cloud, tree=number)
-    stream = io.BytesIO()
-    write_bundle(capture, stream)
-    again = read_cloud_bundle(io.BytesIO(stream.getvalue()))
-    assert again.tree is not None
+    again = read_cloud_bundle(io.BytesIO(written(write_bundle, capture)))
     assert (again.tree == number).all()
     assert moving_part(capture).sum() == 790
     assert (only_tree(capture, 2).cloud.means[:, 0] > 1.5).all()
@@ -144,6 +138,5 @@ def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() ->
     np.testing.assert_array_equal(moving, second.cloud.means[:, 2] > 0.5)
     assert (moving_part(move_only_tree(capture, 2)) == (number == 1)).all()
     mesh = carrying_mesh(capture)
-    assert mesh.face_tree is not None
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     assert ((middles[:, 0] > 1.5) == (mesh.face_tree == 1)).all()

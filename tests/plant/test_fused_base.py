@@ -16,9 +16,10 @@ from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.up_axis import up_rotation
 from lab.dataset.species import SPECIES
+from tests.formats.meshes import written
 from tests.plant.stand import grown
 
-CELLS = 130
+CELLS = 96
 _THICK = 0.012  # of the height: standard deviation of what thickens stems and leaves
 
 Solid = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -81,7 +82,7 @@ def skin(species: str, solid: Solid) -> TriangleMesh:
     """One closed surface around a grown tree and a solid below it, as meshes from pictures are; 1 m high."""
     tree = grown(species)
     foot = tree.vertices[:, 2].min()
-    sampled = trimesh.Trimesh(tree.vertices, tree.faces, process=False).sample(300_000, seed=0)
+    sampled = trimesh.Trimesh(tree.vertices, tree.faces, process=False).sample(150_000, seed=0)
     points = (sampled - [0, 0, foot]) / (tree.vertices[:, 2].max() - foot)
     low, high = np.minimum(points.min(axis=0), -0.35) - 0.06, np.maximum(points.max(axis=0), 0.35) + 0.06
     cell = float((high - low).max()) / CELLS
@@ -115,7 +116,6 @@ def test_a_base_of_one_surface_with_its_plant_stands_still(species: str, solid: 
     mesh = skin(species, solid)
     parts, still = find_still_parts(mesh)
     assert [part.name for part in parts] == ["pot" if solid is pot else "ground"]
-    assert still is not None
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     below = middle[:, 2] < -0.02
     assert still[below].all()
@@ -130,9 +130,9 @@ def test_nothing_of_a_plant_that_is_one_surface_is_taken_for_a_base(species: str
 @pytest.mark.parametrize("name", PLANTS)
 def test_no_shape_of_a_plant_is_taken_for_a_base(name: str) -> None:
     low = np.array([-0.6, -0.6, -0.1])
-    centre = centres(low, low + 1.2, 0.008)
+    centre = centres(low, low + 1.2, 0.012)
     solid = np.logical_or.reduce(np.broadcast_arrays(*(part(*centre) for part in PLANTS[name])))
-    assert find_still_parts(surface(2 * gaussian_filter(solid.astype(np.float32), 1.0), low, 0.008)) == ((), None)
+    assert find_still_parts(surface(2 * gaussian_filter(solid.astype(np.float32), 1.0), low, 0.012)) == ((), None)
 
 
 @pytest.mark.parametrize(("side", "doubted"), [(1.0, True), (2.0, True), (1.1, False)])
@@ -146,7 +146,6 @@ def test_a_coloured_model_of_one_surface_that_a_tool_scaled_to_a_cube_is_doubted
     read = read_mesh(io.BytesIO(content), file_type="glb")
     assert [part.name for part in read.parts.still] == ["pot"]
     assert [warning.code for warning in read.warnings] == ["size-doubtful"] * doubted
-    stream = io.BytesIO()
-    write_motion_glb(read, np.zeros((read.num_vertices, 4, 3), np.complex64), stream, num_frames=10)
-    written = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")  # trimesh reads no colours of 16 bits
-    np.testing.assert_array_equal(*(np.array(one.look.vertex_colors)[:, :3] for one in (written, read)))
+    content = written(write_motion_glb, read, np.zeros((read.num_vertices, 4, 3), np.complex64), num_frames=10)
+    again = read_mesh(io.BytesIO(content), file_type="glb")  # trimesh reads no colours of 16 bits
+    np.testing.assert_array_equal(*(np.array(one.look.vertex_colors)[:, :3] for one in (again, read)))

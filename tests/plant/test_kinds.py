@@ -1,14 +1,12 @@
 """Kinds of input that were taken wrongly once: willows cut into trees, pots that swayed, splats under a sky."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.plant.kinds import KINDS, verdict
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_its_verdict_is_right(name: str, tmp_path: Path) -> None:
+def test_its_verdict_is_right(name: str, tmp_path) -> None:
     kind = KINDS[name]
     path = tmp_path / f"source.{kind.file_type}"
     path.write_bytes(kind.content())

@@ -19,11 +19,12 @@ from dynamictree.plant.sample import surface_points
 from dynamictree.requests import Reading
 from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
+from tests.formats.meshes import written
 from tests.plant.stand import grown
 from tests.plant.test_still_gaussians import plant, pot, splat_of
 from tests.reconstruct.planted import sheet
 
-TILTS_DEG = [(0, 0), (10, 0), (-20, 15), (30, -20)]
+TILTED = [("round-broadleaf", (-20, 15)), ("maple", (10, 0)), ("palm", (30, -20))]
 
 
 @cache
@@ -41,12 +42,8 @@ def standing(species: str, *, ground: bool, slope_deg: float = 0.0) -> GaussianC
 def read(cloud: GaussianCloud, tilt_deg: tuple[float, float], reading: Reading | None = None) -> Capture:
     """As a file with -Y up that names no axis, after a tilt."""
     turn = Rotation.from_euler("xy", tilt_deg, degrees=True).as_matrix()
-    stream = io.BytesIO()
-    write_splat(
-        replace(transformed(cloud, turn, 1.0), source=Source(up_axis="-Y")),
-        stream,
-    )
-    return read_capture(io.BytesIO(stream.getvalue()), file_type="splat", reading=reading)
+    content = written(write_splat, replace(transformed(cloud, turn, 1.0), source=Source(up_axis="-Y")))
+    return read_capture(io.BytesIO(content), file_type="splat", reading=reading)
 
 
 def tilt_left_deg(capture: Capture, tilt_deg: tuple[float, float]) -> float:
@@ -60,8 +57,7 @@ def levelled(capture: Capture) -> bool:
     return "levelled" in [warning.code for warning in capture.warnings]
 
 
-@pytest.mark.parametrize("species", ["round-broadleaf", "maple", "palm"])
-@pytest.mark.parametrize("tilt_deg", TILTS_DEG)
+@pytest.mark.parametrize(("species", "tilt_deg"), [*TILTED, *((species, (0, 0)) for species, _ in TILTED)])
 def test_a_tree_on_its_ground_stands_upright(species: str, tilt_deg: tuple[float, float]) -> None:
     capture = read(standing(species, ground=True), tilt_deg)
     assert tilt_left_deg(capture, tilt_deg) < 2
@@ -79,7 +75,6 @@ def test_a_tree_without_ground_stays_as_it_is(species: str) -> None:
 def test_the_side_of_a_crown_is_nothing_that_a_tree_stands_on(species: str) -> None:
     """Points spread evenly over leaves and wood, tilted to eight sides."""
     sampled = surface_points(grown(species), 20_000)
-    assert sampled is not None
     for turn in np.arange(8) * np.pi / 4:
         tilt = Rotation.from_rotvec(np.radians(40) * np.array([np.cos(turn), np.sin(turn), 0]))
         assert up_of_standing(tilt.apply(sampled[0])) is None
@@ -90,8 +85,9 @@ def test_a_tree_on_a_slope_is_not_tipped(species: str) -> None:
     assert not levelled(read(standing(species, ground=True, slope_deg=15), (0, 0)))
 
 
-@pytest.mark.parametrize("tilt_deg", [(10, 0), (20, 15), (-25, 25)])
-@pytest.mark.parametrize("bottom", [True, False])
+@pytest.mark.parametrize(
+    ("tilt_deg", "bottom"), [((10, 0), True), ((20, 15), False), ((-25, 25), True), ((-25, 25), False)]
+)
 def test_a_pot_that_stands_on_nothing_is_upright(tilt_deg: tuple[float, float], *, bottom: bool) -> None:
     tree = plant("sapling")
     height = float(np.ptp(tree.means[:, 2]))
@@ -108,9 +104,7 @@ def test_who_names_the_axis_is_right() -> None:
     given = read(scene, tilt_deg, Reading(up_axis="-Y"))
     assert given.cloud.source.up_axis == "-Y"
     assert not levelled(given)
-    stream = io.BytesIO()
-    write_gaussian_ply(read(scene, tilt_deg).cloud, stream)
-    again = read_capture(io.BytesIO(stream.getvalue()), file_type="ply")
+    again = read_capture(io.BytesIO(written(write_gaussian_ply, read(scene, tilt_deg).cloud)), file_type="ply")
     assert not levelled(again)
     assert tilt_left_deg(again, tilt_deg) < 2
 

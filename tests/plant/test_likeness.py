@@ -1,18 +1,15 @@
 """What does not look like a plant is doubted; trees are not, low-poly ones included."""
 
-import io
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 
 from dynamictree.commands.input_files import load_mesh
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.plant.likeness import doubt_mesh
 from dynamictree.requests import Reading
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
+from tests.formats.meshes import read
 
 GREEN, GREY = (60, 140, 50, 255), (150, 150, 150, 255)
 
@@ -21,7 +18,7 @@ def codes(parts: list[trimesh.Trimesh], color: tuple[int, int, int, int]) -> lis
     whole = trimesh.util.concatenate(parts)
     whole.visual = trimesh.visual.ColorVisuals(whole, vertex_colors=np.tile(np.uint8(color), (len(whole.vertices), 1)))
     content = whole.export(file_type="ply")
-    mesh = read_mesh(io.BytesIO(content), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0))
+    mesh = read(content, "ply", reading=Reading(up_axis="+Z", unit_m=1.0))
     return [warning.code for warning in mesh.warnings]
 
 
@@ -47,7 +44,6 @@ def chair() -> list[trimesh.Trimesh]:
 
 @pytest.mark.parametrize("parts", [cones, chair])
 def test_turned_bodies_and_boxes_are_doubted_where_nothing_is_green(parts: object) -> None:
-    assert callable(parts)
     assert "not-like-a-plant" in codes(parts(), GREY)
     assert "not-like-a-plant" not in codes(parts(), GREEN)
 
@@ -58,7 +54,7 @@ def test_trees_without_colours_are_not_doubted(name: str) -> None:
     assert doubt_mesh(mesh) == ()
 
 
-def test_artists_trees_are_not_doubted(samples: Path) -> None:
+def test_artists_trees_are_not_doubted(samples) -> None:
     for name in ("mesh/tree-lime.glb", "mesh/quaternius_common_tree/CommonTree_2.obj"):
         assert "not-like-a-plant" not in [warning.code for warning in load_mesh(samples / name).warnings]
     ball = load_mesh(samples / "animated/AnimatedMorphSphere.glb")

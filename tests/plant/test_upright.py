@@ -10,7 +10,6 @@ import pytest
 import trimesh
 
 from dynamictree.axis_names import AXES
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.source_file import read_capture
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
@@ -18,6 +17,7 @@ from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
+from tests.formats.meshes import read
 
 
 def trees(samples: Path | None) -> Iterator[TriangleMesh]:
@@ -30,7 +30,7 @@ def trees(samples: Path | None) -> Iterator[TriangleMesh]:
         yield TriangleMesh(vertices=stored["rest"].astype(np.float32), faces=stored["faces"].astype(np.int32))
 
 
-def test_trees_stand_up_from_any_of_six_axes(samples: Path) -> None:
+def test_trees_stand_up_from_any_of_six_axes(samples) -> None:
     verdicts = []
     for number, mesh in enumerate(trees(samples)):
         for axis in AXES[number % 2 :: 2]:  # `benchmarks upright_trees` takes all six of each
@@ -53,12 +53,10 @@ def test_what_is_doubtful_is_said() -> None:
     ball = np.random.default_rng(0).normal(size=(60, 3))
     lines = [f"v {x} {y} {z}" for x, y, z in ball / np.linalg.norm(ball, axis=1, keepdims=True)]
     lines += [f"f {i} {i + 1} {i + 2}" for i in range(1, 58)]
-    mesh = read_mesh(io.BytesIO("\n".join(lines).encode()), file_type="obj")
+    mesh = read("\n".join(lines).encode(), "obj")
     assert "orientation-uncertain" in [warning.code for warning in mesh.warnings]
     assert mesh.source.up_confidence < CERTAIN
-    stated = read_mesh(
-        io.BytesIO("\n".join(lines).encode()), file_type="obj", reading=Reading(up_axis="+Z", height_m=3.0)
-    )
+    stated = read("\n".join(lines).encode(), "obj", reading=Reading(up_axis="+Z", height_m=3.0))
     assert (stated.warnings, stated.source.up_confidence) == ((), 1.0)
     assert stated.height_m == pytest.approx(3.0, rel=1e-6)
 
@@ -88,7 +86,7 @@ def test_a_file_whose_axis_its_shape_denies_is_flagged_with_the_other(pine: Tria
     """glTF is +Y up by its specification, scans are +Z by habit: exporters and scanners differ."""
     laid = (pine.vertices @ up_rotation(axis)).astype(np.float32)
     content = trimesh.Trimesh(laid, pine.faces, process=False).export(file_type="glb")
-    mesh = read_mesh(io.BytesIO(content), file_type="glb")
+    mesh = read(content, "glb")
     doubts = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]
     assert [f"set up_axis to {axis} " in message for message in doubts] == ([] if axis == "+Y" else [True])
 
@@ -111,7 +109,7 @@ def test_several_trees_that_lie_in_a_gltf_are_flagged(up_axis: str, doubted: boo
     away = np.array([3 * tree.height_m, 0, 0], np.float32)
     plot = joined([tree, tree.with_vertices(tree.vertices + away)])
     laid = trimesh.Trimesh(plot.vertices @ (up_rotation(up_axis)), plot.faces, process=False)
-    mesh = read_mesh(io.BytesIO(laid.export(file_type="glb")), file_type="glb")
+    mesh = read(laid.export(file_type="glb"), "glb")
     messages = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]
     assert len(messages) == doubted
     assert all("set up_axis to +Z" in message for message in messages)
