@@ -29,6 +29,8 @@ def test_generate_honours_the_review(tmp_path):
     ran("generate", tmp_path / "set", "--trees", 1, "--resolution", 32, "--review", review)
     record = json.loads((tmp_path / "set" / "4dtree-00000.json").read_text())
     assert [tree["seed"] for tree in record["trees"]] == [1]
+    assert record["rejected"] == {"0": {"rules": ["curation"]}}
+    assert record["verdicts"]["curation"] == 1
 
 
 @pytest.mark.parametrize("shard", ["1", "a/2", "1/b"])

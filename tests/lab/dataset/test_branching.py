@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from dynamictree.mesh import validate_mesh
-from lab.dataset.branching import (
-    CHILD_TO_PARENT_RADIUS,
-    MIN_RADIUS_M,
-    grow_children,
-    grow_trunks,
-    shape_ratio,
-    turned,
-)
+from lab.dataset.branching import CHILD_TO_PARENT_RADIUS, MIN_RADIUS_M, grow_children, grow_trunks, shape_ratio, turned
 from lab.dataset.sapling import LEAF, grow_tree
 from lab.dataset.species import KEY_SPREAD, SPECIES
 

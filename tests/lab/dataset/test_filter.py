@@ -3,12 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lab.dataset.filter import (
-    edge_stretch,
-    high_frequency_energy,
-    measure,
-    root_motion,
-)
+from lab.dataset.filter import edge_stretch, high_frequency_energy, measure, root_motion
 from lab.dataset.limits import DatasetLimits
 from lab.dataset.motion import Sway
 from lab.dataset.sample import make_sample

@@ -43,7 +43,7 @@ def air_of(rng: np.random.Generator, size: float, num_frames: int) -> np.ndarray
     return air[:, None].astype(np.float32)
 
 
-def test_the_answer_solves_the_equation_of_motion_with_drag_by_relative_speed(rng: np.random.Generator) -> None:
+def test_the_answer_solves_the_equation_of_motion_with_drag_by_relative_speed(rng) -> None:
     """θ'' + 2 ζ ω θ' + ω² θ = ω² θ_w(u - ∂(base)/∂t - arm θ') - base'' / L, integrated until it repeats."""
     one, num_frames = stem(), TIMES * NUM_FRAMES
     air = air_of(rng, 1.0, num_frames)
@@ -70,7 +70,7 @@ def test_the_answer_solves_the_equation_of_motion_with_drag_by_relative_speed(rn
     assert error < 0.03 * np.std(answer)
 
 
-def test_air_damps_a_stem_the_more_the_faster_it_passes(rng: np.random.Generator) -> None:
+def test_air_damps_a_stem_the_more_the_faster_it_passes(rng) -> None:
     def resonance(mean_m_s: float) -> float:
         air = np.zeros((3, 1, TIMES * NUM_FRAMES), np.float32)
         air[0] = mean_m_s
@@ -103,7 +103,7 @@ def test_drag_grows_as_the_square_in_light_air_and_less_in_a_storm() -> None:
         assert growth_exponent(near[:1])[0] == pytest.approx(exponent, abs=1e-3)
 
 
-def test_drag_points_where_the_air_goes_and_a_stem_never_bends_past_its_bound(rng: np.random.Generator) -> None:
+def test_drag_points_where_the_air_goes_and_a_stem_never_bends_past_its_bound(rng) -> None:
     passing = rng.normal(0, 10, (3, 5, 7))
     force = drag(passing)
     np.testing.assert_allclose(np.cross(passing, force, axis=0), 0, atol=1e-9)

@@ -150,14 +150,6 @@ def test_another_recipe_is_baked_anew(baked):
     assert is_baked(replace(TINY, review={4000: "reject"}), 0, baked)  # a verdict on a tree of another shard
 
 
-def test_rejected_trees_are_replaced_by_the_next(baked, tmp_path):
-    bake_shard(replace(TINY, review={40: "reject"}), 0, tmp_path)
-    record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
-    assert record["rejected"] == {"40": {"rules": ["curation"]}}
-    assert [tree["seed"] for tree in record["trees"]] == [41, 42]
-    assert record["verdicts"]["curation"] == 1
-
-
 def test_an_accepted_tree_is_stored_whatever_the_filter_says(tmp_path):
     impossible = DatasetLimits(self_explosion=0.0)
     recipe = replace(TINY, trees=1, limits=impossible, review={43: "accept"})
@@ -187,18 +179,8 @@ def test_the_card_tells_trees_rules_and_species(baked, tmp_path):
 
 @pytest.mark.slow
 def test_workers_end_with_a_killed_parent(tmp_path):
-    program = [
-        sys.executable,
-        "-m",
-        "dynamictree.cli",
-        "dataset",
-        "generate",
-        str(tmp_path),
-        "--trees",
-        "400",
-        "--workers",
-        "2",
-    ]
+    arguments = ["dataset", "generate", str(tmp_path), "--trees", "400", "--workers", "2"]
+    program = [sys.executable, "-m", "dynamictree.cli", *arguments]
     parent = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         workers = []

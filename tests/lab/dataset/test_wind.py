@@ -83,10 +83,7 @@ def test_a_child_stays_on_its_parent(spreading):
     skeleton = spreading.skeleton
     first = np.flatnonzero((skeleton.parent >= 0) & (skeleton.stem != skeleton.stem[skeleton.parent]))
     moved = skeleton.position + spreading.motion.shift[:, : len(skeleton.position)]
-    for node, rest in (
-        (skeleton.parent[first], skeleton.position),
-        (skeleton.parent[first] + 1, skeleton.position),
-    ):
+    for node, rest in ((skeleton.parent[first], skeleton.position), (skeleton.parent[first] + 1, skeleton.position)):
         before = np.linalg.norm(rest[first] - rest[node], axis=1)
         after = np.linalg.norm(moved[:, first] - moved[:, node], axis=2)
         np.testing.assert_allclose(after, np.broadcast_to(before, after.shape), atol=2e-4)

@@ -10,7 +10,7 @@ from lab.evaluation.held_out_trees import HeldOutTree, iter_held_out
 
 
 @pytest.fixture
-def untrained(tiny_network: SmallNetwork, tmp_path: Path) -> Path:
+def untrained(tiny_network: SmallNetwork, tmp_path) -> Path:
     """Weights of a tiny network that never learnt."""
     write_weights(tiny_network, tmp_path / "tiny.safetensors")
     return tmp_path / "tiny.safetensors"

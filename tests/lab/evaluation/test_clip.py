@@ -1,7 +1,5 @@
 """CLIP distances. Loading is tested on a ViT-B/32 of the true shape with random weights, distances on a small tower."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -29,7 +27,7 @@ def picture(seed: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_the_weights_are_those_of_the_file_and_of_vit_b_32(tmp_path: Path) -> None:
+def test_the_weights_are_those_of_the_file_and_of_vit_b_32(tmp_path) -> None:
     """The file as it is published: with another tower's tensors, and positions among the weights."""
     with torch.device("meta"):
         shape = transformers.CLIPVisionModelWithProjection(transformers.CLIPVisionConfig()).state_dict()
@@ -74,12 +72,12 @@ def test_a_tree_that_moves_more_is_farther_from_its_rest(embedder: ClipEmbedder)
     assert min(moving) > 1e-6
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_refused(tmp_path) -> None:
     with pytest.raises(InputError, match="no file"):
         load_clip(tmp_path)
 
 
-def test_other_weights_are_refused(tmp_path: Path) -> None:
+def test_other_weights_are_refused(tmp_path) -> None:
     (tmp_path / "model.safetensors").write_bytes(b"no weights")
     with pytest.raises(CheckpointError, match="no safetensors file"):
         load_clip(tmp_path)

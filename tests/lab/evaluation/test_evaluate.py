@@ -63,7 +63,7 @@ def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(com
 
 
 @pytest.mark.slow
-def test_the_add_ons_trees_are_a_third_group(commands: Typer, untrained: Path, samples: Path) -> None:
+def test_the_add_ons_trees_are_a_third_group(commands: Typer, untrained: Path, samples) -> None:
     arguments = ("--model", str(untrained), "--trees", "1", "--training-trees", "1", "--steps", "1")
     report, _ = ran(commands, *arguments, "--samples", str(samples))
     rows = report["groups"]["sapling"]
@@ -72,7 +72,7 @@ def test_the_add_ons_trees_are_a_third_group(commands: Typer, untrained: Path, s
     assert "second wind" not in rows
 
 
-def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None:
+def test_the_add_ons_trees_are_judged_by_their_own_frames(samples) -> None:
     files = sapling_files(samples)
     for path, tree in zip(files, iter_sapling(files), strict=True):
         motion = to_motion(tree.truth)
@@ -80,7 +80,7 @@ def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None
         assert np.linalg.norm(motion - baked) < 0.05 * np.linalg.norm(baked)
 
 
-def test_figures_and_verdicts_are_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+def test_figures_and_verdicts_are_printed_for_people(capsys) -> None:
     figures = {target.figure: 0.5 for target in TARGETS}
     methods = dict.fromkeys(("model", "second wind", "by-height mean"), figures)
     print_figures(

@@ -18,7 +18,7 @@ def random_motion(rng: np.random.Generator, count: int = 40) -> np.ndarray:
     return (rng.standard_normal((count, 16, 3)) + 1j * rng.standard_normal((count, 16, 3))).astype(np.complex64)
 
 
-def test_amplitude_is_root_of_twice_the_variance_of_the_motion(rng: np.random.Generator) -> None:
+def test_amplitude_is_root_of_twice_the_variance_of_the_motion(rng) -> None:
     from dynamictree.spectrum import to_motion
 
     coefficients = random_motion(rng)
@@ -27,7 +27,7 @@ def test_amplitude_is_root_of_twice_the_variance_of_the_motion(rng: np.random.Ge
     np.testing.assert_allclose(metrics.amplitude(coefficients), spread, rtol=1e-5)
 
 
-def test_a_tree_wide_factor_costs_nothing_in_log_amplitude(rng: np.random.Generator) -> None:
+def test_a_tree_wide_factor_costs_nothing_in_log_amplitude(rng) -> None:
     truth = random_motion(rng)
     correlation, rmse = metrics.log_amplitude_agreement(3 * truth, truth, 10.0)
     assert correlation == pytest.approx(1)
@@ -37,7 +37,7 @@ def test_a_tree_wide_factor_costs_nothing_in_log_amplitude(rng: np.random.Genera
     assert metrics.log_amplitude_agreement(half, truth, 10.0)[1] == pytest.approx(np.log(2) / 2, rel=1e-3)
 
 
-def test_centroid_is_the_bin_of_a_pure_tone(rng: np.random.Generator) -> None:
+def test_centroid_is_the_bin_of_a_pure_tone(rng) -> None:
     np.testing.assert_allclose(metrics.centroid(motion([1.0, 2.0], k=5)), 5)
     truth = random_motion(rng)
     assert metrics.centroid_correlation(truth * 2, truth) == pytest.approx(1)
@@ -78,6 +78,6 @@ def test_roots_and_lean_are_shares_of_the_height() -> None:
     assert metrics.downwind_lean(coefficients, vertices, -90.0) == pytest.approx(-0.1)
 
 
-def test_a_band_limited_motion_has_no_loop_jump(rng: np.random.Generator) -> None:
+def test_a_band_limited_motion_has_no_loop_jump(rng) -> None:
     assert metrics.loop_jump(random_motion(rng)) <= 1.2
     assert metrics.loop_jump(motion([1.0], k=1, phase=np.pi / 2)) == pytest.approx(1, abs=0.01)

@@ -34,7 +34,7 @@ def stored() -> list[StoredTree]:
 
 
 @pytest.fixture(scope="module")
-def shard(stored: list[StoredTree], tmp_path_factory: pytest.TempPathFactory) -> str:
+def shard(stored: list[StoredTree], tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("shards") / "4dtree-00000.safetensors"
     with path.open("wb") as stream:
         write_shard(stored, stream)
@@ -47,7 +47,7 @@ def losses(run: PaperTraining, shard: str, folder: Path) -> list[float]:
     return seen
 
 
-def test_a_resumed_run_has_the_same_losses_through_both_stages(shard: str, tmp_path: Path) -> None:
+def test_a_resumed_run_has_the_same_losses_through_both_stages(shard: str, tmp_path) -> None:
     (tmp_path / "whole").mkdir()
     (tmp_path / "cut").mkdir()
     whole = losses(RUN, shard, tmp_path / "whole")
@@ -57,7 +57,7 @@ def test_a_resumed_run_has_the_same_losses_through_both_stages(shard: str, tmp_p
     assert [*first, *second] == pytest.approx(whole, rel=1e-4)
 
 
-def test_trained_weights_load_with_their_preset_step_and_data(shard: str, tmp_path: Path) -> None:
+def test_trained_weights_load_with_their_preset_step_and_data(shard: str, tmp_path) -> None:
     losses(replace(RUN, num_steps=1, figures_every_s=0.0), shard, tmp_path)
     path = tmp_path / "paper.safetensors"
     model = load_model(str(path))
@@ -74,7 +74,7 @@ def test_trained_weights_load_with_their_preset_step_and_data(shard: str, tmp_pa
 
 
 @pytest.mark.slow
-def test_loading_workers_give_the_same_losses(shard: str, tmp_path: Path) -> None:
+def test_loading_workers_give_the_same_losses(shard: str, tmp_path) -> None:
     (tmp_path / "here").mkdir()
     (tmp_path / "workers").mkdir()
     alone = losses(RUN, shard, tmp_path / "here")
@@ -101,7 +101,7 @@ def test_an_example_is_the_stored_tree_on_the_presets_grids(stored: list[StoredT
 
 
 def test_the_cache_keeps_examples_and_is_filled_once(
-    stored: list[StoredTree], shard: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stored: list[StoredTree], shard: str, tmp_path, monkeypatch
 ) -> None:
     preset = replace(paper_preset(8, 32), encoder_widths=(8, 8, 8))
     first = ExampleCache([shard], preset, tmp_path)
@@ -115,7 +115,7 @@ def test_the_cache_keeps_examples_and_is_filled_once(
         ExampleCache([shard], replace(preset, num_frequencies=8), tmp_path)
 
 
-def test_sizes_of_frequencies_make_components_of_unit_size(shard: str, tmp_path: Path) -> None:
+def test_sizes_of_frequencies_make_components_of_unit_size(shard: str, tmp_path) -> None:
     cache = ExampleCache([shard], RUN.preset, tmp_path)
     sizes = frequency_sizes(cache, RUN)
     power = [cache[number].spectrum.abs().square().mean(dim=(0, 2)) / 2 for number in range(2)]
@@ -124,7 +124,7 @@ def test_sizes_of_frequencies_make_components_of_unit_size(shard: str, tmp_path:
     assert (together == together[0]).all()
 
 
-def test_shards_without_training_trees_are_refused(stored: list[StoredTree], tmp_path: Path) -> None:
+def test_shards_without_training_trees_are_refused(stored: list[StoredTree], tmp_path) -> None:
     path = tmp_path / "held-out.safetensors"
     with path.open("wb") as stream:
         write_shard([replace(stored[0], split="validation")], stream)
@@ -132,7 +132,7 @@ def test_shards_without_training_trees_are_refused(stored: list[StoredTree], tmp
         ExampleCache([str(path)], RUN.preset, tmp_path)
 
 
-def test_the_papers_batch_is_made_up_of_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_papers_batch_is_made_up_of_passes(monkeypatch) -> None:
     assert PaperTraining().options().accumulate == 48
     assert PaperTraining(micro_trees=2, frequencies_per_tree=4).options().accumulate == 6
     monkeypatch.setattr("lab.paper.train.num_processes", lambda: 8)
@@ -140,7 +140,7 @@ def test_the_papers_batch_is_made_up_of_passes(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow
-def test_two_processes_take_real_steps_under_torchrun(shard: str, tmp_path: Path) -> None:
+def test_two_processes_take_real_steps_under_torchrun(shard: str, tmp_path) -> None:
     command = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "dynamictree.cli", "train"]
     options = {"--preset": "paper", "--steps": 3, "--smoothness-from": 2, "--width": 8, "--resolution": 8}
     more = [str(word) for pair in ({**options, "--batch": 4}).items() for word in pair]

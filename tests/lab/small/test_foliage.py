@@ -16,13 +16,7 @@ from lab.dataset.shards import StoredTree, store
 from lab.small.amplitude_loss import OF_ALL, amplitude_losses
 from lab.small.examples import example_of
 from lab.small.foliage_targets import ARM_SCALE, true_parts
-from lab.small.train_foliage import (
-    BLIND_EVERY,
-    FoliageExample,
-    foliage_examples,
-    foliage_step,
-    standardise_foliage,
-)
+from lab.small.train_foliage import BLIND_EVERY, FoliageExample, foliage_examples, foliage_step, standardise_foliage
 from lab.training.schedules import LearningRateSchedule
 from lab.training.trainer import Trainer, TrainerOptions
 

@@ -46,7 +46,6 @@ def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(tiny_network: SmallN
 def test_what_leaves_have_for_themselves_makes_them_move_apart() -> None:
     """Of the shipped network, in the upper bins: half of what leaves 5 to 6 voxels apart were too much alike goes."""
     stored, model, drawn = store(make_sample(1), resolutions=(128,)), load_model("small"), []
-    assert isinstance(model, SmallModel)
     voxels = voxels_of(stored)
     pairs = leaves_apart(model.prepare(voxels, stored.wind))
     for share in (model.network.leaf_share.clone(), 0 * model.network.leaf_share):

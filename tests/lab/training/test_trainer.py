@@ -35,7 +35,7 @@ def losses(trainer: Trainer, checkpoint: Path | None = None, *, stop_after: int 
     return [loss for _, loss in islice(trainer.run(loss_of, checkpoint), stop_after)]
 
 
-def test_a_trainer_gone_on_with_has_the_same_losses(tmp_path: Path) -> None:
+def test_a_trainer_gone_on_with_has_the_same_losses(tmp_path) -> None:
     never_stopped = Trainer(line(), OPTIONS)
     whole = losses(never_stopped)
     losses(Trainer(line(), OPTIONS), tmp_path / "line.safetensors", stop_after=5)
@@ -47,7 +47,7 @@ def test_a_trainer_gone_on_with_has_the_same_losses(tmp_path: Path) -> None:
         torch.testing.assert_close(one, other)
 
 
-def test_resuming_brings_the_moments_to_the_parameters_type(tmp_path: Path) -> None:
+def test_resuming_brings_the_moments_to_the_parameters_type(tmp_path) -> None:
     losses(Trainer(line(), OPTIONS), tmp_path / "line.safetensors", stop_after=5)
     resumed = Trainer(line().double(), OPTIONS)
     resumed.resume(tmp_path / "line.safetensors")
@@ -56,7 +56,7 @@ def test_resuming_brings_the_moments_to_the_parameters_type(tmp_path: Path) -> N
 
 
 @pytest.mark.gpu
-def test_a_run_resumes_on_the_gpu(tmp_path: Path) -> None:
+def test_a_run_resumes_on_the_gpu(tmp_path) -> None:
     losses(Trainer(line(), OPTIONS), tmp_path / "line.safetensors", stop_after=5)
     resumed = Trainer(line().cuda(), OPTIONS)
     resumed.resume(tmp_path / "line.safetensors")
@@ -82,7 +82,7 @@ def test_a_late_fall_does_not_change_what_came_before_it() -> None:
     assert 0 < rates[-1] < 0.05 * 2 / 50 + 0.05 * schedule.final_share
 
 
-def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_network_is_refused(tmp_path) -> None:
     trainer = Trainer(line(), OPTIONS.with_steps(1))
     losses(trainer, tmp_path / "line.safetensors")
     with pytest.raises(CheckpointError, match="differ in 1 tensors"):
@@ -116,7 +116,7 @@ dist.destroy_process_group()
 
 
 @pytest.mark.slow
-def test_processes_draw_their_own_batches_and_keep_the_same_weights(tmp_path: Path) -> None:
+def test_processes_draw_their_own_batches_and_keep_the_same_weights(tmp_path) -> None:
     import socket
 
     with socket.socket() as free:
