@@ -16,11 +16,7 @@ def line(start: tuple[float, float, float], end: tuple[float, float, float]) -> 
 @pytest.fixture(scope="session")
 def fork() -> VoxelGrid:
     """A trunk of 60 voxels that stands at (64, 64), and two branches, one long and one short."""
-    coords = [
-        line((64, 64, 1), (64, 64, 60)),
-        line((64, 64, 40), (30, 64, 90)),
-        line((64, 64, 50), (64, 80, 70)),
-    ]
+    coords = [line((64, 64, 1), (64, 64, 60)), line((64, 64, 40), (30, 64, 90)), line((64, 64, 50), (64, 80, 70))]
     return VoxelGrid.from_coords(np.concatenate(coords), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128)
 
 

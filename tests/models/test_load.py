@@ -1,7 +1,5 @@
 """Models by name and from files of either kind."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -21,7 +19,7 @@ def test_every_model_that_is_listed_loads() -> None:
     assert isinstance(load_model("small"), SmallModel)
 
 
-def test_a_file_of_the_papers_kind_loads_with_what_is_known_of_it(tmp_path: Path) -> None:
+def test_a_file_of_the_papers_kind_loads_with_what_is_known_of_it(tmp_path) -> None:
     path = tmp_path / "own.safetensors"
     write_weights(PaperNetwork(paper_preset(8, 16)), path, Provenance(step=7, data_sha256="abc", card="# own"))
     model = load_model(str(path))
@@ -30,7 +28,7 @@ def test_a_file_of_the_papers_kind_loads_with_what_is_known_of_it(tmp_path: Path
     assert read_weights(path).provenance == Provenance(step=7, data_sha256="abc", card="# own")
 
 
-def test_a_folder_of_models_joins_the_shipped_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_of_models_joins_the_shipped_ones(tmp_path, monkeypatch) -> None:
     torch.manual_seed(0)
     write_weights(PaperNetwork(paper_preset(8, 16)), tmp_path / "mine.safetensors")
     with pytest.raises(InputError, match=r"no model 'mine'; available: .*small"):

@@ -48,9 +48,7 @@ def test_a_seed_decides_the_motion_which_lies_on_the_given_voxels(model: PaperMo
     assert (first.coefficients[:, 0].imag == 0).all()
 
 
-def test_bands_of_few_frequencies_give_the_same_motion(
-    model: PaperModel, voxels: SurfaceVoxels, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bands_of_few_frequencies_give_the_same_motion(model: PaperModel, voxels: SurfaceVoxels, monkeypatch) -> None:
     whole = model.generate(voxels, wind=WIND, seed=3).coefficients
     steps: list[tuple[int, int]] = []
     monkeypatch.setattr(generate, "MAX_ACTIVATIONS", 1)

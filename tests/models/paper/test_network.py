@@ -59,7 +59,7 @@ def slow_smoothness(spectrum: np.ndarray, centres: np.ndarray, weights: LocalSmo
     return total / len(centres)
 
 
-def test_local_smoothness_is_its_slow_loop_and_blind_to_constants_and_order(rng: np.random.Generator) -> None:
+def test_local_smoothness_is_its_slow_loop_and_blind_to_constants_and_order(rng) -> None:
     weights = LocalSmoothness()
     centres = rng.random((30, 3)).astype(np.float32)
     spectrum = rng.standard_normal((30, 6)).astype(np.float32)
@@ -82,11 +82,7 @@ def test_the_loss_falls_in_a_few_steps_in_both_stages(voxels: SurfaceVoxels) -> 
     height = torch.unique(coords // 4, dim=0)[:, 2].float()
     spectrum = torch.complex(height / 32 - 0.4, height / 32 - 0.4)[:, None, None].expand(-1, 16, 3)  # smooth in height
     example = PaperExample(
-        coords=coords,
-        normals=torch.from_numpy(voxels.normals),
-        resolution=128,
-        voxel_size_m=0.4,
-        spectrum=spectrum,
+        coords=coords, normals=torch.from_numpy(voxels.normals), resolution=128, voxel_size_m=0.4, spectrum=spectrum
     )
     batch = batch_of([example, example], SMALL)
     optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)

@@ -57,7 +57,6 @@ def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, t
     rows = grid.rows_of(coords.astype(np.int32))
     normals = np.empty_like(voxels.normals)
     normals[rows] = voxels.normals[:, [1, 0, 2]] * np.array(signs, np.float32)
-    assert voxels.moments is not None
     moments = np.empty_like(voxels.moments)
     moments[rows] = turned_moments(voxels.moments)
     measured = tree_features(SurfaceVoxels(grid=grid, normals=normals, moments=moments))
@@ -179,7 +178,6 @@ def test_a_twig_thinner_than_a_voxel_is_as_thick_as_its_surface_says(radius_m: f
     voxels = voxelize(TriangleMesh.from_trimesh(tube), 64)
     graph = voxel_graph(voxels.grid)
     distance_m = skeleton_of(voxels.grid, graph).distance_m
-    assert voxels.moments is not None
     area_m2 = voxels.moments[:, 0].astype(np.float64) * voxels.grid.voxel_size_m**2
     result = section_radius(voxels.grid, graph, distance_m, area_m2)
     inside = (distance_m > 1) & (distance_m < 5)
