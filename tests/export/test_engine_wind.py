@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +31,6 @@ STORM_M_S = 20.0
 
 def with_gains(spectrum: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
     """Each mode as much stronger in a storm as its number says."""
-    assert spectrum.wind is not None
     own = spectrum.wind.speed_m_s
     return replace(spectrum, bands=bands_of_sizes({own: np.ones(16), STORM_M_S: np.arange(1.0, 17) / 4}, own))
 
@@ -44,7 +42,7 @@ def tree() -> Tree:
 
 
 @pytest.fixture(scope="module")
-def archive(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+def archive(tree: Tree, tmp_path_factory) -> zipfile.ZipFile:
     path = write_products(*tree, ExportParams(formats=("wind",)), tmp_path_factory.mktemp("wind"))["wind"]
     return zipfile.ZipFile(io.BytesIO(path.read_bytes()))
 
@@ -129,7 +127,7 @@ struct v2f_customrendertexture { float3 localTexcoord; }; static const float4 _T
         ("wind-unreal-poses.hlsl", "d = custom(T, S, l.xy, l.x, l.y);"),
     ],
 )
-def test_glslang_compiles_the_hlsl(archive: zipfile.ZipFile, name: str, call: str, tmp_path: Path) -> None:
+def test_glslang_compiles_the_hlsl(archive: zipfile.ZipFile, name: str, call: str, tmp_path) -> None:
     """Needs Debian's `glslang-tools`; the engines' own types and wrappers stand around the code."""
     if shutil.which("glslangValidator") is None:
         pytest.skip("glslangValidator is not there: apt-get install glslang-tools")

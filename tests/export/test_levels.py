@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +19,17 @@ from dynamictree.export.moving_tree import Facts
 from dynamictree.export.write import RIG_SHARE, write_products
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.requests import ExportParams
-from dynamictree.spectrum import iter_motion
+from dynamictree.spectrum import to_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
 
+NUM_FRAMES = 32
 Written = tuple[TriangleMesh, np.ndarray, zipfile.ZipFile, Facts]
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+def written(tmp_path_factory) -> Written:
     sample = make_sample(3, "sapling")
-    spectrum = voxel_spectrum(sample, 64)[1]
+    spectrum = replace(voxel_spectrum(sample, 64)[1], fps=7.68, num_frames=NUM_FRAMES)
     facts: dict[str, Facts] = {}
     folder: Path = tmp_path_factory.mktemp("lod")
     options = ExportParams(formats=("lod",))
@@ -36,7 +38,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     own = [share for share in shares if 0 < share < 1]
     assert own == sorted(own)
     assert (np.histogram(list(set(own)), [0, RIG_SHARE, 1])[0] > [7, 10]).all()
-    truth = np.stack(list(iter_motion(method.devoxelize(spectrum, sample.mesh), np.arange(100) / 100)))
+    truth = to_motion(method.devoxelize(spectrum, sample.mesh), NUM_FRAMES)
     return sample.mesh, truth, zipfile.ZipFile(path), facts["lod"]
 
 
@@ -62,7 +64,7 @@ def test_levels_have_their_share_of_triangles_and_report_it(written: Written) ->
 def test_wood_moves_as_the_tree_does_and_the_error_is_the_reported_one(written: Written) -> None:
     mesh, truth, archive, facts = written
     content = archive.read("tree-lod1.glb")
-    rest, played = positions(content), played_morphs(content)[:100]
+    rest, played = positions(content), played_morphs(content)[:NUM_FRAMES]
     places = {place.tobytes(): number for number, place in enumerate(mesh.vertices)}
     same = [(n, places[p.tobytes()]) for n, p in enumerate(rest.astype(np.float32)) if p.tobytes() in places]
     assert len(same) > 0.3 * len(rest)
@@ -111,7 +113,7 @@ def test_cards_show_the_tree_and_sway_with_it(written: Written) -> None:
     alpha = np.asarray(Image.open(io.BytesIO(png)))[:, :, 3] > 127
     assert 0.02 < alpha.mean() < 0.6
     assert alpha[-8:].any()  # the stem reaches the ground
-    rest, played = positions(content), played_morphs(content)[:100]
+    rest, played = positions(content), played_morphs(content)[:NUM_FRAMES]
     top, of_tree = rest[:, 2] > 0.8 * rest[:, 2].max(), mesh.vertices[:, 2] > 0.8 * mesh.height_m
     mean = truth[:, of_tree].mean(axis=1)
     cards = played[:, top].mean(axis=1)

@@ -23,7 +23,6 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.bundle import read_cloud_bundle, write_bundle
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import bind
-from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import FACES_PER_GAUSSIAN, LEAST_FACES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, moving_part
@@ -32,8 +31,10 @@ from dynamictree.source import Source
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.up_axis import up_rotation
 from dynamictree.voxel.voxelize import voxelize
+from tests.clouds import cloud_at
 from tests.formats.stored import animated_splat
 
+Moving = tuple[TriangleMesh, SparseVoxelSpectrum]
 BOX = ((-0.3, -0.3, -0.1), (0.3, 0.3, 1.1))
 SMALL = Shot(side_px=128)
 
@@ -45,43 +46,29 @@ def capture() -> Capture:
     angle, height = rng.random(3000) * 2 * np.pi, rng.random(3000)
     post = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), height], axis=1)
     post[2000:] = post[2000:] * [1, 1, 0.2] + [1, 0, 0]
-    cloud = GaussianCloud(
-        means=post.astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (3000, 1)),
-        scales=np.full((3000, 3), 0.02, np.float32),
-        opacity=np.full(3000, 0.9, np.float32),
-        sh=rng.normal(size=(3000, 1, 3)).astype(np.float32),
-        source=Source(up_axis="-Y"),
-    )
-    return Capture(cloud=cloud)
+    cloud = cloud_at(post, sh=rng.normal(size=(3000, 1, 3)))
+    return Capture(cloud=replace(cloud, source=Source(up_axis="-Y")))
 
 
 @pytest.fixture(scope="module")
-def mesh(capture: Capture) -> TriangleMesh:
-    """The surface of the post, with which it moves."""
-    return carrying_mesh(capture, CloudParams(box_m=BOX))
+def moving(capture: Capture) -> Moving:
+    """The surface of the post, with which it moves, and its motion.
 
-
-@pytest.fixture(scope="module")
-def spectrum(mesh: TriangleMesh) -> SparseVoxelSpectrum:
-    """Bends along +X as the square of the height, four frames a loop, sections as a rod's; no fibre breaks (0.5 %)."""
+    It bends along +X as the square of the height, four frames a loop, sections as a rod's; no fibre breaks (0.5 %).
+    """
+    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
     grid = voxelize(mesh, 32).grid
     coefficients = np.zeros((len(grid), 2, 3), np.complex64)
     x, _, z = grid.centres_m.T
     coefficients[:, 1, 0] = 0.0125 * z**2
     coefficients[:, 1, 2] = -0.025 * z * x
-    return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, fps=24.0, num_frames=4, model="test")
+    return mesh, SparseVoxelSpectrum(grid=grid, coefficients=coefficients, fps=24.0, num_frames=4, model="test")
 
 
 def animated(
-    capture: Capture,
-    mesh: TriangleMesh,
-    spectrum: SparseVoxelSpectrum,
-    folder: Path,
-    options: ExportParams,
-    done: list[float],
+    capture: Capture, moving: Moving, folder: Path, options: ExportParams, done: list[float]
 ) -> dict[str, Path]:
-    return write_products(mesh, spectrum, options, folder, done.append, capture=capture, choice=CloudParams(box_m=BOX))
+    return write_products(*moving, options, folder, done.append, capture=capture, choice=CloudParams(box_m=BOX))
 
 
 def beside_the_post(capture: Capture) -> Capture:
@@ -91,16 +78,14 @@ def beside_the_post(capture: Capture) -> Capture:
     return replace(capture, cloud=cloud, mask=beside == 0)
 
 
-def test_a_surface_has_no_more_detail_than_its_gaussians(mesh: TriangleMesh) -> None:
-    assert LEAST_FACES <= 1.1 * mesh.num_faces <= 1.1 * max(LEAST_FACES, 2000 * FACES_PER_GAUSSIAN)
+def test_a_surface_has_no_more_detail_than_its_gaussians(moving: Moving) -> None:
+    assert LEAST_FACES <= 1.1 * moving[0].num_faces <= 1.1 * max(LEAST_FACES, 2000 * FACES_PER_GAUSSIAN)
 
 
-def test_all_products_show_one_motion(
-    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
-) -> None:
+def test_all_products_show_one_motion(capture: Capture, moving: Moving, tmp_path) -> None:
     done: list[float] = []
     options = ExportParams(formats=("splat-ply", "splat", "png", "glb"), shot=SMALL)
-    paths = animated(capture, mesh, spectrum, tmp_path, options, done)
+    paths = animated(capture, moving, tmp_path, options, done)
     assert done == sorted(done)
     assert done[-1] == 1
     with zipfile.ZipFile(paths["splat-ply"]) as archive:
@@ -122,11 +107,9 @@ def test_all_products_show_one_motion(
     assert np.abs(row[:, 0] - row[:, 4]).max() > 50  # left, then right
 
 
-def test_a_sheet_shows_the_sway_in_colours_and_what_stands_in_grey(
-    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
-) -> None:
+def test_a_sheet_shows_the_sway_in_colours_and_what_stands_in_grey(capture: Capture, moving: Moving, tmp_path) -> None:
     near = beside_the_post(capture)
-    paths = animated(near, mesh, spectrum, tmp_path, ExportParams(formats=("png",), shot=SMALL), [])
+    paths = animated(near, moving, tmp_path, ExportParams(formats=("png",), shot=SMALL), [])
     with Image.open(paths["png"]) as picture:
         pixels = np.asarray(picture).astype(int)
     assert pixels.shape == (1084, 1280, 3)
@@ -138,13 +121,11 @@ def test_a_sheet_shows_the_sway_in_colours_and_what_stands_in_grey(
     assert min(yellow.sum(), blue.sum(), grey.sum()) > 300, (yellow.sum(), blue.sum(), grey.sum())
 
 
-def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
-    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
-) -> None:
+def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(capture: Capture, moving: Moving, tmp_path) -> None:
     options = ExportParams(
         formats=("splat-ply",), first_frame=2, num_frames=1, loop=False, share=0.1, sh_degree=0, shot=SMALL
     )
-    paths = animated(capture, mesh, spectrum, tmp_path, options, [])
+    paths = animated(capture, moving, tmp_path, options, [])
     with zipfile.ZipFile(paths["splat-ply"]) as archive:
         assert archive.namelist() == ["frame_0002.ply"]
         frame = read_cloud(io.BytesIO(archive.read("frame_0002.ply")), file_type="ply")
@@ -155,62 +136,59 @@ def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
     assert 1 < paths["splat-ply"].stat().st_size / stated < 1.1
 
 
-def test_a_film_is_made(capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
+def test_a_film_is_made(capture: Capture, moving: Moving, tmp_path) -> None:
     pytest.importorskip("imageio_ffmpeg")
     options = ExportParams(formats=("mp4", "webp"), shot=SMALL.model_copy(update={"orbit": True, "ground": False}))
-    paths = animated(capture, mesh, spectrum, tmp_path, options, [])
+    paths = animated(capture, moving, tmp_path, options, [])
     assert b"ftyp" in paths["mp4"].read_bytes()[:12]
     with Image.open(paths["webp"]) as film:
         assert getattr(film, "n_frames", 1) == 4
 
 
-def test_films_show_what_stands_still_in_grey(
-    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
-) -> None:
+def test_films_show_what_stands_still_in_grey(capture: Capture, moving: Moving, tmp_path) -> None:
     """The pot beside the post has the colours of the file only if asked for."""
     near = beside_the_post(capture)
     colours = {}
     for grey in (True, False):
-        scene = SplatScene.of(bind(near.cloud, mesh, mask=moving_part(near)), ground=False, grey_still=grey)
+        scene = SplatScene.of(bind(near.cloud, moving[0], mask=moving_part(near)), ground=False, grey_still=grey)
         still = ~scene.binding.moving
         assert still.sum() == 1000
         assert (scene.binding.cloud.sh[~still] == capture.cloud.sh[~still]).all()
         assert (np.ptp(scene.binding.cloud.sh[still, 0], axis=1).max() < 1e-5) == grey
         (folder := tmp_path / str(grey)).mkdir()
         shot = SMALL.model_copy(update={"ground": False, "grey_still": grey})
-        paths = animated(near, mesh, spectrum, folder, ExportParams(formats=("webp",), shot=shot), [])
+        paths = animated(near, moving, folder, ExportParams(formats=("webp",), shot=shot), [])
         with Image.open(paths["webp"]) as film:
             colours[grey] = np.ptp(np.asarray(film.convert("RGB")).astype(int), axis=2)
     assert (colours[True] < 12).sum() > (colours[False] < 12).sum() + 300
 
 
-def test_a_mesh_becomes_a_splat_that_moves(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
-    paths = write_products(mesh, spectrum, ExportParams(formats=("splat", "webp"), shot=SMALL), tmp_path)
+def test_a_mesh_becomes_a_splat_that_moves(moving: Moving, tmp_path) -> None:
+    paths = write_products(*moving, ExportParams(formats=("splat", "webp"), shot=SMALL), tmp_path)
     splat = animated_splat(paths["splat"].read_bytes())
-    assert splat.binding.cloud.num_gaussians >= 5 * mesh.num_faces * 0.9
+    assert splat.binding.cloud.num_gaussians >= 5 * moving[0].num_faces * 0.9
     assert splat.binding.moving.all()
 
 
 @pytest.fixture
-def files(capture: Capture, mesh: TriangleMesh, tmp_path: Path) -> Iterator[dict[str, Path]]:
+def files(capture: Capture, moving: Moving, tmp_path) -> Iterator[dict[str, Path]]:
     """The capture, its mesh in the same axes, and a mask, as someone sends them."""
     files_by_role = {"cloud": tmp_path / "tree.SPLAT", "mesh": tmp_path / "mesh.ply", "mask": tmp_path / "mask.npy"}
     with files_by_role["cloud"].open("wb") as stream:
         write_splat(capture.cloud, stream)
-    turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices @ up_rotation("-Y").astype(np.float32)))
+    turned = moving[0].with_vertices(np.ascontiguousarray(moving[0].vertices @ up_rotation("-Y").astype(np.float32)))
     with files_by_role["mesh"].open("wb") as stream:
         write_ply(turned, stream)
     np.save(files_by_role["mask"], np.arange(3000) < 2000)
     return files_by_role
 
 
-def test_a_capture_is_read_with_what_came_with_it(capture: Capture, mesh: TriangleMesh, files: dict[str, Path]) -> None:
+def test_a_capture_is_read_with_what_came_with_it(capture: Capture, moving: Moving, files: dict[str, Path]) -> None:
     read = load_capture(files["cloud"], mask=files["mask"], mesh=files["mesh"])
     scale = read.cloud.source.scale  # the file states no unit: 5 m high
     assert scale > 1
     np.testing.assert_allclose(read.cloud.means, capture.cloud.means * scale, atol=1e-5)
-    assert read.mesh is not None
-    np.testing.assert_allclose(read.mesh.vertices, mesh.vertices * scale, atol=1e-4)
+    np.testing.assert_allclose(read.mesh.vertices, moving[0].vertices * scale, atol=1e-4)
     assert carrying_mesh(read) is read.mesh
     np.testing.assert_array_equal(moving_part(read), moving_part(capture, CloudParams(box_m=BOX)))
     packed = io.BytesIO()
@@ -220,7 +198,6 @@ def test_a_capture_is_read_with_what_came_with_it(capture: Capture, mesh: Triang
     for name in ("means", "quaternions", "scales", "opacity", "sh"):
         np.testing.assert_array_equal(getattr(again.cloud, name), getattr(read.cloud, name))
     np.testing.assert_array_equal(again.mask, read.mask)
-    assert again.mesh is not None
     np.testing.assert_array_equal(again.mesh.vertices, read.mesh.vertices)
 
 
@@ -244,7 +221,7 @@ def test_a_bad_mask_is_refused(files: dict[str, Path], mask: bytes | np.ndarray,
         load_capture(files["cloud"], mask=files["mask"])
 
 
-def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str, Path], tmp_path: Path) -> None:
+def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str, Path], tmp_path) -> None:
     with pytest.raises(FormatError, match="send one cloud"):
         load_capture(files["cloud"], mesh=files["cloud"])
     pot = replace(capture, mask=np.arange(3000) >= 2000)
@@ -267,7 +244,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
 )
 def test_an_option_out_of_bounds_is_reported(options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        ExportParams(**options)  # type: ignore[arg-type]
+        ExportParams(**options)
 
 
 @pytest.mark.parametrize(
@@ -283,27 +260,18 @@ def test_an_option_out_of_bounds_is_reported(options: dict[str, object], message
     ],
 )
 def test_too_large_a_splat_is_refused_before_a_byte_is_written(
-    capture: Capture,
-    mesh: TriangleMesh,
-    spectrum: SparseVoxelSpectrum,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: Format,
-    limit: str,
-    message: str,
+    capture: Capture, moving: Moving, tmp_path, monkeypatch, name: Format, limit: str, message: str
 ) -> None:
     monkeypatch.setattr(f"dynamictree.{limit}", 1000)
     with pytest.raises(InputError, match=message):
-        write_products(mesh, spectrum, ExportParams(formats=(name,)), tmp_path, capture=capture)
+        write_products(*moving, ExportParams(formats=(name,)), tmp_path, capture=capture)
     assert [path for path in tmp_path.iterdir() if path.stat().st_size] == []
 
 
-def test_usd_has_every_pose_of_the_splat(
-    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
-) -> None:
+def test_usd_has_every_pose_of_the_splat(capture: Capture, moving: Moving, tmp_path) -> None:
     params = ExportParams(formats=("usd-splat",), num_frames=4)
     choice = CloudParams(box_m=BOX)
-    path = write_products(mesh, spectrum, params, tmp_path, capture=capture, choice=choice)["usd-splat"]
+    path = write_products(*moving, params, tmp_path, capture=capture, choice=choice)["usd-splat"]
     stated = sequence_bytes(("usd-splat",), 4, params, cloud=(3000, 0))["usd-splat"]
     assert 1 < path.stat().st_size / stated < 1.3
     half = ExportParams(formats=("usd-splat",), share=0.5)
@@ -312,8 +280,8 @@ def test_usd_has_every_pose_of_the_splat(
     splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Tree/Splat"))
     assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
-    binding = bind(capture.cloud, mesh, mask=moving_part(capture, choice))
-    poses = list(iter_poses(binding, method.move(spectrum, mesh, num_frames=4)))
+    binding = bind(capture.cloud, moving[0], mask=moving_part(capture, choice))
+    poses = list(iter_poses(binding, method.move(moving[1], moving[0], num_frames=4)))
     assert np.abs(poses[0].means - poses[2].means).max() > 0.025
     for code, pose in enumerate(poses):
         np.testing.assert_allclose(np.array(splat.GetPositionsAttr().Get(code)), pose.means, atol=1e-6)
