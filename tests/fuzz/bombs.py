@@ -167,7 +167,7 @@ BOMBS: dict[str, tuple[Callable[[], bytes], Callable[[bytes], object], str]] = {
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
 
 
-def _triangle() -> dict:  # type: ignore[type-arg]
+def _triangle() -> dict:
     return {
         "asset": {"version": "2.0"},
         "scenes": [{"nodes": [0]}],
@@ -197,7 +197,7 @@ def _textured(*, num_images: int, num_materials: int, side_px: int) -> bytes:
     return _glb(root, bytes(binary))
 
 
-def _glb(root: dict, binary: bytes) -> bytes:  # type: ignore[type-arg]
+def _glb(root: dict, binary: bytes) -> bytes:
     root["buffers"][0]["byteLength"] = len(binary)
     text = json.dumps(root).encode()
     text += b" " * (-len(text) % 4)

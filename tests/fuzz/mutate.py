@@ -90,7 +90,7 @@ def _json_changed(text: bytes, rng: random.Random) -> bytes:
         keys = node.keys() if isinstance(node, dict) else range(len(node)) if isinstance(node, list) else ()
         for key in keys:
             places.append((node, key))
-            walk(node[key])  # type: ignore[index]
+            walk(node[key])
 
     walk(root)
     for _ in range(rng.choice((1, 1, 2, 3))):
@@ -113,7 +113,7 @@ def _json_changed(text: bytes, rng: random.Random) -> bytes:
 
 def _put(node: object, key: object, value: object) -> None:
     if isinstance(node, dict) or (isinstance(node, list) and isinstance(key, int) and key < len(node)):
-        node[key] = value  # type: ignore[index]
+        node[key] = value
 
 
 def flip_bit(content: bytearray, rng: random.Random) -> None:

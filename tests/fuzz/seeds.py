@@ -4,9 +4,8 @@ import gzip
 import io
 import json
 import zlib
-from collections.abc import Callable
 
-import laspy  # type: ignore[import-untyped]
+import laspy
 import numpy as np
 import zstandard
 from PIL import Image
@@ -27,8 +26,9 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
+from tests.clouds import cloud_at
 from tests.formats.ksplat_bytes import ksplat_bytes
-from tests.formats.meshes import gltf_bytes, image_bytes, named_collada, triangle_gltf, trunk_and_crown, zipped
+from tests.formats.meshes import gltf_bytes, image_bytes, named_collada, triangle_gltf, trunk_and_crown, written, zipped
 
 
 def tree() -> TriangleMesh:
@@ -38,19 +38,13 @@ def tree() -> TriangleMesh:
 def cloud(degree: int, count: int = 40) -> GaussianCloud:
     rng = np.random.default_rng(degree)
     turned = rng.normal(size=(count, 4))
-    return GaussianCloud(
-        means=rng.normal(size=(count, 3)).astype(np.float32),
-        quaternions=(turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32),
-        scales=rng.uniform(0.01, 0.2, (count, 3)).astype(np.float32),
-        opacity=rng.uniform(0.1, 0.9, count).astype(np.float32),
-        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
+    return cloud_at(
+        rng.normal(size=(count, 3)),
+        turned=turned,
+        scale=rng.uniform(0.01, 0.2, (count, 3)),
+        opacity=rng.uniform(0.1, 0.9, count),
+        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)),
     )
-
-
-def written(write: Callable[..., object], *what: object, **options: object) -> bytes:
-    stream = io.BytesIO()
-    write(*what, stream, **options)
-    return stream.getvalue()
 
 
 def ascii_ply() -> bytes:

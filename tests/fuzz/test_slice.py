@@ -30,4 +30,4 @@ def test_a_good_file_is_read_and_a_broken_one_refused(kind: str) -> None:
     ],
 )
 def test_what_a_file_must_not_do_is_reported(read: object, verdict: str) -> None:
-    assert attempt(read, b"").verdict == verdict  # type: ignore[arg-type]
+    assert attempt(read, b"").verdict == verdict

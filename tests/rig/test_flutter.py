@@ -45,7 +45,7 @@ def test_only_ends_turn_and_only_above_the_spectrum(rig: Rig, spectrum: SparseVo
 def test_nothing_flutters_in_light_air_on_bare_trees_or_where_it_is_turned_off(
     rig: Rig, spectrum: SparseVoxelSpectrum, change: dict[str, object], size: float
 ) -> None:
-    assert not flutter_modes(rig, replace(spectrum, **change), size).any()  # type: ignore[arg-type]
+    assert not flutter_modes(rig, replace(spectrum, **change), size).any()
 
 
 def test_the_wind_makes_leaves_flutter_more(rig: Rig, spectrum: SparseVoxelSpectrum) -> None:

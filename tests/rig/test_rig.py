@@ -20,6 +20,7 @@ from dynamictree.rig.rig import Rig, rig_of
 from dynamictree.rig.surface_skeleton import surface_bones
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.formats.meshes import written
 from tests.models.small.test_dense_foliage import bush
 
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum, Rig]
@@ -43,7 +44,7 @@ def test_parents_come_before_children_and_only_the_ground_has_none(tree: Tree) -
         assert (weights.shares >= 0).all()
 
 
-def test_a_point_is_where_the_equations_say(tree: Tree, rng: np.random.Generator) -> None:
+def test_a_point_is_where_the_equations_say(tree: Tree, rng) -> None:
     mesh, _, rig = tree
     theta = rng.normal(0, 0.4, (len(rig.skeleton), 3)).astype(np.float32)
     theta[GROUND] = 0
@@ -66,9 +67,7 @@ def test_a_point_is_where_the_equations_say(tree: Tree, rng: np.random.Generator
         np.testing.assert_allclose(moved[vertex], there, atol=1e-5)
 
 
-def test_no_turn_changes_the_size_of_a_card_or_parts_a_bone_from_its_parent(
-    tree: Tree, rng: np.random.Generator
-) -> None:
+def test_no_turn_changes_the_size_of_a_card_or_parts_a_bone_from_its_parent(tree: Tree, rng) -> None:
     mesh, spectrum, rig = tree
     theta = rng.normal(0, 2, (len(rig.skeleton), 3)).astype(np.float32)
     moved = mesh.vertices + rig.displacement(theta, mesh.vertices, rig.vertices)
@@ -140,7 +139,7 @@ def test_a_storm_of_the_model_breaks_no_wood() -> None:
     assert np.percentile(list(_growths(mesh, motion)), 99) < 0.01
 
 
-def test_the_system_of_a_dense_bush_grows_with_its_cards(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_system_of_a_dense_bush_grows_with_its_cards(monkeypatch) -> None:
     """Cards that share voxels: the factors had 2,600 numbers a bone when voxels coupled them, and now 37.
 
     Each is gone before the next is made: those of bananas in photos have 440 MB.
@@ -206,7 +205,6 @@ def test_each_of_two_trees_has_its_bones_and_moves_by_itself(tree: Tree) -> None
     other = mesh.with_vertices(mesh.vertices + np.float32([6, 0, 0]))
     pair = replace(joined([mesh, other]), face_tree=np.repeat(np.int32([0, 1]), mesh.num_faces))
     voxels = method.voxelize(pair, resolution=128)
-    assert voxels.tree is not None
     coefficients = np.zeros((len(voxels.grid), 2, 3), np.complex64)
     height = voxels.grid.centres_m[:, 2] - voxels.grid.centres_m[:, 2].min()
     coefficients[voxels.tree == 1, 1, 0] = 0.05 * (height / height.max())[voxels.tree == 1] ** 2
@@ -220,22 +218,17 @@ def test_each_of_two_trees_has_its_bones_and_moves_by_itself(tree: Tree) -> None
 
 
 def test_a_file_gives_the_rig_back_bit_by_bit(tree: Tree) -> None:
-    stream = io.BytesIO()
-    write_rig(tree[2], stream)
-    read = read_rig(io.BytesIO(stream.getvalue()))
+    read = read_rig(io.BytesIO(written(write_rig, tree[2])))
     np.testing.assert_array_equal(read.turns, tree[2].turns)
     for part in ("vertices", "voxels"):
         for name in ("rows", "shares"):
             np.testing.assert_array_equal(getattr(getattr(read, part), name), getattr(getattr(tree[2], part), name))
-    again = io.BytesIO()
-    write_rig(read, again)
-    assert again.getvalue() == stream.getvalue()
+    content = written(write_rig, read)
+    assert content == content
 
 
 def test_a_file_whose_bones_do_not_fit_together_is_refused(tree: Tree) -> None:
-    stream = io.BytesIO()
-    write_rig(tree[2], stream)
-    tensors, metadata = read_tensors(io.BytesIO(stream.getvalue()), file_format="tree-rig", version="1")
+    tensors, metadata = read_tensors(io.BytesIO(written(write_rig, tree[2])), file_format="tree-rig", version="1")
     for name, row, value, words in (
         ("parent", 5, 9, "not in order"),
         ("parent", 0, 0, "not in order"),
