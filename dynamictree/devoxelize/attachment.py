@@ -2,8 +2,8 @@
 
 Files rarely join a leaf to its twig: it is a part of its own that only comes near. A part hangs by its point that is
 nearest to a larger part, on the nearest point there: on one that is clearly larger if there is one, on a twig rather
-than on another card. A branch of its own hangs where its end touches. What is far from all that is larger hangs on
-nothing.
+than on another card. A branch of its own hangs where its end touches, also on a trunk that is no larger. What is far
+from all that is larger hangs on nothing.
 """
 
 from dataclasses import dataclass
@@ -65,11 +65,10 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
     if len(extent) == 1:
         return _attachments(mesh, part, None, _NO_PAIRS)
-    rank = np.empty(len(extent), np.int64)
     num_vertices = np.bincount(part)
     small, few, card = extent < SMALL_PART_VOXELS, num_vertices <= FEW_VERTICES, num_vertices <= CARD_VERTICES
-    rank[np.lexsort((extent, ~card))] = np.arange(len(extent))  # whatever its size, a stem carries cards
     stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk never hangs on its crown
+    rank = np.argsort(np.lexsort((extent, ~card)))  # whatever its size, a stem carries cards
     loose = (small | few) & ~stands
     pieces = grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
@@ -78,21 +77,29 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
     surface = _Surface(places=places, owner=owner, extent=extent, voxel_size_m=grid.voxel_size_m)
 
     on_larger = surface.near_larger(~stands & ~card, ~card, MAX_GAP_VOXELS)
-    hangs = loose[owner[on_larger[:, 0]]]
-    branch = ~hangs & surface.touches_at_end(on_larger)
-    pairs = [on_larger[hangs | branch]]
-    seeking = loose & (rank < len(extent) - 1)
+    pairs = [on_larger[loose[owner[on_larger[:, 0]]] | surface.touches_at_end(on_larger)]]
+    seeking: Bool[np.ndarray, " parts"] = loose & (rank < len(extent) - 1)
 
     def left() -> Bool[np.ndarray, " parts"]:
         seeking[owner[pairs[-1][:, 0]]] = False
-        remaining: Bool[np.ndarray, " parts"] = seeking
-        return remaining
+        return seeking
 
     pairs.append(surface.near_any_larger(left(), ~card, rank))  # a twig of about the same size
     pairs.append(surface.near_larger(left() & few, ~card, TWIG_GAP_VOXELS))
     pairs.append(surface.near_larger(left(), everything, MAX_GAP_VOXELS))
     pairs.append(surface.near_any_larger(left(), everything, rank))  # another card
     pairs.append(surface.near_larger(left() & few, everything, TWIG_GAP_VOXELS))
+    pairs, carrier, goes_on = [np.concatenate(pairs)], np.arange(len(extent)), True
+    while goes_on:  # stems as large as what carries them, from the trunk outward
+        carrier[owner[pairs[-1][:, 0]]] = owner[pairs[-1][:, 1]]
+        root = carrier
+        while (root[root] != root).any():
+            root = root[root]
+        rooted = (stands if stands.any() else extent == extent.max())[root]
+        alone = ~(rooted | small | card) & (carrier == root)
+        on_alike = surface.near_any_larger(alone, rooted & ~card, rooted.astype(np.int64))
+        pairs.append(on_alike[surface.touches_at_end(on_alike)])
+        goes_on = len(pairs[-1]) > 0
     return _attachments(mesh, part, pieces, np.concatenate(pairs))
 
 

@@ -120,6 +120,15 @@ def attached(mesh: TriangleMesh, owner: np.ndarray) -> dict[int, int]:
     return {int(of_vertex[own[0]]): int(of_vertex[other[0]]) for own, other in attachments.corners}
 
 
+def test_a_leader_as_long_as_its_trunk_hangs_on_it_and_a_second_stem_stands() -> None:
+    trunk, leader, twig = (
+        tube([0, 0, 0], [0, 0, 10], 0.2),
+        tube([0, 0, 2], [2, 0, 10], 0.15),
+        tube([1, 0, 6], [4, 0, 9], 0.1),
+    )
+    assert attached(*merged(trunk, leader, twig, tube([0.3, 0, 0], [-3, 0, 9], 0.15))) == {1: 0, 2: 1}
+
+
 def test_a_card_hangs_on_the_twig_near_it_and_not_on_the_next_card() -> None:
     """Cards of 0.8 m in a chain, 1.2 to 2 voxels from one another, 3 from the trunk: each is the trunk's."""
     across = 0.4 * np.eye(3)[1:]
