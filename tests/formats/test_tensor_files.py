@@ -94,7 +94,7 @@ def test_the_golden_file_of_version_1_stays_readable() -> None:
         assert_same(read_spectrum(stream), small_spectrum(np.random.default_rng(1)))
 
 
-def test_what_float16_cannot_hold_is_not_spectrum_bytes(rng) -> None:
+def test_what_float16_cannot_hold_is_not_written(rng) -> None:
     spectrum = small_spectrum(rng)
     spectrum.coefficients[3, 2, 1] = 1e5
     with pytest.raises(NumericsError, match="float16 holds at most"):
@@ -102,7 +102,7 @@ def test_what_float16_cannot_hold_is_not_spectrum_bytes(rng) -> None:
     assert read_spectrum(io.BytesIO(spectrum_bytes(spectrum, "float32"))).coefficients[3, 2, 1] == 1e5
 
 
-def test_values_that_became_infinite_are_not_spectrum_bytes(rng) -> None:
+def test_values_that_became_infinite_are_not_written(rng) -> None:
     spectrum = small_spectrum(rng)
     spectrum.coefficients[3, 2, 1] = np.nan
     with pytest.raises(NumericsError):
