@@ -20,7 +20,7 @@ from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture
-from dynamictree.render.camera_path import cameras_of
+from dynamictree.render.camera import cameras_of
 from dynamictree.requests import ExportParams, Shot
 
 PARAMS = ExportParams(num_frames=2, loop=False, shot=Shot(side_px=64))

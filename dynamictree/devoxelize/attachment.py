@@ -2,14 +2,15 @@
 
 Files rarely join a leaf to its twig: it is a part of its own that only comes near. A part hangs by its point that is
 nearest to a larger part, on the nearest point there: on one that is clearly larger if there is one, on a twig rather
-than on another card. A branch of its own hangs where its end touches, also on a trunk that is no larger. What is far
-from all that is larger hangs on nothing.
+than on another card. A branch of its own hangs where its end touches, also on a trunk that is no larger, or a pile of
+parts. What is far from all that is larger hangs on nothing.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from dynamictree.mesh import Surface, connected_parts, part_bounds
@@ -69,15 +70,23 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
     small, few, card = extent < SMALL_PART_VOXELS, num_vertices <= FEW_VERTICES, num_vertices <= CARD_VERTICES
     stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk never hangs on its crown
     rank = np.argsort(np.lexsort((extent, ~card)))  # whatever its size, a stem carries cards
-    loose = (small | few) & ~stands
     pieces = grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
-    everything = np.ones(len(extent), bool)
     surface = _Surface(places=places, owner=owner, extent=extent, voxel_size_m=grid.voxel_size_m)
-
-    on_larger = surface.near_larger(~stands & ~card, ~card, MAX_GAP_VOXELS)
-    pairs = [on_larger[loose[owner[on_larger[:, 0]]] | surface.touches_at_end(on_larger)]]
+    trunk, pairs = stands.copy(), [_NO_PAIRS]
+    while True:  # a trunk may be a pile of parts, each shorter than the branches
+        piled = surface.near_any_larger(~(trunk | small | card), trunk, trunk.astype(np.int64))
+        on_end = surface.touches_at_end(piled) & surface.touches_at_end(piled[:, ::-1])
+        octaves = np.diff(np.log2(surface.thickness_m[owner[piled]]), axis=1)[:, 0]
+        piled = piled[on_end & (np.abs(octaves) < 1)]
+        if len(piled) == 0:
+            break
+        pairs.append(piled)
+        trunk[owner[piled[:, 0]]] = True
+    loose = (small | few) & ~trunk
+    on_larger = surface.near_larger(~trunk & ~card, ~card, MAX_GAP_VOXELS)
+    pairs += [on_larger[loose[owner[on_larger[:, 0]]] | surface.touches_at_end(on_larger)]]
     seeking: Bool[np.ndarray, " parts"] = loose & (rank < len(extent) - 1)
 
     def left() -> Bool[np.ndarray, " parts"]:
@@ -86,9 +95,9 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
 
     pairs.append(surface.near_any_larger(left(), ~card, rank))  # a twig of about the same size
     pairs.append(surface.near_larger(left() & few, ~card, TWIG_GAP_VOXELS))
-    pairs.append(surface.near_larger(left(), everything, MAX_GAP_VOXELS))
-    pairs.append(surface.near_any_larger(left(), everything, rank))  # another card
-    pairs.append(surface.near_larger(left() & few, everything, TWIG_GAP_VOXELS))
+    pairs.append(surface.near_larger(left(), np.ones_like(card), MAX_GAP_VOXELS))
+    pairs.append(surface.near_any_larger(left(), np.ones_like(card), rank))  # another card
+    pairs.append(surface.near_larger(left() & few, np.ones_like(card), TWIG_GAP_VOXELS))
     pairs, carrier, goes_on = [np.concatenate(pairs)], np.arange(len(extent)), True
     while goes_on:  # stems as large as what carries them, from the trunk outward
         carrier[owner[pairs[-1][:, 0]]] = owner[pairs[-1][:, 1]]
@@ -159,13 +168,23 @@ class _Surface:
         best = _first_of_each(self.owner[own], smallest)
         return np.stack([own[best], there[best]], axis=1)
 
+    def means(self, values: Float[np.ndarray, "P C"]) -> Float64[np.ndarray, "parts C"]:
+        """Mean of the pieces of each part."""
+        count = np.maximum(np.bincount(self.owner, minlength=len(self.extent)), 1)
+        sums = [np.bincount(self.owner, column, len(self.extent)) for column in values.T]
+        return np.asarray(np.stack(sums, axis=1) / count[:, None])
+
+    @cached_property
+    def thickness_m(self) -> Float64[np.ndarray, " parts"]:
+        """Of each part: the root of the second of its principal moments."""
+        away = self.places - self.means(self.places)[self.owner]
+        moments = self.means(np.einsum("pi,pj->pij", away, away).reshape(-1, 9)).reshape(-1, 3, 3)
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(moments)[:, 1].clip(1e-18)))
+
     def touches_at_end(self, pairs: Int64[np.ndarray, "B 2"]) -> Bool[np.ndarray, " B"]:
         """Whether a part touches the other, and not with its middle, as branches that cross do."""
-        count = np.maximum(np.bincount(self.owner, minlength=len(self.extent)), 1)
-        sums = [np.bincount(self.owner, axis, len(self.extent)) for axis in self.places.T]
-        middle = np.stack(sums, axis=1) / count[:, None]
         (own, other), part = self.places[pairs].transpose(1, 0, 2), self.owner[pairs[:, 0]]
-        from_middle = np.linalg.norm(own - middle[part], axis=1) / self.voxel_size_m
+        from_middle = np.linalg.norm(own - self.means(self.places)[part], axis=1) / self.voxel_size_m
         touches = np.linalg.norm(own - other, axis=1) <= TOUCHING_VOXELS * self.voxel_size_m
         return np.asarray(touches & (from_middle >= _AT_END * self.extent[part]))
 
@@ -186,8 +205,7 @@ def _first_of_each(group: Int32[np.ndarray, " M"], gap: Float64[np.ndarray, " M"
     """Row of the smallest gap of each group; groups without any are left out."""
     order = np.lexsort((gap, group))
     first: Int64[np.ndarray, " B"] = order[np.unique(group[order], return_index=True)[1]]
-    near: Int64[np.ndarray, " B"] = first[np.isfinite(gap[first])]
-    return near
+    return np.asarray(first[np.isfinite(gap[first])])
 
 
 def _attachments(

@@ -1,16 +1,36 @@
-"""Samplers: functions of a denoiser, a start and numbers. Deterministic; the random numbers are the start."""
+"""Noise schedules and samplers: functions of a denoiser, a start and numbers. The start alone is random."""
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from dynamictree.diffusion.schedule import NoiseSchedule
-
+NUM_STEPS = 1000
 Denoise = Callable[[Tensor, float], Tensor]
 """Expected clean signal, from the noisy one and its σ."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseSchedule:
+    """ᾱ of each step: variance of the signal in the noisy one."""
+
+    alpha_bar: Float32[Tensor, " L"]
+
+
+def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
+    """β from 1e-4 to 0.02 in equal steps, as of Ho et al. 2020 and XCube."""
+    betas = torch.linspace(1e-4, 0.02, num_steps, dtype=torch.float64)
+    return NoiseSchedule(alpha_bar=(1 - betas).cumprod(dim=0).float())
+
+
+def predicted_clean(
+    noisy: Float[Tensor, "*batch C"], noise: Float[Tensor, "*batch C"], alpha_bar: Float[Tensor, "..."]
+) -> Float[Tensor, "*batch C"]:
+    """The clean signal x₀ that predicted noise ε implies: (x − √(1 − ᾱ) ε) / √ᾱ."""
+    return (noisy - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()
 
 
 def karras_schedule(num_steps: int, *, sigma_min: float, sigma_max: float, rho: float = 7.0) -> Float32[Tensor, " _"]:

@@ -9,8 +9,7 @@ from dynamictree.export.splat_sheet import splat_sheet
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
 from dynamictree.render import Backdrop, Look, Renderer, draw_contact_sheet, write_png
-from dynamictree.render.camera import Camera, in_view
-from dynamictree.render.camera_path import cameras_of
+from dynamictree.render.camera import Camera, cameras_of, in_view
 from dynamictree.render.video import Picture
 
 

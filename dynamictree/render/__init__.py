@@ -1,7 +1,6 @@
 """Pictures of meshes on the CPU: a rasteriser in numba, no GL and no GPU."""
 
-from dynamictree.render.camera import Camera
-from dynamictree.render.camera_path import cameras_of
+from dynamictree.render.camera import Camera, cameras_of
 from dynamictree.render.contact_sheet import amplitude_colors, draw_contact_sheet, sway_amplitude
 from dynamictree.render.ground import Backdrop
 from dynamictree.render.picture import Buffers, Look, Renderer, write_png

@@ -5,7 +5,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, prediction_loss
-from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
+from dynamictree.diffusion.sampler import NoiseSchedule, predicted_clean
 from dynamictree.models.paper.network import PaperNetwork
 from lab.paper.examples import PaperBatch
 

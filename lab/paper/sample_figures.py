@@ -6,8 +6,7 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 
 from dynamictree.diffusion.channels import pack_channels
-from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.sampler import linear_schedule, sample_ddim
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperNetwork
 from dynamictree.models.threads import moved_to

@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader
 
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import LocalSmoothness
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.sampler import linear_schedule
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.threads import moved_to
 from dynamictree.models.weights_file import Provenance, write_weights

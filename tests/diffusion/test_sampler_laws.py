@@ -4,8 +4,13 @@ import pytest
 import torch
 
 from dynamictree.diffusion.loss import denoising_loss
-from dynamictree.diffusion.sampler import karras_schedule, sample_ddim, sample_dpm_multistep
-from dynamictree.diffusion.schedule import linear_schedule, predicted_clean
+from dynamictree.diffusion.sampler import (
+    karras_schedule,
+    linear_schedule,
+    predicted_clean,
+    sample_ddim,
+    sample_dpm_multistep,
+)
 
 VARIANCE = torch.tensor([4.0, 1.0, 0.01])
 

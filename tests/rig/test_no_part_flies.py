@@ -120,13 +120,12 @@ def attached(mesh: TriangleMesh, owner: np.ndarray) -> dict[int, int]:
     return {int(of_vertex[own[0]]): int(of_vertex[other[0]]) for own, other in attachments.corners}
 
 
-def test_a_leader_as_long_as_its_trunk_hangs_on_it_and_a_second_stem_stands() -> None:
-    trunk, leader, twig = (
-        tube([0, 0, 0], [0, 0, 10], 0.2),
-        tube([0, 0, 2], [2, 0, 10], 0.15),
-        tube([1, 0, 6], [4, 0, 9], 0.1),
-    )
-    assert attached(*merged(trunk, leader, twig, tube([0.3, 0, 0], [-3, 0, 9], 0.15))) == {1: 0, 2: 1}
+def test_a_leader_hangs_on_a_trunk_no_longer_or_in_parts_and_a_second_stem_stands() -> None:
+    ends = ([0, 0, 0], [0, 0, 10]), ([0, 0, 2], [2, 0, 10]), ([1, 0, 6], [4, 0, 9]), ([0.3, 0, 0], [-3, 0, 9])
+    assert attached(*merged(*(tube(*stem, 0.15) for stem in ends))) == {1: 0, 2: 1}
+    pile = [tube([0, 0, z], [0, 0, z + 2], 0.3 - z / 50, rings=2, sides=8) for z in range(0, 10, 2)]
+    branches = [tube([0.25, 0, z], [4, 0, z + 2], 0.08, rings=2) for z in (3, 5, 9)]
+    assert attached(*merged(*pile, *branches)) == {1: 0, 2: 1, 3: 2, 4: 3, 5: 1, 6: 2, 7: 4}
 
 
 def test_a_card_hangs_on_the_twig_near_it_and_not_on_the_next_card() -> None:
@@ -138,32 +137,29 @@ def test_a_card_hangs_on_the_twig_near_it_and_not_on_the_next_card() -> None:
 
 def test_a_card_hangs_on_the_small_twig_that_it_touches_and_not_on_the_branch_beside_it() -> None:
     """A card of 0.4 m on a twig of 0.3 m, 1.5 voxels from a branch that is clearly larger."""
-    branch = tube([0.3, 0, 6], [2.5, 0, 6], 0.05)
     twig = tube([1.0, 0.05, 6], [1.0, 0.35, 6], 0.02, rings=3, sides=6)
     leaf = card(np.array([1.2, 0.34, 6]), 0.2 * np.eye(3)[:2] @ np.array([[1, 1, 0], [1, -1, 0], [0, 0, 1.0]]))
-    mesh, owner = merged(tube([0, 0, 0], [0, 0, 10], 0.2), branch, twig, leaf)
-    assert attached(mesh, owner)[3] == 2
+    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2), tube([0.3, 0, 6], [2.5, 0, 6], 0.05), twig, leaf))[3] == 2
 
 
 def test_a_twig_hangs_on_a_branch_and_not_on_the_large_leaf_that_it_touches() -> None:
     branch = tube([0.3, 0, 6], [2.5, 0, 6], 0.05)
     twig = tube([1.0, 0.12, 6], [1.0, 0.4, 6], 0.02, rings=3, sides=6)
     leaf = card(np.array([1.0, 0.3, 6.01]), 0.6 * np.eye(3)[:2])
-    mesh, owner = merged(tube([0, 0, 0], [0, 0, 10], 0.2), branch, twig, leaf)
-    assert attached(mesh, owner)[2] == 1
+    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2), branch, twig, leaf))[2] == 1
 
 
 def test_a_branch_hangs_where_its_foot_is_and_not_where_it_crosses() -> None:
-    trunk = tube([0, 0, 0], [0, 0, 10], 0.2, rings=40, sides=12)
     foot = tube([0.15, 0, 6], [2.5, 0, 7], 0.08, rings=10, sides=8)
     crossing = tube([-1.2, 0.25, 3], [1.2, 0.25, 3], 0.08, rings=10, sides=8)
-    assert attached(*merged(trunk, foot, crossing)) == {1: 0}
+    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2, sides=12), foot, crossing)) == {1: 0}
 
 
 def test_a_trunk_does_not_hang_on_its_crown() -> None:
     """A trunk of six sides below a larger crown: its foot would follow the crown."""
-    mesh, owner = merged(tube([0, 0, 0], [0, 0, 4], 0.2, rings=2, sides=6), tube([0, 0, 3.9], [0, 0, 10], 0.3))
-    assert 0 not in attached(mesh, owner)
+    assert 0 not in attached(
+        *merged(tube([0, 0, 0], [0, 0, 4], 0.2, rings=2, sides=6), tube([0, 0, 3.9], [0, 0, 10], 0.3))
+    )
 
 
 def test_the_foot_of_a_branch_stays_in_the_bark() -> None:

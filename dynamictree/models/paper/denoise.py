@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from dynamictree.diffusion.schedule import linear_schedule, predicted_clean
+from dynamictree.diffusion.sampler import linear_schedule, predicted_clean
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork
 
 CLIP = 8.0

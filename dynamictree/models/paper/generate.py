@@ -8,8 +8,7 @@ from jaxtyping import Complex64, Float32, Int64
 from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS, unpack_channels
-from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.sampler import linear_schedule, sample_ddim
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.paper.denoise import denoise

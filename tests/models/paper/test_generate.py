@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule, predicted_clean
+from dynamictree.diffusion.sampler import linear_schedule, predicted_clean, sample_ddim
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.models.paper import generate
 from dynamictree.models.paper.denoise import at_most_unit_size

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, nearest_voxels
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.sampler import linear_schedule
 from dynamictree.models.paper.encoder import POSITION_FEATURES, fourier_features
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, PaperPreset
 from dynamictree.models.paper.unet import UNetShape
