@@ -13,10 +13,9 @@ from dynamictree.modal.bones import turns_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
-from dynamictree.modal.system import ModalSystem, displacement, modal_system
+from dynamictree.modal.system import ModalSystem, default_falloff_m, displacement, modal_system
 from dynamictree.rig.pose import carried, poses
 from dynamictree.rig.rig import rig_of
 from dynamictree.voxel.voxelize import surface_average

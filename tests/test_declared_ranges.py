@@ -10,9 +10,8 @@ import pytest
 from dynamictree import method
 from dynamictree.errors import InputError, UnstableTimestep
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
-from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.response import group_forces, respond
-from dynamictree.modal.system import modal_system
+from dynamictree.modal.system import chosen_falloff_m, modal_system
 from dynamictree.requests import ExportParams, InteractParams, Request, SpectrumParams, Wind
 from tests.modal.conftest import rod_spectrum
 from tests.plant.stand import tree

@@ -23,9 +23,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
-from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.response import answer_tensors, group_forces, respond
-from dynamictree.modal.system import ModalSystem, modal_system
+from dynamictree.modal.system import ModalSystem, chosen_falloff_m, modal_system
 from dynamictree.requests import InteractParams, Reading
 from dynamictree.rig.rig import Rig, rig_of
 

@@ -23,8 +23,6 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from dynamictree.errors import InputError
-from dynamictree.modal.system import ModalSystem
-from dynamictree.requests import SwingParams
 from dynamictree.rig.pose import GROUND, Skeleton
 
 OUTWARD = 32.0
@@ -66,13 +64,3 @@ def reach_of(skeleton: Skeleton, bone: int, falloff_m: float) -> Reach:
         outward = np.where(hangs, 0, np.where(above == GROUND, np.inf, OUTWARD * length[level]))
         cost[level] = np.where(kind[level] == CARRIES, cost[level], cost[above] + outward)
     return Reach(weights=np.exp(-((cost / falloff_m) ** 2)), kind=kind, end_m=end)
-
-
-def default_falloff_m(system: ModalSystem) -> float:
-    """Default falloff of a push [m]: 15 % of the tree's height."""
-    return 0.15 * (int(np.ptp(system.grid.coords[:, 2])) + 1) * system.grid.voxel_size_m
-
-
-def chosen_falloff_m(system: ModalSystem, params: SwingParams) -> float | None:
-    """Falloff of a request [m]; None where a push moves the whole tree."""
-    return None if params.locality == "none" else params.falloff_m or default_falloff_m(system)

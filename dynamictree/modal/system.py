@@ -22,6 +22,7 @@ from jaxtyping import Complex64, Complex128, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.modal.real_trees import free_omega, natural_damping, natural_frequency_hz
+from dynamictree.requests import SwingParams
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -162,3 +163,13 @@ def _damping(
     if not (np.isfinite(zeta).all() and (zeta >= 0).all()):
         raise InputError(f"damping_ratio is {damping_ratio}; it must be finite and not negative")
     return np.broadcast_to(zeta, num_modes)
+
+
+def default_falloff_m(system: ModalSystem) -> float:
+    """Default falloff of a push [m]: 15 % of the tree's height."""
+    return 0.15 * (int(np.ptp(system.grid.coords[:, 2])) + 1) * system.grid.voxel_size_m
+
+
+def chosen_falloff_m(system: ModalSystem, params: SwingParams) -> float | None:
+    """Falloff of a request [m]; None where a push moves the whole tree."""
+    return None if params.locality == "none" else params.falloff_m or default_falloff_m(system)

@@ -22,10 +22,9 @@ from starlette.types import Receive, Scope, Send
 from dynamictree.errors import Cancelled, UnstableTimestep
 from dynamictree.modal.interactive_tree import Answer
 from dynamictree.modal.local_bend import Bend
-from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.response import Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
-from dynamictree.modal.system import ModalSystem
+from dynamictree.modal.system import ModalSystem, chosen_falloff_m
 from service.http.problems import ProblemError
 from service.http.request_headers import JSON, SAFETENSORS, chosen
 from service.http.routing import refusals

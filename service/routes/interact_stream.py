@@ -16,8 +16,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocketState
 
-from dynamictree.modal.reach import chosen_falloff_m
 from dynamictree.modal.step import exact_step
+from dynamictree.modal.system import chosen_falloff_m
 from dynamictree.requests import SwingParams
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.slots import until_revoked

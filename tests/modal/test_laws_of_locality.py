@@ -6,9 +6,8 @@ import pytest
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Impulse, contact_at_voxel, generalised_force
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.step import State, exact_step, run
-from dynamictree.modal.system import displacement, modal_system
+from dynamictree.modal.system import default_falloff_m, displacement, modal_system
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.modal.trees import rigged_fork

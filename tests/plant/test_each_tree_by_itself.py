@@ -18,9 +18,8 @@ from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.joints import joints_of
-from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
-from dynamictree.modal.system import modal_system
+from dynamictree.modal.system import default_falloff_m, modal_system
 from dynamictree.models.several_trees import tree_voxels
 from dynamictree.plant.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
 from dynamictree.plant.trees.of_mesh import stand_resolution

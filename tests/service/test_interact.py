@@ -17,9 +17,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import InteractiveTree
-from dynamictree.modal.reach import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
-from dynamictree.modal.system import modal_system
+from dynamictree.modal.system import default_falloff_m, modal_system
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.storage.assets import delete_asset
