@@ -53,17 +53,13 @@ class Joints:
     @cached_property
     def give(self) -> Float64[np.ndarray, " J"]:
         """How far each joint bends under a moment, per metre to the next: see `pull.py`."""
-        tube, most, power = (
-            0.6,
-            3,
-            8,
-        )  # edges of a branch have less strain; joints of a crown of one surface are stiffer
+        tube, most, power = 0.6, 3, 8  # strains of branches are below the first, those in whole surfaces above it
         heaviest, by_weight = np.zeros_like(self.parent), np.argsort(self.num_carried, kind="stable")
         heaviest[self.parent[by_weight]] = by_weight  # of all that a joint carries, the last one stays
         stiffness, forked = np.maximum(self.num_carried, 1.0) ** 2, np.ones(len(self.parent))
         for joint, parent in enumerate(self.parent[1:].tolist(), start=1):
-            leaves = parent > 0 and heaviest[parent] != joint
-            forked[joint] = forked[parent] * ((stiffness[joint] / stiffness[parent]) ** 0.5 if leaves else 1)
+            is_side = parent > 0 and heaviest[parent] != joint
+            forked[joint] = forked[parent] * ((stiffness[joint] / stiffness[parent]) ** 0.5 if is_side else 1)
         stiffness *= forked * np.clip(self.strain / tube, 1, most) ** power
         return np.where(np.arange(len(stiffness)) > 0, 1 / stiffness, 0.0)
 

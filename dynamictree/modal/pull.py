@@ -7,7 +7,8 @@ target x*, the solution has the least energy
 
 with g_i = |r_i| / (carried_i² Π_f s_f), |r_i| the length to the next joint and carried_i the number of voxels beyond:
 the stiffness of a beam whose cross-section is that of all that it carries, times the share s_f that it takes of its
-stem at each fork where it leaves one. So a branch bends at its thin end more than at its thick one, a trunk stands
+stem at each fork where it leaves one; where bending would tear a crown that is one surface, far less (`Joints.give`).
+So a branch bends at its thin end more than at its thick one, a trunk stands
 while its twig is pulled, and no joint folds. The point that is drawn is at
 
     x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
