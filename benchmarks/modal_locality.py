@@ -1,7 +1,8 @@
 """What a poke reaches, and what a large push stretches, on grown trees.
 
 Share of the kinetic energy outside of the poked stem, what it carries and its ancestors, with and without locality; and
-the 99th percentile of edge stretch where the top is pulled aside by 20 % of the height, with plain modes and bent.
+the 99th percentile of edge stretch where the top is pulled aside by 20 % of the height, with plain modes and bent. And
+how far a pull of a branch at least ten times as long moves what neither carries the grip nor hangs on it.
 """
 
 import numpy as np
@@ -13,6 +14,7 @@ from dynamictree.modal.bones import turns_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
+from dynamictree.modal.pull import grip_at, pull_to
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
 from dynamictree.modal.system import ModalSystem, default_falloff_m, displacement, modal_system
@@ -27,15 +29,20 @@ TARGET = 0.05
 TREES = ((3, "round-broadleaf"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (9, "columnar"))
 POKES_A_LEVEL = 4
 TOP_SHARE = 0.2  # of the height
+PULLS = 40  # a tree, each by these shares of the height
+PULL_SHARES = (0.01, 0.02, 0.05)
+BRANCH_SHARE = 0.05  # of the voxels, which a joint of a branch carries at most
+BRANCH_LENGTHS = 10  # of the pull
 
 
 def run() -> dict[str, object]:
-    rows = {}
+    rows, pulled = {}, {}
     for seed, species in TREES:
         sample = make_sample(seed, species)
         _, spectrum = voxel_spectrum(sample)
         system = modal_system(spectrum)
         rows[species] = _pokes(sample, system) | _push(sample, system)
+        pulled[species] = _pulls(sample, system)
     local = [share for row in rows.values() for share in row["local"]]
     everywhere = [share for row in rows.values() for share in row["all_modes"]]
     return {
@@ -52,6 +59,8 @@ def run() -> dict[str, object]:
         "edge_stretch_p99_at_20_percent": {
             kind: [row[f"stretch_{kind}"] for row in rows.values()] for kind in ("plain", "bent")
         },
+        "pulled": _moved_elsewhere([pull for pulls in pulled.values() for pull in pulls]),
+        "pulled_by_tree": {species: _moved_elsewhere(pulls) for species, pulls in pulled.items()},
         "trees": rows,
         **machine("numpy", "scipy", "numba"),
     }
@@ -77,6 +86,44 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
                 shares["local"].append(round(float(weighed[~inside].sum() / weighed.sum()), 4))
                 shares["own_weight"].append(round(float(weights[owner == poked].mean()), 4))
     return shares
+
+
+def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
+    """How far each pull across a long branch moves what neither carries nor hangs on the grip, in lengths of the pull."""
+    tree, rng, height = _tree(sample, system), np.random.default_rng(0), sample.mesh.height_m
+    joints, rest = tree.joints, system.grid.centres_m.astype(np.float64)
+    pulls = []
+    for row in rng.choice(np.flatnonzero(joints.of_voxel > 0), PULLS, replace=False):
+        chain, point = joints.chain(int(row)), tree.drawn(contact_at_voxel(system.grid, int(row)))
+        grip, light = grip_at(joints, chain, point), joints.num_carried[chain] < BRANCH_SHARE * len(rest)
+        places = np.concatenate([point.point_m[None], joints.place_m[chain]])
+        length = np.linalg.norm(np.diff(places, axis=0), axis=1)[light].sum()
+        along = point.point_m - joints.place_m[chain[light][-1] if light.any() else chain[-1]]
+        hangs = np.arange(len(joints.parent)) == chain[0]
+        for joint in range(int(chain[0]) + 1, len(hangs)):
+            hangs[joint] |= hangs[joints.parent[joint]]
+        hangs[chain] = True
+        for share in PULL_SHARES:
+            across = np.cross(along, rng.normal(size=3))
+            pull = share * height * across / np.linalg.norm(across)
+            bends = np.zeros((len(joints.parent), 3))
+            bends[chain] = pull_to(grip, pull).bend
+            if length < BRANCH_LENGTHS * share * height:
+                continue
+            still = poses(tree.bones.skeleton, np.zeros((1, len(tree.bones.skeleton), 3), np.float32))
+            moved = carried(tree.bones.skeleton, joints.bent(still, bends), 0, system.grid.centres_m, tree.bones.voxels)
+            pulls.append(np.linalg.norm(moved[~hangs[joints.of_voxel]], axis=1) / (share * height))
+    return pulls
+
+
+def _moved_elsewhere(pulls: list[np.ndarray]) -> dict[str, float]:
+    """Of all voxels of all pulls the 95th percentile, and how many pulls have theirs within the target."""
+    own = np.array([np.percentile(moved, 95) for moved in pulls])
+    return {
+        "pulls": len(pulls),
+        "p95": round(float(np.percentile(np.concatenate(pulls), 95)), 4),
+        "within_target": round(float((own <= TARGET).mean()), 3),
+    }
 
 
 def _tree(sample: Sample, system: ModalSystem) -> InteractiveTree:
