@@ -8,7 +8,7 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
-from scipy.ndimage import binary_closing, binary_dilation, label
+from scipy.ndimage import binary_closing, binary_dilation, binary_propagation
 from scipy.spatial import KDTree
 
 from dynamictree.errors import InputError
@@ -64,8 +64,10 @@ def mesh_of_cloud(
     if one_skin:
         gaps = binary_closing(density > LEVEL, iterations=gap) & (density > some * LEVEL)
         np.maximum(density, np.float32(1.05 * LEVEL), out=density, where=gaps)
+        del gaps
     _fill(density)
     points, faces, _, _ = marching_cubes(density, LEVEL)  # type: ignore[no-untyped-call]
+    del density  # hundreds of megabytes, as simplification takes
     faces = np.ascontiguousarray(faces[:, ::-1], np.int32)  # outward: opacity falls that way
     if len(faces) > max_faces:
         points, faces = fast_simplification.simplify(
@@ -108,18 +110,18 @@ def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:
     Gaps of a few cells are bridged. Below, where no camera and no beam reaches, a surface may be open; a floor
     closes it.
     """
-    within = density > LEVEL
     margin = _BRIDGED + 1  # so that what is outside stays in one piece
-    free = ~binary_dilation(np.pad(within, margin), iterations=_BRIDGED)
-    floor = int(np.flatnonzero(within.any(axis=(0, 1)))[0])
+    floor = int(np.flatnonzero(density.max(axis=(0, 1)) > LEVEL)[0])
+    free = binary_dilation(np.pad(density > LEVEL, margin), iterations=_BRIDGED)
+    np.logical_not(free, out=free)
     free[:, :, : floor + margin + 1] = False
-    regions, _ = label(free)
-    free &= regions != regions[0, 0, -1]  # enclosed
-    del regions  # four bytes a cell
+    outside = np.zeros_like(free)
+    outside[0, 0, -1] = True
+    free ^= binary_propagation(outside, mask=free)  # a label of each region has four bytes a cell
     # as far as the wall was thickened, the inside begins earlier
     inside = binary_dilation(free, iterations=_BRIDGED + 1)[margin:-margin, margin:-margin, margin:-margin]
     inside[:, :, :floor] = False
-    np.maximum(density, np.float32(2 * LEVEL), out=density, where=inside & ~within)
+    np.maximum(density, np.float32(2 * LEVEL), out=density, where=inside & (density <= LEVEL))
 
 
 def opacity_grid(

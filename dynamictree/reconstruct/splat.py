@@ -69,7 +69,7 @@ def fit_splat(
     held_out_rows = held_out_views(len(model.views))
     learned = [view for view in range(len(model.views)) if view not in held_out_rows]
     table = first_table(
-        _some_views(model, learned),
+        replace(model, views=tuple(model.views[view] for view in learned)),
         None if depths is None else _some_depths(depths, learned),
         sky=None if sky is None else [sky[view] for view in learned],
         number=min(start_gaussians, schedule.rules.max_gaussians // 2),
@@ -155,10 +155,6 @@ def _target(view: View, depth: Float32[np.ndarray, "h w"] | None, sky: Foregroun
     alpha = None if source.alpha is None else source.alpha.astype(np.float32) / 255
     depth = None if depth is None else nearest_pixels(depth, *photo.shape[:2])
     return Target(camera=view.camera, photo=photo, alpha=alpha, depth=depth)
-
-
-def _some_views(model: SparseModel, chosen: list[int]) -> SparseModel:
-    return replace(model, views=tuple(model.views[view] for view in chosen))
 
 
 def _some_depths(depths: DepthMaps, chosen: list[int]) -> DepthMaps:
