@@ -183,12 +183,13 @@ class _Problem:
         moments = scipy.sparse.kron(voxels.moments, scipy.sparse.eye_array(3))
         system = moves.T @ moments @ moves + self.price * (along.T @ along) + prior + chained
         used = np.flatnonzero(np.repeat(np.concatenate([np.ones(2 * num_bones, np.bool_), self.bends]), 3))
-        system = (system + scipy.sparse.diags_array(fixed)).tocsr()[used][:, used]
-        self.factor = scipy.sparse.linalg.splu(
-            system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        system = (system + scipy.sparse.diags_array(fixed)).tocsr()[used][:, used].tocsc()
         self.moves, self.along = (part.tocsr()[:, used].astype(np.float32) for part in (moves, along))
         self.prior = prior.tocsr()[used][:, used].astype(np.float32)
+        del moves, growth, along, side_growth, aside, moments, chained, prior  # 150 MB: the factor is as much
+        self.factor = scipy.sparse.linalg.splu(
+            system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
 
     def _lengthening(self, pose: Poses) -> scipy.sparse.csr_array:
         """From displacements of edge vectors [m] to weighted growth [E, 3E]."""
