@@ -89,7 +89,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
 
 
 def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
-    """How far each pull across a long branch moves what neither carries nor hangs on the grip, in lengths of the pull."""
+    """How far a pull across a long branch moves what neither carries nor hangs on the grip, in lengths of the pull."""
     tree, rng, height = _tree(sample, system), np.random.default_rng(0), sample.mesh.height_m
     joints, rest = tree.joints, system.grid.centres_m.astype(np.float64)
     pulls = []
