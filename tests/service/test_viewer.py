@@ -18,8 +18,8 @@ from pydantic import ValidationError
 from safetensors.numpy import load
 
 import web
+from dynamictree.formats.motion import html
 from dynamictree.rig.rig import rig_of
-from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
@@ -63,11 +63,19 @@ def imported(path: Path, modules: set[Path]) -> set[Path]:
 def test_every_module_that_the_page_begins_with_is_loaded_at_once() -> None:
     """Without the list they are found level by level, which delays the first picture."""
     page = (WEB / "index.html").read_text()
-    listed = re.findall(r'<link rel="modulepreload" href="./web/([^"]+)">', page)
+    listed = re.findall(r'<link rel="modulepreload" href="./web/([^"]+)"', page)
     ours = {path for path in listed if not path.startswith("vendor/")}
     modules = imported(WEB / "page/begin.js", imported(WEB / "page/early.js", set()))
     assert ours == {str(path.relative_to(WEB)) for path in modules}
     assert len(listed) == len(ours) + 3 == len(set(listed))
+
+
+def test_a_page_from_disk_imports_what_the_viewer_exports() -> None:
+    player, modules = "player_splat.js", html._CORE | html._SPLAT
+    for names, module in re.findall(r'^import \{ (.*) \} from "(.*)"', html._beside(player), re.MULTILINE):
+        source = (WEB / modules[module]).read_text()
+        exported = set(re.findall(r"^export (?:async )?(?:const|class|function) (\w+)", source, re.MULTILINE))
+        assert set(names.split(", ")) <= exported, module
 
 
 ANY_IMPORT = re.compile(r'''(?:from|import)\s*\(?\s*"(\.[^"]+)"''')
@@ -142,13 +150,8 @@ def test_vendored_libraries_are_cached_for_ever_under_their_version(client: Test
 
 
 def test_no_module_of_the_page_is_longer_than_a_reader_takes() -> None:
-    texts = WEB / "texts"  # tables, which nobody reads from top to bottom
-    lines = {
-        path.name: len(path.read_text().splitlines())
-        for path in WEB.rglob("*.js")
-        if not {FOLDER, texts} & set(path.parents)
-    }
-    assert {name: count for name, count in lines.items() if count > 250} == {}
+    modules = {*WEB.rglob("*.js")} - {*FOLDER.rglob("*.js"), *WEB.glob("texts/*")}  # tables need no reader
+    assert [path.name for path in modules if len(path.read_text().splitlines()) > 250] == []
 
 
 def test_every_language_has_every_text() -> None:
@@ -182,8 +185,7 @@ def test_an_asset_is_shown_as_it_was_read(client: TestClient, spectrum_id: str, 
 
 def test_a_surface_names_the_vertices_that_stand_still(grown) -> None:
     faces = grown.mesh.faces
-    still = np.arange(len(faces)) < 5
-    tensors = surface.mesh_tensors(replace(grown.mesh, still_faces=still))
+    tensors = surface.mesh_tensors(replace(grown.mesh, still_faces=np.arange(len(faces)) < 5))
     alone = np.setdiff1d(faces[:5], faces[5:])
     np.testing.assert_array_equal(np.flatnonzero(tensors["still"]), alone)
     assert "still" not in surface.mesh_tensors(grown.mesh)
@@ -230,10 +232,11 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(client, spectrum_id, grow
     np.testing.assert_array_equal(again["turn_shapes"], tensors["turn_shapes"])
 
 
-def test_mode_shapes_of_voxels_are_left_out_where_they_are_not_wanted(client: TestClient, spectrum_id: str) -> None:
+def test_mode_shapes_of_voxels_are_left_out_where_they_are_not_wanted(client, spectrum_id: str, spectrum) -> None:
     path = f"/v1/spectra/{spectrum_id}/modes"
     whole, small = (load(client.get(path, params={"shapes": shapes}).content) for shapes in ("true", "false"))
     assert whole.keys() - small.keys() == LARGE
+    np.testing.assert_array_equal(whole["lean_m"], spectrum.coefficients[:, 0].real)
 
 
 @pytest.mark.parametrize("kind", ["surface", "modes"])
@@ -249,11 +252,6 @@ def test_what_a_viewer_loads_is_packed_for_whoever_takes_it(client: TestClient, 
     assert whole.keys() == unpacked.keys()
     for name in whole:
         np.testing.assert_array_equal(whole[name], unpacked[name])
-
-
-def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
-    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)
-    np.testing.assert_array_equal(tensors["lean_m"], spectrum.coefficients[:, 0].real)
 
 
 def test_serve_tells_of_the_page(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,6 @@
 // The scene of a page that plays the loop of an animated splat: +Z up, metres.
 
-import { texture, WIDTH, zeroTexture } from "field";
+import { floats, texture } from "field";
 import { windCoordinates } from "modes";
 import { readSplat, SplatView } from "splat";
 import * as THREE from "three";
@@ -12,10 +12,9 @@ export async function show(content, { scene, renderer, camera }) {
   const box = boxOf(splat);
   const stage = { scene, renderer, camera, radius: box.getSize(new THREE.Vector3()).length() / 2 };
   const N = splat.vertices.length / 3;
-  const texels = new Float32Array(4 * WIDTH * Math.ceil(N / WIDTH));
-  const uniforms = { moved: { value: texture(texels) }, poses: { value: zeroTexture() }, bent: { value: 0 } };
-  const [bone_rows, bone_weights] = [new Uint16Array(4 * N), new Uint8Array(4 * N)]; // nothing is pushed here
-  const surface = { N, vertices: splat.vertices, bone_rows, bone_weights };
+  const texels = floats(4 * N);
+  const uniforms = { moved: { value: texture(texels) }, poses: { value: texture(floats(4)) }, bent: { value: 0 } };
+  const surface = { N, vertices: splat.vertices, joints: new Float32Array(4 * N) }; // nothing is pushed here
   const view = await SplatView.make(stage, splat, surface, uniforms);
   const period = splat.frames / splat.fps;
   const seek = (seconds) => {
