@@ -59,7 +59,9 @@ def test_names_leave_everything_in_its_place(view, url, tree, tmp_path, width, h
     sent = "{ name: 'oak', share: 1 }"
     page.evaluate(f"async () => (await import('/web/page/progress.js')).showProgress('uploading', {sent})")
     expect(page.locator("#stages .running")).to_have_text("Read the files")
-    assert page.evaluate("document.getAnimations().length") == 0, "in software each picture of one takes the job's time"
+    page.wait_for_function(
+        "document.getAnimations().length === 0"
+    )  # in software each picture of one takes the job's time
     assert viewer.complaints == []
 
 
