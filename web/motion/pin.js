@@ -9,7 +9,7 @@ import { cross, dot, length, minus, plus, rowOf, scaled } from "./vectors.js";
 
 const ROUNDS = 12; // a frame; the next frame goes on from there
 const LARGEST_BEND_RAD = 0.4;
-const [TOLERANCE, RIGID] = [1e-10, 1e-14];
+const [TOLERANCE, RIGID] = [3e-7, 1e-14];
 const [STEP_RAD, SETTLED_RAD, STUCK_RAD] = [0.5, 1e-3, 1e-6];
 const LET_GO_S = 0.08; // once nothing is pinned, the place goes like a critically damped spring of this time
 const GONE = 3e-3; // of the way
