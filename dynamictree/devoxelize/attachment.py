@@ -2,8 +2,8 @@
 
 Files rarely join a leaf to its twig: it is a part of its own that only comes near. A part hangs by its point that is
 nearest to a larger part, on the nearest point there: on one that is clearly larger if there is one, on a twig rather
-than on another card. A branch of its own hangs where its end touches, also on a trunk that is no larger, or a pile of
-parts. What is far from all that is larger hangs on nothing.
+than on another card. A branch of its own hangs where its end touches, or the end of what carries it, also on a trunk
+that is no larger, or a pile of parts; else where it crosses the tree. What is far from it hangs on nothing.
 """
 
 from dataclasses import dataclass
@@ -107,7 +107,9 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
         rooted = (stands if stands.any() else extent == extent.max())[root]
         alone = ~(rooted | small | card) & (carrier == root)
         on_alike = surface.near_any_larger(alone, rooted & ~card, rooted.astype(np.int64))
-        pairs.append(on_alike[surface.touches_at_end(on_alike)])
+        pairs.append(on_alike[surface.touches_at_end(on_alike) | surface.touches_at_end(on_alike[:, ::-1])])
+        if len(pairs[-1]) == 0:  # rather on what it crosses than on nothing
+            pairs[-1] = surface.near_any_larger(~rooted & (carrier == root), rooted, rooted.astype(np.int64))
         goes_on = len(pairs[-1]) > 0
     return _attachments(mesh, part, pieces, np.concatenate(pairs))
 

@@ -149,10 +149,9 @@ def test_a_twig_hangs_on_a_branch_and_not_on_the_large_leaf_that_it_touches() ->
     assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2), branch, twig, leaf))[2] == 1
 
 
-def test_a_branch_hangs_where_its_foot_is_and_not_where_it_crosses() -> None:
-    foot = tube([0.15, 0, 6], [2.5, 0, 7], 0.08, rings=10, sides=8)
-    crossing = tube([-1.2, 0.25, 3], [1.2, 0.25, 3], 0.08, rings=10, sides=8)
-    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2, sides=12), foot, crossing)) == {1: 0}
+def test_what_has_no_foot_hangs_where_it_crosses_the_tree() -> None:
+    ends = ([0, 0, 0], [0, 0, 10]), ([0.15, 0, 6], [2, 0, 7]), ([-1, 0.2, 3], [1, 0.2, 3]), ([-6, 0, 10], [6, 0, 10])
+    assert attached(*merged(*(tube(*stem, 0.08, rings=10, sides=8) for stem in ends))) == dict.fromkeys((1, 2, 3), 0)
 
 
 def test_a_trunk_does_not_hang_on_its_crown() -> None:
