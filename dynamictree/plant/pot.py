@@ -36,12 +36,12 @@ def find_pot(
     rng: np.random.Generator,
     *,
     soil_seen: float = _SOIL,
-    upward: Bool[np.ndarray, " P"] | None = None,
+    rise: Float64[np.ndarray, " P"] | None = None,
 ) -> Pot | None:
     """The pot that the lowest of the points are of, or None where none is to be seen for sure.
 
     A trunk is a closed wall as well, but nothing level fills it. `soil_seen` is the share of a pot's inside where
-    soil must be seen; `upward` says which points may be of soil, where that is known.
+    soil must be seen. Where the vertical share of normals is known (`rise`), soil faces upward, and walls are steep.
     """
     strays = 0.002  # of the points at the bottom
     slices = 60  # of the height
@@ -50,16 +50,19 @@ def find_pot(
     least_radius = 0.04  # of the height
     narrowest = 0.4  # of the outline: a stem below a crown is narrower
     few_narrow = 0.2  # of the slices that may be
+    level, steep = 0.5, 0.7  # rise of what may be soil, at least, and of walls, at most
     low = float(np.quantile(points[:, 2], strays))
     side = height_m / slices
     order = np.argsort(points[:, 2])
     ends = np.searchsorted(points[order, 2], low + side * np.arange(int(slices * highest) + 1))
-    rows = [points[order[a:b]] for a, b in pairwise(ends)]
-    layers = rows if upward is None else [points[order[a:b]][upward[order[a:b]]] for a, b in pairwise(ends)]
-    walls = [_wall(row) for row in rows[:least_slices]]
+    cuts = [order[a:b] for a, b in pairwise(ends)]
+    rows = [points[cut] for cut in cuts]
+    layers = rows if rise is None else [points[cut[rise[cut] > level]] for cut in cuts]
+    sides = rows if rise is None else [points[cut[np.abs(rise[cut]) < steep]] for cut in cuts]
+    walls = [_wall(row) for row in sides[:least_slices]]
     for soil in range(least_slices, len(rows) - 1):
         below = [wall for wall in walls if wall is not None]
-        walls.append(_wall(rows[soil]))
+        walls.append(_wall(sides[soil]))
         if len(below) + len(rows) - soil < _WALLED * len(rows):
             return None  # too few, were all slices above walled
         if len(below) < max(least_slices, _WALLED * soil):
@@ -74,7 +77,7 @@ def find_pot(
         top = _top_of_soil(rows, soil, wall)
         if top is None or not _is_soil(layers[soil:top], wall, rng):
             continue
-        walls += [_wall(row) for row in rows[soil + 1 :]]
+        walls += [_wall(row) for row in sides[soil + 1 :]]
         rim = top
         while rim < len(rows) and _goes_on(walls[rim], wall):
             rim += 1
@@ -175,10 +178,8 @@ def _top_of_soil(rows: Sequence[Points], soil: int, wall: Wall) -> int | None:
     rising = 0.65  # of them, at most, by what rises out of it; and by what is below
     if any(_filled(row, wall) > rising for row in rows[soil - 2 : soil]):
         return None
-    for top in range(soil + 1, min(soil + thickest, len(rows) - 1) + 1):
-        if _filled(rows[top], wall) <= rising:
-            return top
-    return None
+    tops = range(soil + 1, min(soil + thickest, len(rows) - 1) + 1)
+    return next((top for top in tops if _filled(rows[top], wall) <= rising), None)
 
 
 def _filled(points: Points, wall: Wall) -> float:

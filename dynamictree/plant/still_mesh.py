@@ -120,7 +120,6 @@ def _fused_base(
     mesh: TriangleMesh, scene: Scene, gone: Things, of_face: Int64[np.ndarray, " F"]
 ) -> tuple[StillPart, Faces] | None:
     """The base of the largest part that stands at the bottom and rises: a plate, ground or a pot; None without one."""
-    upward_share = 0.5  # of a normal, along +Z
     points_of_base = 150_000
     soil_seen = 0.7  # of a pot's inside: below stems of one surface with it there is none
     floor, height = scene.floor_and_height(gone)
@@ -140,31 +139,32 @@ def _fused_base(
     normals, middles = face_normals(part), part.vertices[part.faces].mean(axis=1, dtype=np.float64)
     inside_out = np.einsum("fi,fi->", middles - middles.mean(axis=0), normals) < 0
     length = np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
-    upward = ((-normals if inside_out else normals)[:, 2] > upward_share * length)[face]
+    rise = ((-normals if inside_out else normals)[:, 2] / length)[face]
+    upward = points[rise > 0.5]  # within 60° of +Z
     places = part.vertices.astype(np.float64)
-    plane = find_ground(points[upward], height_m, rng) if upward.any() else None
+    plane = find_ground(upward, height_m, rng) if len(upward) else None
     base = None if plane is None else _with_what_is_cut_off(part, plane.above(places) <= 0, _PLATE_TOP)
-    detected = GROUND
+    detected = POT if base is None else GROUND
     if base is None:
-        pot = find_pot(points, height_m, rng, soil_seen=soil_seen, upward=upward)
+        pot = find_pot(points, height_m, rng, soil_seen=soil_seen, rise=rise)
         base = None if pot is None else _with_what_is_cut_off(part, in_pot(pot, places), _POT_TOP)
-        detected = POT
     if base is None:
         return None
-    still = np.zeros(mesh.num_faces, np.bool_)
-    still[own] = base
-    return detected, still
+    own[own] = base
+    return detected, own
 
 
 def _with_what_is_cut_off(mesh: TriangleMesh, inside: Bool[np.ndarray, " N"], highest: float) -> Faces | None:
     """Faces of a base with the pieces, such as of a rim, that hang on it alone; None if it is no base below a plant."""
+    rim = 0.05  # of the height: so far a piece that is no stem or leaf reaches above the base
     base = inside[mesh.faces].all(axis=1)
     welded, _ = weld(mesh)
     piece = connected_parts(welded.faces[~base], welded.num_vertices)
     _, high = part_bounds(piece, welded.vertices)
     used = welded.vertices[np.unique(welded.faces), 2]
     floor, height = used.min(), float(np.ptp(used))
-    rises = high[piece[welded.faces[:, 0]], 2] > floor + highest * height
+    top = welded.vertices[welded.faces[base], 2].max(initial=floor)
+    rises = high[piece[welded.faces[:, 0]], 2] > top + rim * height
     still = base | ~rises
     if still.all() or not still.any():
         return None

@@ -35,7 +35,8 @@ def block(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def pot(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     away, wall = np.hypot(x, y), 0.16 + 0.16 * z
-    return (away < wall) & (z > -0.28) & ((z < 0.015) | ((away > wall - 0.03) & (z < 0.06)))
+    low_shoot = (np.hypot(x - 0.09, y) < 0.02) & (z > 0) & (z < 0.2)
+    return low_shoot | ((away < wall) & (z > -0.28) & ((z < 0.015) | ((away > wall - 0.03) & (z < 0.06))))
 
 
 def nothing(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -71,6 +72,10 @@ PLANTS: dict[str, tuple[Solid, ...]] = {
     "branches in tiers": (
         frustum(0.05, 0.05, 0, 0.3),
         *(frustum(0.4 - 0.07 * tier, 0.1, 0.05 + 0.18 * tier, 0.3 + 0.18 * tier) for tier in range(5)),
+    ),
+    "leaves that hang all around": (
+        lambda x, y, z: (np.hypot(x, y) < 0.54) & (np.abs(z - np.minimum(0.13, 0.324 - 0.6 * np.hypot(x, y))) < 0.018),
+        frustum(0.05, 0.05, 0.13, 0.5),
     ),
     "a cone from the ground": (frustum(0.4, 0.02, 0, 1),),
     "a ball on the ground": (lambda x, y, z: ball(x, y, z, middle=0.5, radius=0.5),),

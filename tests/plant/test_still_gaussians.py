@@ -127,8 +127,7 @@ def test_still_gaussians_do_not_move_at_all() -> None:
 def test_a_mask_is_taken_as_it_is() -> None:
     tree = plant("sapling")
     scene, owner = joined(tree, SCENES["pot"](height(tree)))
-    capture = with_still_parts(Capture(cloud=scene, mask=owner >= 0))
-    assert moving_part(capture).all()
+    assert moving_part(with_still_parts(Capture(cloud=scene, mask=owner >= 0))).all()
 
 
 def test_a_mesh_that_came_with_a_capture_stands_still_where_its_gaussians_do() -> None:
