@@ -10,7 +10,7 @@ STILL_NAMES = frozenset(
             "pot pots flowerpot plantpot vase planter soil dirt earth ground terrain table desk plate saucer dish",
             "water sea ocean lake river pond rock rocks stone stones pebble pebbles sand beach floor concrete",
             "road path pavement glass ceramic terracotta clay island plane wall fence bench trellis topf erde boden",
-            "tisch wasser stein terre",
+            "tisch wasser stein terre blumentopf vaso maceta jardiniere cachepot urn recipient",
         )
     ).split()
 )
