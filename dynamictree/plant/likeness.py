@@ -103,10 +103,9 @@ def sector_difference(points: Points) -> float:
 
 
 def _share_along_axes(mesh: TriangleMesh) -> float:
-    cosine = 0.99  # cosine
     normals = face_normals(mesh)
     area = np.linalg.norm(normals, axis=1)
-    along = np.abs(normals).max(axis=1) > cosine * area
+    along = np.abs(normals).max(axis=1) > 0.99 * area  # within 8° of an axis
     return float(area[along].sum() / max(float(area.sum()), 1e-30))
 
 
