@@ -26,8 +26,7 @@ FEW_VERTICES = 24
 """A part with no more hangs on another whatever its extent: low-poly crowns are made of large ones."""
 
 CARD_VERTICES = 8
-"""A part with no more is a card. It hangs on the nearest part that is none, of any size, and carries a stem only where
-nothing else is near."""
+"""A part with no more is a card, and hangs on the nearest part that is none; stems hang on it for want of others."""
 
 MAX_GAP_VOXELS = 2.0
 """Farther from any larger part, a part moves by its own voxels; nearer ones may share voxels with it."""

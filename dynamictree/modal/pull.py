@@ -8,8 +8,7 @@ target x*, the solution has the least energy
 with g_i = |r_i| / (carried_i² Π_f s_f), |r_i| the length to the next joint and carried_i the number of voxels beyond:
 the stiffness of a beam whose cross-section is that of all that it carries, times the share s_f that it takes of its
 stem at each fork where it leaves one; where bending would tear a crown that is one surface, far less (`Joints.give`).
-So a branch bends at its thin end more than at its thick one, a trunk stands
-while its twig is pulled, and no joint folds. The point that is drawn is at
+So a trunk stands while its twig is pulled, and no joint folds. The point that is drawn is at
 
     x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
 
@@ -18,9 +17,9 @@ segments a_i = A_i s_i in space by θ_i, as a rod under the force λ that its en
 
     k_i (θ_i - θ_{i+1}) - k_{i-1} (θ_{i-1} - θ_i) + max(a_i · λ, 0) θ_i  =  a_i × λ - (m_i - m_{i-1})
 
-with m_i and k_i the moment and the stiffness of joint i, and Σ_i θ_i × a_i + ε λ = x* - x. By ε the point misses a
-target by 1 % where it takes 30,000 times the force of a small pull, as along a stem or into a fold. A step that neither
-brings the point nearer nor lessens E is taken again, shorter. `equilibrium` is also in JavaScript, `web/motion/pin.js`.
+with m_i and k_i the moment and the stiffness of joint i, and Σ_i θ_i × a_i + ε λ = x* - x. By ε a point misses a target
+by 1 % where it takes 30,000 times the force of a small pull, as along a stem or into a fold. A step that neither brings
+the point nearer nor lessens E is taken again, shorter. `web/motion/pin.js` has `equilibrium` too.
 """
 
 from dataclasses import dataclass, replace

@@ -37,7 +37,7 @@ class _Parts:
     of: Int64[np.ndarray, " n"]
     is_card: Bool[np.ndarray, " P"]
     stands: Bool[np.ndarray, " P"]
-    above: Int64[np.ndarray, " P"]  # the vertex that a part hangs on; -1 without one
+    above: Int64[np.ndarray, "P 3"]  # corners of what a part hangs on: the nearest, and those far from it; or -1
     foot_m: Float64[np.ndarray, "P 3"]
     begins: Bool[np.ndarray, " n"]  # where a part that bends begins
 
@@ -65,15 +65,15 @@ def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
     centre = _means(node, places, len(parent))
     foot = np.where(is_base[:, None], parts.foot_m[part], centre[parent])
     bone, share = _carriers(places, node, parent, foot, centre - foot)
-    hangs = is_base & (parts.above[part] >= 0)
+    hangs = is_base & (parts.above[part, 0] >= 0)
     standing = is_base & parts.stands[part]
     hinged = parts.is_card[part] & is_base & ~standing  # turns by itself from its foot on
     share[hinged[bone] & (share <= 0.5)] = 0
     share[is_base[bone] & ~hinged[bone]] *= 2  # the foot of a branch is in the bark, that of a trunk in the ground
 
-    above = parts.above[part[hangs]]
-    low = share[above] > 0.5
-    parent[hangs] = np.where(low & (parent[bone[above]] >= 0), parent[bone[above]], bone[above])
+    above = parts.above[part[hangs]].T  # a face between two nodes is of the second one's bone
+    carrier, b, c = np.where((share[above] > 0.5) & (parent[bone[above]] >= 0), parent[bone[above]], bone[above])
+    parent[hangs] = np.where(parent[b] == carrier, b, np.where(parent[c] == carrier, c, carrier))
     floating = np.flatnonzero(is_base & ~hangs & ~standing)
     ground = places[places[:, 2] <= places[:, 2].min() + voxel_m].mean(axis=0)
     num_nodes, num_floating = len(parent), len(floating)
@@ -137,9 +137,11 @@ def _parts_of(surface: Surface, attached: Attachments, voxel_m: float) -> _Parts
     foot = _means(of[near_foot], surface.vertices[near_foot].astype(np.float64), len(low))
     own, other = attached.corners[:, 0], attached.corners[:, 1]
     foot[attached.children] = np.einsum("bi,bic->bc", attached.weights[:, 0], surface.vertices[own])
-    above = np.full(len(low), -1, np.int64)
-    above[attached.children] = np.take_along_axis(other, attached.weights[:, 1].argmax(axis=1)[:, None], axis=1)[:, 0]
-    begins = near_foot & (above[of] < 0)
+    above = np.full((len(low), 3), -1, np.int64)
+    corners = np.take_along_axis(other, np.argsort(-attached.weights[:, 1], axis=1), axis=1)
+    apart_m = np.linalg.norm(surface.vertices[corners] - surface.vertices[corners[:, :1]], axis=2)
+    above[attached.children] = np.where(apart_m > 2 * NEAR_VOXELS * voxel_m, corners, corners[:, :1])
+    begins = near_foot & (above[of, 0] < 0)
     begins[np.take_along_axis(own, attached.weights[:, 0].argmax(axis=1)[:, None], axis=1)] = True
     return _Parts(of=of, is_card=is_card, stands=stands, above=above, foot_m=foot, begins=begins & ~is_card[of])
 

@@ -161,15 +161,16 @@ def test_a_trunk_does_not_hang_on_its_crown() -> None:
     )
 
 
-def test_the_foot_of_a_branch_stays_in_the_bark() -> None:
+@pytest.mark.parametrize(("rings", "z"), [(40, 6), (2, 4)])
+def test_the_foot_of_a_branch_stays_in_the_bark(rings: int, z: float) -> None:
     """Where it hangs it moves as the bark there and tilts with it, to 0.3 % of the height, through noise of voxels."""
-    trunk = tube([0, 0, 0], [0, 0, 10], 0.3, rings=40, sides=12)
-    mesh, _ = merged(trunk, tube([0.28, 0, 6], [2.5, 0, 7], 0.12, rings=12, sides=8))
+    trunk = tube([0, 0, 0], [0, 0, 10], 0.3, rings=rings, sides=12)
+    mesh, _ = merged(trunk, tube([0.28, 0, z], [2.5, 0, z + 1], 0.12, rings=12, sides=8))
     grid = voxelize(mesh, 128).grid
     coefficients, even = sway(grid, 1, 0.3), sway(grid, 1, 0.0)
-    arm, branch = grid.centres_m[:, None] - np.array([0.28, 0, 6]), np.hypot(*grid.centres_m[:, :2].T) > 0.4
+    arm, branch = grid.centres_m[:, None] - np.array([0.28, 0, z]), np.hypot(*grid.centres_m[:, :2].T) > 0.4
     bark = even[np.argmin(np.linalg.norm(arm, axis=2))]
-    coefficients[branch] += (bark + np.cross(np.cross([0, 0, 2 / 6], bark), arm) - even)[branch]
+    coefficients[branch] += (bark + np.cross(np.cross([0, 0, 2 / z], bark), arm) - even)[branch]
     moved = on_vertices(grid, mesh, coefficients, 40)
     welded, vertex = weld(mesh)
     attachments, place = find_attachments(welded, grid), moved[:, np.unique(vertex, return_index=True)[1]]
