@@ -156,9 +156,8 @@ def test_what_has_no_foot_hangs_where_it_crosses_the_tree() -> None:
 
 def test_a_trunk_does_not_hang_on_its_crown() -> None:
     """A trunk of six sides below a larger crown: its foot would follow the crown."""
-    assert 0 not in attached(
-        *merged(tube([0, 0, 0], [0, 0, 4], 0.2, rings=2, sides=6), tube([0, 0, 3.9], [0, 0, 10], 0.3))
-    )
+    trunk, crown = tube([0, 0, 0], [0, 0, 4], 0.2, rings=2, sides=6), tube([0, 0, 3.9], [0, 0, 10], 0.3)
+    assert 0 not in attached(*merged(trunk, crown))
 
 
 @pytest.mark.parametrize(("rings", "z"), [(40, 6), (2, 4)])
