@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -19,7 +19,7 @@ from dynamictree.reconstruct.stereo import (
     match_view,
     neighbours_of,
 )
-from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.reconstruct.views import SparseModel, View, resized
 
 SIDE_PX = 256
 
@@ -37,7 +37,10 @@ def find_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> Dept
     least_agreeing = 2 if len(model.views) > 6 else 1
     views = [stereo_view(view, SIDE_PX) for view in model.views]
     positions = np.array([view.position for view in views])
-    masks = [_mask(view, stereo.grey.shape) for view, stereo in zip(model.views, views, strict=True)]
+    masks = [
+        np.ones(stereo.grey.shape, np.bool_) if view.alpha is None else _mostly(view.alpha, stereo.grey.shape)
+        for view, stereo in zip(model.views, views, strict=True)
+    ]
     neighbours = neighbours_of(positions, model.points, model.seen)
     planes = []
     for number, mask in enumerate(masks):
@@ -68,11 +71,10 @@ def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, Box | None]:
 
 def outside_sky(maps: DepthMaps, sky: Sequence[Foreground]) -> DepthMaps:
     """The same maps, unknown where more than half of a pixel is sky."""
-    mostly = 127
-    depths = []
-    for depth, view in zip(maps.depths, sky, strict=True):
-        cover = Image.fromarray(view.alpha).resize(depth.shape[::-1], Image.Resampling.BOX)
-        depths.append(np.where(np.asarray(cover) > mostly, depth, 0).astype(np.float32))
+    depths = [
+        np.where(_mostly(view.alpha, depth.shape), depth, 0).astype(np.float32)
+        for depth, view in zip(maps.depths, sky, strict=True)
+    ]
     return DepthMaps(views=maps.views, depths=depths)
 
 
@@ -116,10 +118,6 @@ def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypothes
     return Hypotheses(inverse, np.zeros((height, width, 2), np.float32), np.full((height, width), 3, np.float32))
 
 
-def _mask(view: View, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
-    """The view's mask at another size; everything where it has none."""
-    if view.alpha is None:
-        return np.ones(shape, np.bool_)
-    smaller = Image.fromarray(view.alpha).resize((shape[1], shape[0]), Image.Resampling.BOX)
-    mask: Bool[np.ndarray, "h w"] = np.asarray(smaller) >= 128
-    return mask
+def _mostly(alpha: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """Where more than half of a pixel is covered, at another size."""
+    return resized(alpha.astype(np.float32), (shape[1], shape[0])) >= 127.5

@@ -23,10 +23,6 @@ class Box:
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
 
-    def padded(self, margin: float) -> "Box":
-        """Wider by a margin on every side."""
-        return Box(low=self.low - margin, high=self.high + margin)
-
 
 class Surface(NamedTuple):
     """Triangles without colours."""

@@ -86,8 +86,9 @@ def _subject(depths: DepthMaps, cut: float) -> Box | None:
     surface = main_cluster(above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), GAP)
     if len(surface.faces) < LEAST_FACES:
         return None
-    box = Box(low=surface.vertices.min(axis=0).astype(np.float64), high=surface.vertices.max(axis=0).astype(np.float64))
-    return box.padded(box_margin * float((box.high - box.low).max()))
+    low, high = (corner(surface.vertices, axis=0).astype(np.float64) for corner in (np.min, np.max))
+    margin = box_margin * float((high - low).max())
+    return Box(low=low - margin, high=high + margin)
 
 
 def _evenly_chosen(model: SparseModel, max_views: int) -> SparseModel:
