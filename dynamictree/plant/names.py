@@ -1,6 +1,7 @@
 """What the names of materials and nodes say: wood, leaves, soil, and what is no plant."""
 
 import re
+import unicodedata
 
 WOOD = re.compile(r"bark|trunk|wood|stem|branch|log\b|stamm|rinde|tronc|holz|twig|limb", re.IGNORECASE)
 LEAF = re.compile(r"lea[fv]|foliage|crown|needle|blatt|laub|feuill|frond|canopy|flower|blossom|petal", re.IGNORECASE)
@@ -21,7 +22,8 @@ SOIL_NAMES = frozenset(("soil", "dirt", "earth", "erde", "terre"))
 
 
 def words(name: str) -> frozenset[str]:
-    """The words of a name, split at capitals, digits and signs, in small letters."""
+    """The words of a name, split at capitals, digits and signs, in small letters without accents."""
+    name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name))
 
 

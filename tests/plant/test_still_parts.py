@@ -135,7 +135,7 @@ def test_straight_stems_beside_each_other_are_no_lattice() -> None:
 
 
 def test_names_of_things_are_words() -> None:
-    assert all(map(is_still_name, ("Flower_Pot.001", "potMaterial", "Ground", "waterSurface", "M_Soil", "Blumentopf")))
+    assert all(map(is_still_name, ("Flower_Pot.001", "potMaterial", "Ground", "waterSurface", "M_Soil", "Jardinière")))
     assert not any(map(is_still_name, ("Bark_Mat", "Leaves", "Potentilla", "basecolor", "tree_material", "")))
 
 
