@@ -105,11 +105,11 @@ def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
         hangs[chain] = True
         for share in PULL_SHARES:
             across = np.cross(along, rng.normal(size=3))
+            if length < BRANCH_LENGTHS * share * height:
+                continue
             pull = share * height * across / np.linalg.norm(across)
             bends = np.zeros((len(joints.parent), 3))
             bends[chain] = pull_to(grip, pull).bend
-            if length < BRANCH_LENGTHS * share * height:
-                continue
             still = poses(tree.bones.skeleton, np.zeros((1, len(tree.bones.skeleton), 3), np.float32))
             moved = carried(tree.bones.skeleton, joints.bent(still, bends), 0, system.grid.centres_m, tree.bones.voxels)
             pulls.append(np.linalg.norm(moved[~hangs[joints.of_voxel]], axis=1) / (share * height))
