@@ -7,7 +7,7 @@ are divided by a gain of its own, found from the points that photos share (gain 
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 from scipy.ndimage import uniform_filter
 
 from dynamictree.reconstruct.views import SparseModel, View
@@ -21,7 +21,9 @@ def evenly_exposed(model: SparseModel) -> SparseModel:
     log_gain = log_gains(model)
     if np.abs(log_gain).max(initial=0) < _SAME:
         return model
-    views = (replace(view, image=_divided(view, gain)) for view, gain in zip(model.views, log_gain, strict=True))
+    images = (view.image * np.exp(-gain) for view, gain in zip(model.views, log_gain, strict=True))
+    rounded = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in images)
+    views = (replace(view, image=image) for view, image in zip(model.views, rounded, strict=True))
     return replace(model, views=tuple(views))
 
 
@@ -71,8 +73,3 @@ def _colors_at(view: View, points: Float64[np.ndarray, "P 3"]) -> Float64[np.nda
     at, inside = view.pixels_of(points)
     smooth = uniform_filter(view.image.astype(np.float32), size=(window_px, window_px, 1))
     return np.where(inside[:, None], smooth[at], 0).astype(np.float64)
-
-
-def _divided(view: View, log_gain: Float64[np.ndarray, " 3"]) -> UInt8[np.ndarray, "H W 3"]:
-    image: UInt8[np.ndarray, "H W 3"] = np.clip(np.rint(view.image * np.exp(-log_gain)), 0, 255).astype(np.uint8)
-    return image

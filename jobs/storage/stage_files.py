@@ -6,7 +6,7 @@ CLOUD_BUNDLE = "cloud.safetensors"  # a splat or scan as it was read, for the st
 VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
 
-STAGE_VERSION = "27"
+STAGE_VERSION = "28"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 HALF_DONE = "half-done-"
 """First part of the names of folders in scratch that hold half-done reconstructions."""

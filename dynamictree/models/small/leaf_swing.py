@@ -23,7 +23,7 @@ MAX_GAIN = 2.0
 class Leaves:
     """The leaf of each voxel, with a weight."""
 
-    base: Int64[Tensor, " V"]  # the voxel that the leaf grows from
+    base: Int64[Tensor, " V"]  # the voxel that the leaf grows from; one of wood is its own
     outward: Float32[Tensor, "V 3"]  # unit vector from there
     share: Float32[Tensor, " V"]  # 0 on wood and at a leaf's base
 
@@ -58,7 +58,7 @@ def leaves_of(
     outward = arm @ axes.T / np.maximum(length, np.finfo(np.float32).tiny)[:, None]
     out = (length - base_voxels).clip(0, 1)
     return Leaves(
-        base=torch.from_numpy(bases_of(grid.coords, foliage_values)),
+        base=torch.from_numpy(np.asarray(cKDTree(grid.coords).query(grid.coords - arm)[1], np.int64)),
         outward=torch.from_numpy(outward.astype(np.float32)),
         share=free * foliage_values[:, 0].clamp(0, 1) * torch.from_numpy(out.astype(np.float32)),
     )
@@ -68,12 +68,6 @@ def arms_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O
     """From the base of each voxel's leaf to the voxel, in voxels; on wood about zero."""
     arm: Float32[np.ndarray, "V 3"] = foliage_values[:, ARM].numpy() * ((int(np.ptp(coords[:, 2])) + 1) / ARM_SCALE)
     return arm
-
-
-def bases_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O"]) -> Int64[np.ndarray, " V"]:
-    """The voxel that each voxel's leaf grows from; a voxel of wood is its own."""
-    tree = cKDTree(coords)
-    return np.asarray(tree.query(coords - arms_of(coords, foliage_values))[1], np.int64)
 
 
 def _size(vectors: Complex64[Tensor, "V K 3"]) -> Float32[Tensor, "V K"]:
