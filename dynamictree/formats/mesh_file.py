@@ -51,7 +51,7 @@ _MAGIC = (
 _3MF_ENTRY = b"3D/3dmodel.model"
 _OBJ_LINE = re.compile(rb"^[ \t]*(v|vt|vn|f|o|g|s|usemtl|mtllib)[ \t]+\S", re.MULTILINE)
 _PLY_START = re.compile(rb"(\xef\xbb\xbf)?ply[ \t]*[\r\n]")  # some writers leave blanks at the end
-_POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE]+([ \t,;|]+[-+0-9.eE]+){2,}[ \t]*\r?$", re.MULTILINE)
+_POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE\"]+([ \t,;|]+[-+0-9.eE\"]+){2,}[ \t]*\r?$", re.MULTILINE)
 
 
 def read_mesh(
@@ -134,9 +134,8 @@ def sniff_file_type(head: bytes, filename: str = "") -> str:
         return "splat"
     if (advice := advice_for(head, ending)) is not None:
         raise FormatError(f"{advice}; {ACCEPTED}")
-    text = b"\0" not in head
-    if text and ending != "txt" and _OBJ_LINE.search(head):
+    if b"\0" not in head and ending != "txt" and _OBJ_LINE.search(head):
         return "obj"
-    if text and _POINT_LINE.search(head):
+    if b"\0" not in head and _POINT_LINE.search(head):
         return "points"
     raise FormatError(f"the file {filename[:80]!r} begins with {head[:8]!r}, which is of no known format; {ACCEPTED}")

@@ -51,6 +51,8 @@ def rgb(cloud: GaussianCloud) -> list[int]:
         table("117 73 49", head="\ufeffx|y|z|red|green|blue\n", delimiter="|"),
         table("9 117 73 49 0", head="X Y Z Intensity R G B ReturnNumber\n"),  # lidR
         table("117 73 49 7", head="; exported\n; x y z r g b scan\n"),
+        table("117 73 49", head='"x" "y" "z" "r" "g" "b"\n').replace("\n", '\n"1" ')[:-5],  # R: write.table
+        ('"' + table("117 73 49", head="x y z r g b\n").replace(" ", '" "').replace("\n", '"\n"'))[:-1],
         table("49 73 117", head="# x [m], y [m], z [m], blue, green, red\n"),
         table("117 73 49", head="FARO Scan 012\nsome words that are no names\nX\tY\tZ\tR\tG\tB\n", delimiter="\t"),
         table("117 73 49") + "0 0 0 12 13 14\n0 0 0 9 9 9\n",  # where a scanner saw nothing: PclCSharp 6
@@ -78,9 +80,7 @@ def test_places_and_colours_are_read(text: str) -> None:
         table("0.1 -0.7 0.7 4"),  # ShapeNet's parts
         table("513.25 2 1 30512"),  # intensity, returns, time
         table("0 0 0", head="X Y Z R G B\n"),  # colours that nobody set
-        table(
-            "65535 1 12 3 117 0 1", head="X Y Z Intensity ReturnNumber NumberOfReturns Classification PointSource a b\n"
-        ),
+        table("65535 1 12 3 117 0 1", head="X Y Z Intensity ReturnNumber NumberOfReturns Classification Source a b\n"),
         table("128", head="//X Y Z Grey\n"),  # CloudCompare 959
     ],
 )
@@ -92,8 +92,8 @@ def test_labels_normals_and_intensities_are_no_colours(text: str) -> None:
 
 
 def test_map_coordinates_with_commas_keep_their_millimetres() -> None:
-    text = "\n".join(f"{x + 694386:.3f},{y + 5155487:.3f},{z + 381:.3f}" for x, y, z in PLACES.tolist())
-    cloud = cloud_of(text, "txt")  # Open3D 1379
+    lines = (f"{x + 694386:.3f},{y + 5155487:.3f},{z + 381:.3f}" for x, y, z in PLACES.tolist())  # Open3D 1379
+    cloud = cloud_of("\n".join(lines), "txt")
     np.testing.assert_allclose(
         cloud.means + np.subtract(cloud.source.offset, (694386, 5155487, 381)), PLACES, atol=1e-3
     )

@@ -24,7 +24,7 @@ _COLOR_NAMES = tuple(
     for color in ("red", "green", "blue")
 )
 _UMLAUTS = {ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue"}
-_COMMENT = re.compile(rb"[ \t]*(#|//|;|%|!|\")+")
+_COMMENT = re.compile(rb"[ \t]*(#|//|;|%|!)+")
 _HEAD_BYTES = 1 << 16
 
 
@@ -43,7 +43,7 @@ def read_points_text(stream: SeekableReader) -> Scan:
     if size > 100 * MAX_GAUSSIANS:
         raise InputError(f"the text is {size:,} bytes; at most {MAX_GAUSSIANS:,} points are allowed; decimate it first")
     raw = _with_decimal_points(stream.read().removeprefix(b"\xef\xbb\xbf"))
-    lines = [line for line in raw.translate(bytes.maketrans(b",;\t|", b"    ")).splitlines() if line.strip()]
+    lines = [line for line in raw.translate(bytes.maketrans(b',;\t|"', b"     ")).splitlines() if line.strip()]
     start = next((number for number, line in enumerate(lines) if numbers_of(line) is not None), len(lines))
     head = [line for line in raw[:_HEAD_BYTES].splitlines() if line.strip()][:start]
     # the number of points stands before each scan in PTS
@@ -82,11 +82,12 @@ def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tupl
         FormatError: the columns are named, and none is x, y or z; or the rows are Gaussians.
     """
     labels = 16.0  # whole numbers up to here are classes or returns, not colours
-    width = table.shape[1]
     for line in reversed(head):
         names = _column_names(line)
-        if len(names) != width:
+        unnamed = table.shape[1] - len(names)
+        if unnamed not in (0, int(line.startswith(b'"'))):  # R writes the numbers of rows, without a name
             continue
+        names = [""] * unnamed + names
         if {"scale0", "rot0"} <= set(names):
             raise FormatError("the table is of Gaussians; convert it with `splat-transform tree.csv tree.ply`")
         places = _positions(names, _AXIS_NAMES)
@@ -94,8 +95,8 @@ def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tupl
             return places, _positions(names, _COLOR_NAMES)
         if not _COMMENT.match(line):
             raise FormatError(
-                f"the table's columns are {', '.join(names)[:300]}; a point cloud has columns x, y and z. Is it a "
-                "table of cylinders or of measurements (QSM)? Send the points that it was made from"
+                f"the table's columns are {', '.join(names[unnamed:])[:300]}; a point cloud has columns x, y and z. Is "
+                "it a table of cylinders or of measurements (QSM)? Send the points that it was made from"
             )
     return [0, 1, 2], color_columns(table, labels)
 
