@@ -23,6 +23,7 @@ from jaxtyping import Complex64, Complex128, Float32, Float64
 from dynamictree.modal.real_trees import natural_damping, natural_frequency_hz
 from dynamictree.requests import Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from dynamictree.wind.air import turbulence_length_m
 from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
 
 NUM_PARTIALS = 6
@@ -30,7 +31,6 @@ NUM_PARTIALS = 6
 NUM_GUST_PARTIALS = 12
 """M."""
 SLOWEST_HZ = 1 / 600  # slower than the ten minutes of a mean wind is another mean wind
-ROUGHNESS_M = 0.3  # of open country with trees and hedges, EN 1991-1-4
 LARGEST_TURN_RAD = np.pi / 3
 _CELLS = 64  # of the integrals over the spectrum, per partial
 
@@ -120,11 +120,6 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
         bands=spectrum.wind_bands,
         turn_rad=gusts.wave(0.0, LARGEST_TURN_RAD, lateral_share * resonance, phase[1]),
     )
-
-
-def turbulence_length_m(height_m: float) -> float:
-    """Length of the gusts at the top of a tree [m]; EN 1991-1-4, annex B."""
-    return float(300 * (max(height_m, 2.0) / 200) ** (0.67 + 0.05 * np.log(ROUGHNESS_M)))
 
 
 def iter_turbulent_sums(

@@ -4,6 +4,7 @@ import pytest
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
+from tests.modal.trees import rigged_fork
 
 
 def rod_spectrum(num_voxels: int = 40, num_frequencies: int = 16, *, seed: int = 1) -> SparseVoxelSpectrum:
@@ -28,3 +29,9 @@ def spectrum() -> SparseVoxelSpectrum:
 @pytest.fixture
 def system(spectrum: SparseVoxelSpectrum) -> ModalSystem:
     return modal_system(spectrum, mass_kg=20.0, damping_ratio=0.05)
+
+
+@pytest.fixture(scope="module")
+def forked():
+    tree, _, parts = rigged_fork(fineness=3)
+    return tree, parts

@@ -10,13 +10,6 @@ from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import default_falloff_m, displacement, modal_system
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample, voxel_spectrum
-from tests.modal.trees import rigged_fork
-
-
-@pytest.fixture(scope="module")
-def forked():
-    tree, _, parts = rigged_fork(fineness=3)
-    return tree, parts
 
 
 def poke_weights(tree, row, falloff_m):

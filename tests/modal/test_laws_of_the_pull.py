@@ -21,17 +21,10 @@ from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sample import make_sample, voxel_spectrum
-from tests.modal.trees import rigged_fork
 
 DT_S = 1 / 120
 FALLOFF_M = 0.5
 ANSWERS = Path(__file__).with_name("pulls.json")
-
-
-@pytest.fixture(scope="module")
-def forked():
-    tree, _, parts = rigged_fork(fineness=3)
-    return tree, parts
 
 
 def pulled(tree, row, vector, *, num_frames=1, duration_s=None, start="held", at=None):
