@@ -13,7 +13,7 @@ from dynamictree.mesh import SourceWarning, TriangleMesh, validate_mesh
 from dynamictree.plant.capture import Capture, moving_part, with_still_parts
 from dynamictree.plant.level import up_of_standing
 from dynamictree.plant.likeness import FEWEST_FACES, FEWEST_GAUSSIANS, VISIBLE, doubt_cloud, doubt_mesh
-from dynamictree.plant.place import Conventions, axis_doubts, mesh_to_z_up, size_doubts, sized
+from dynamictree.plant.place import Conventions, axis_doubts, crown_warnings, mesh_to_z_up, size_doubts, sized
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.plant.trees.of_mesh import with_trees
@@ -119,6 +119,7 @@ def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
     tree = np.full(capture.cloud.num_gaussians, -1, np.int32)
     tree[moving] = segment_trees(points, is_scan=is_scan)
     count = int(tree.max()) + 1
-    if count == 1:
-        return capture
-    return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(count)))
+    if count > 1:
+        return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(count)))
+    wide = crown_warnings(np.ptp(points, axis=0).tolist(), capture.cloud.source.scale) if is_scan else ()
+    return replace(capture, warnings=capture.warnings + wide)

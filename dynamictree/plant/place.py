@@ -149,18 +149,13 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
 
     Tools that make meshes from pictures scale all that they see to a cube, also in glTF, whose unit is the metre.
     """
-    # a choice: of the sample trees the widest crown is 20 m, and half as much again is still plausible
-    widest_crown_m = 30.0
     cubes, of_cube = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
     scale, plant = mesh.source.scale, mesh.moving_part
     sides = np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
     height, longest = sides[2], float(np.ptp(mesh.vertices[mesh.faces.ravel()], axis=0).max()) / scale
-    unlikely = height_warnings(height, scale)
-    if unlikely:
+    if unlikely := height_warnings(height, scale) or crown_warnings(sides, scale):
         return unlikely
-    if max(sides[:2]) > widest_crown_m:
-        what = f"the plant is {height:.3g} m tall and {max(sides[:2]):.3g} m wide, and few crowns are so wide"
-    elif not file_unit and scale != 1.0:
+    if not file_unit and scale != 1.0:
         names = {unit: name for name, unit in UNIT_NAMES.items()}
         taken = f"taken for {names.get(scale, f'{scale:g} m each')} ({height:.3g} m)"
         what = f"the file does not say its unit; {height / scale:.4g} units were {taken}"
@@ -168,23 +163,29 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
         what = f"the longest side is {longest:.3g} units, as of meshes that a tool scaled to a cube, taken for metres"
     else:
         return ()
-    message = f"{what}; it would be {_in_other_units(height / scale, scale)}: set unit_m, or height_m to its height"
-    return (SourceWarning(code="size-doubtful", message=message),)
+    return _size_doubtful(what, height, scale)
 
 
 def height_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
     """Says an unlikely height, with the units that would make it usual."""
     low, high = USUAL_HEIGHT_M
-    if low <= height_m <= high:
-        return ()
-    message = (
-        f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m; it would be "
-        f"{_in_other_units(height_m / scale, scale)}: set unit_m, or height_m to its height"
-    )
-    return (SourceWarning(code="size-doubtful", message=message),)
+    what = f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m"
+    return () if low <= height_m <= high else _size_doubtful(what, height_m, scale)
 
 
-def _in_other_units(height: float, scale: float) -> str:
-    heights = {name: (unit, height * unit) for name, unit in UNIT_NAMES.items() if unit != scale}
+def crown_warnings(sides_m: list[float], scale: float) -> tuple[SourceWarning, ...]:
+    """Says that one plant of a usual height is wider than most."""
+    # a choice: of the sample trees the widest crown is 20 m, and half as much again is still plausible
+    widest_crown_m = 30.0
+    width_m, height_m = max(sides_m[:2]), sides_m[2]
+    what = f"the plant is {height_m:.3g} m tall and {width_m:.3g} m wide, and few crowns are so wide"
+    doubtful = width_m > widest_crown_m and not height_warnings(height_m, scale)
+    return _size_doubtful(f"{what}; cut one tree out if it is several", height_m, scale) if doubtful else ()
+
+
+def _size_doubtful(what: str, height_m: float, scale: float) -> tuple[SourceWarning, ...]:
+    heights = {name: (unit, height_m / scale * unit) for name, unit in UNIT_NAMES.items() if unit != scale}
     usual = {name: own for name, own in heights.items() if USUAL_HEIGHT_M[0] <= own[1] <= USUAL_HEIGHT_M[1]} or heights
-    return " or ".join(f"{own:.3g} m in {name} (unit_m {unit:g})" for name, (unit, own) in usual.items())
+    others = " or ".join(f"{own:.3g} m in {name} (unit_m {unit:g})" for name, (unit, own) in usual.items())
+    message = f"{what}; it would be {others}: set unit_m, or height_m to its height"
+    return (SourceWarning(code="size-doubtful", message=message),)

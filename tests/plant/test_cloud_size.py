@@ -40,3 +40,9 @@ def test_a_scan_keeps_its_metres() -> None:
     result = read_capture(io.BytesIO(lines), file_type="txt")
     assert result.cloud.source.scale == 1.0
     assert result.warnings == ()
+
+
+def test_a_wood_from_the_air_that_shows_no_stems_is_doubted() -> None:
+    places = np.random.default_rng(0).uniform(0, 1, (20_000, 3)) * [80, 80, 25]  # as lidR's MixedConifer.laz
+    result = read_capture(io.BytesIO("\n".join(f"{x} {y} {z}" for x, y, z in places).encode()), file_type="txt")
+    assert [warning.code for warning in result.warnings] == ["size-doubtful"]
