@@ -142,20 +142,14 @@ class Attempt:
                 OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes, facts=a.facts)
                 for a in published
             )
+        store, retention_s = self.runtime.store, self.runtime.settings.artifact_retention_s
         key = stage_key(self.job, stage, self.hashes)
-        cached = find_stored(self.runtime.store, self.runtime.artifacts, key)
-        start_stage(self.runtime.store, self.watch.claimed, stage)
+        cached = find_stored(store, self.runtime.artifacts, key)
+        start_stage(store, self.watch.claimed, stage)
         files = self._run(stage) if cached is None else cached
-        publish_stage(
-            self.runtime.store,
-            self.watch.claimed,
-            stage,
-            files,
-            key=key,
-            cached=cached is not None,
-            retention_s=self.runtime.settings.artifact_retention_s,
-        )
-        logger.info("stage %s of job %s published", stage, self.job.id, extra={"cached": cached is not None})
+        reused = cached is not None
+        publish_stage(store, self.watch.claimed, stage, files, key=key, cached=reused, retention_s=retention_s)
+        logger.info("stage %s of job %s published", stage, self.job.id, extra={"cached": reused})
         return files
 
     def deliver(self, destination: str) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Protocol, TypeVar
 
+from PIL import Image
+
 from dynamictree import method
 from dynamictree.export.stored_rig import Recall
 from dynamictree.export.table import PRODUCTS
@@ -20,10 +22,11 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, only_tree
 from dynamictree.plant.choice import with_choice
 from dynamictree.plant.trees.of_mesh import only_tree_of
+from dynamictree.render.contact_sheet import STRIP_PX
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from jobs.records import Facts, JobRecord
 from jobs.states import JobType
-from jobs.storage.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
+from jobs.storage.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, STILL, VOXELS
 
 T = TypeVar("T")
 
@@ -86,10 +89,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
     capture = _capture(given)
     assert capture is not None
     mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params))
-    return (
-        _written(mesh, write_ply, given.folder / MESH),
-        _written(mesh, write_bundle, given.folder / MESH_BUNDLE),
-    )
+    return _written(mesh, write_ply, given.folder / MESH), _written(mesh, write_bundle, given.folder / MESH_BUNDLE)
 
 
 def voxelize(given: StageInput) -> Iterable[Path]:
@@ -133,7 +133,15 @@ def animate(given: StageInput) -> Iterable[Path]:
         on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
         recall=given.recall,
     )
-    return paths.values()
+    return [*paths.values(), *(_still(path) for name, path in paths.items() if name == "png")]
+
+
+def _still(preview: Path) -> Path:
+    """Cut the first of the frames at a preview's foot out, for lists of jobs."""
+    still = preview.with_name(STILL)
+    with Image.open(preview) as sheet:
+        sheet.crop((0, sheet.height - STRIP_PX[1], STRIP_PX[0], sheet.height)).save(still)
+    return still
 
 
 STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {

@@ -5,6 +5,7 @@ MESH_BUNDLE = "mesh.safetensors"  # a reconstructed mesh, for the next stages
 CLOUD_BUNDLE = "cloud.safetensors"  # a splat or scan as it was read, for the stages that move it
 VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
+STILL = "still.webp"  # of 2 to 8 kB, beside `preview.png`
 
 STAGE_VERSION = "28"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""

@@ -22,10 +22,7 @@ MAX_PAGE = 100
 
 _QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
 _REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
-_ACCEPTED = {
-    "description": "Accepted",
-    **headers(Location="the job", Retry_After="seconds until it is worth a look"),
-}
+_ACCEPTED = {"description": "Accepted", **headers(Location="the job", Retry_After="seconds until it is worth a look")}
 
 
 @router.post("", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.tensors.bundle import read_mesh_bundle, write_bundle
@@ -47,6 +48,9 @@ def test_a_splat_comes_out_moving_and_what_is_around_it_stays(runtime, scene, tm
     artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(lease.job.id)}
     assert artifacts["splat.ply.zip"].media_type == "application/zip"
     assert artifacts["preview.png"].media_type == "image/png"
+    sheet, still = (Image.open(BytesIO(content(runtime, lease.job.id, name))) for name in ("preview.png", "still.webp"))
+    foot = sheet.crop((0, sheet.height - still.height, still.width, sheet.height))
+    assert np.abs(np.subtract(foot, still, dtype=float)).mean() < 8, "it is another picture"
     with zipfile.ZipFile(BytesIO(content(runtime, lease.job.id, "splat.ply.zip"))) as archive:
         first, last = (read_cloud(BytesIO(archive.read(f"frame_{n:04d}.ply")), file_type="ply") for n in (0, 49))
     moved = np.linalg.norm(last.means - first.means, axis=1)

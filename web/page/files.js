@@ -9,7 +9,7 @@ import { store, stored } from "./storage.js";
 import { bytes, percent, text, textOrNull } from "./texts.js";
 
 const MOST_BESIDE = 24; // as many formats as there are
-const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors", "draft.splat"]); // for stages, strokes, a first look
+const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors", "draft.splat", "still.webp"]); // for stages, strokes, a first look
 
 export class Files {
   /** `products()` are those of /v1/limits, a promise; `onDoubts(sentences)` gets what a report of photos warns of. */

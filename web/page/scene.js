@@ -58,7 +58,7 @@ export class Scene {
   async poster(job, signal) {
     if (!hasStill(job)) return;
     const still = await readStill(this.client, job.id, { signal });
-    if (this.tree || signal.aborted) return;
+    if (!still || this.tree || signal.aborted) return;
     this.still = $("poster").src = URL.createObjectURL(still);
     $("poster").hidden = false;
   }
