@@ -107,6 +107,8 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
     page.wait_for_timeout(800)
     assert changed(before, pixels(viewer)) > 0.002
     page.locator("#rest").uncheck()
+    page.locator("#speed").fill("0")
+    expect(page.locator("#wind-note")).to_contain_text("No wind")
     page.locator("#speed").fill("14")
     expect(page.locator("#wind-note")).to_contain_text("times as far")
     expect(page.locator("#make-wind")).to_be_visible()
@@ -136,8 +138,7 @@ def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None
     for name in ("#speed", "#damping", "#download"):
         page.locator(name).first.scroll_into_view_if_needed()
         expect(page.locator(name).first).to_be_in_viewport()
-    small = page.evaluate(SMALL_BUTTONS)
-    assert small == [], "too small for a finger"
+    assert page.evaluate(SMALL_BUTTONS) == [], "too small for a finger"
     assert viewer.complaints == []
 
 
@@ -153,8 +154,7 @@ def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
     viewer.wait_turns()
     viewer.wait_sharp()
     assert changed(before, pixels(viewer)) > 0.01
-    names = page.evaluate(NAMELESS)
-    assert names == [], "these have no name"
+    assert page.evaluate(NAMELESS) == [], "these have no name"
     page.locator("#open-jobs").focus()
     page.keyboard.press("Enter")
     expect(page.locator("#job-list li").first).to_contain_text("sapling")

@@ -16,10 +16,7 @@ export class Resolution {
     this.software = software;
     this.least = software ? LEAST_IN_SOFTWARE : LEAST;
     this.scale = software ? this.least : 1; // of the pixel ratio
-    this.frame = 0;
-    this.mean = 0;
-    this.before = 0;
-    this.since = 0;
+    this.frame = this.mean = this.before = this.since = 0;
     this.paused = true;
     this.sharp = true; // the picture on the screen has all its pixels and its shadow
   }

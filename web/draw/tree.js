@@ -176,8 +176,7 @@ export class Tree {
 
   /** Take the wind's coordinates [2K], turned by `turn` [rad]. */
   swing(q, turn) {
-    this.q = q;
-    this.turn = turn;
+    Object.assign(this, { q, turn });
     this.field.swing([{ q, turn }]);
   }
 

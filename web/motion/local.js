@@ -54,8 +54,7 @@ class LocalPush {
   drawn() {}
 
   close() {
-    this.began = null;
-    this.pin = null;
+    this.began = this.pin = null;
   }
 
   _end() {

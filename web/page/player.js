@@ -24,8 +24,7 @@ export class Player {
     this.gust = null;
     this.turbulent = null; // its table of cosines; null plays the loop
     this.windSpeed = 0; // as it is shown; follows `speed`, the slider's
-    this.speed = 0;
-    this.turn = 0;
+    this.speed = this.turn = 0;
     this.scripted = null; // { phase, seconds } that a recording asks for
     this.alone = null; // { k, times }: one mode by itself, enlarged
     $("play").onclick = () => this.setPlaying(!this.playing);

@@ -87,8 +87,8 @@ export class WindPanel {
     const turn = Math.abs(((direction - made.direction_deg + 540) % 360) - 180);
     const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01;
     const same = sameSpeed && turn < 0.01;
-    $("make-wind").hidden = same;
-    if (same) return text("wind.same");
+    $("make-wind").hidden = same || !speed;
+    if (same || !speed) return text(same ? "wind.same" : "wind.none");
     const parts = [text("wind.preview")];
     if (!sameSpeed)
       parts.push(text(hasBands ? "wind.times-bands" : "wind.times", { n: number(times, times < 10 ? 1 : 0) }));

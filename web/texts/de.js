@@ -86,6 +86,7 @@ export default {
   "wind.direction": "Weht nach",
   "wind.points": "O NO N NW W SW S SO",
   "wind.same": "Der Wind, für den diese Bewegung erzeugt wurde.",
+  "wind.none": "Kein Wind. Nur ein Zug bewegt den Baum.",
   "wind.preview": "Eine Vorschau: dieselbe Bewegung",
   "wind.times": "etwa {n}-mal so weit",
   "wind.times-bands": "{n}-mal so weit",

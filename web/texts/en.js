@@ -85,6 +85,7 @@ export default {
   "wind.direction": "Blows to",
   "wind.points": "E NE N NW W SW S SE",
   "wind.same": "The wind that this motion was made for.",
+  "wind.none": "No wind. Only a pull moves the tree.",
   "wind.preview": "A preview: the same motion",
   "wind.times": "about {n} times as far",
   "wind.times-bands": "{n} times as far",
