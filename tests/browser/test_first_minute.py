@@ -58,7 +58,7 @@ def test_names_leave_everything_in_its_place(view, url, tree, tmp_path, width, h
     page.evaluate("import('/web/page/progress.js').then((p) => p.showProgress('uploading', { name: 'oak', share: 1 }))")
     expect(page.locator("#stages .running")).to_have_text("Read the files")
     # in software each picture of one takes the job's time
-    page.wait_for_function("document.getAnimations().length === 0")
+    page.wait_for_function("() => document.getAnimations().length === 0")
     assert viewer.complaints == []
 
 
