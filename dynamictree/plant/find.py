@@ -12,13 +12,13 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, TriangleMesh, validate_mesh
 from dynamictree.plant.capture import Capture, moving_part, with_still_parts
 from dynamictree.plant.level import up_of_standing
-from dynamictree.plant.likeness import FEWEST_FACES, FEWEST_GAUSSIANS, VISIBLE, doubt_cloud, doubt_mesh
+from dynamictree.plant.likeness import FEWEST_FACES, VISIBLE, doubt_cloud, doubt_mesh
 from dynamictree.plant.place import Conventions, axis_doubts, crown_warnings, mesh_to_z_up, size_doubts, sized
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.plant.trees.of_mesh import with_trees
 from dynamictree.plant.trees.segment import segment_trees, several_trees
-from dynamictree.plant.upright import judge_each_standing, judge_standing, judge_up_axis_of_points
+from dynamictree.plant.upright import SURE_OF_POINTS, judge_each_standing, judge_standing, judge_up_axis_of_points
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 
@@ -57,17 +57,10 @@ def plant_of_cloud(
     reading: Reading,
     file: CloudFacts,
     *,
-    mask: Bool[np.ndarray, " G"] | None = None,
+    mask: Bool[np.ndarray, " G"] | None = None,  # which Gaussians may move, if the caller knows
     tell_trees: bool = True,
 ) -> Capture:
-    """The plant in a splat or scan that was read with the axis and unit of the caller, its file or its format.
-
-    Args:
-        cloud: in metres and +Z up, as far as these are known.
-        reading: what the caller says.
-        file: what the file says.
-        mask: which Gaussians may move, if the caller knows.
-        tell_trees: whether to tell several trees apart.
+    """The plant in a splat or scan that was read in metres and +Z up as the caller, its file or its format says.
 
     Raises:
         InputError: a scan of more than one tree shows no stems, or the mask does not fit.
@@ -78,22 +71,23 @@ def plant_of_cloud(
     stated = reading.unit_m is not None or file.says_unit
     cloud, sizes = sized(cloud, height_m=reading.height_m, stated=stated, keep=file.origin == "photos")
     capture = with_still_parts(Capture(cloud=cloud, mask=mask, warnings=sizes + turned))
-    if not reading.up_axis:
-        capture = replace(capture, warnings=capture.warnings + _doubt_axis(capture))
-    capture = replace(capture, warnings=capture.warnings + doubt_cloud(cloud.subset(moving_part(capture))))
-    return _with_trees(capture, is_scan=file.origin == "scan") if tell_trees else capture
+    doubts = doubt_cloud(cloud.subset(moving_part(capture)))
+    capture = _with_trees(capture, is_scan=file.origin == "scan") if tell_trees else capture
+    doubts += () if reading.up_axis else _doubt_axis(capture)
+    return replace(capture, warnings=capture.warnings + doubts)
 
 
 def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
     """Turn a cloud until what it stands on is level, and `by_shape` first until the shape stands; a warning says so."""
     usual, seen = cloud.source.up_axis, (cloud.opacity >= VISIBLE) & ~find_sky(cloud)
-    judged = judge_up_axis_of_points(cloud.means[seen]) if by_shape and seen.sum() >= FEWEST_GAUSSIANS else None
-    shape = judged is not None and judged.axis != "+Z"
-    way = up_rotation(judged.axis) if judged is not None and shape else np.eye(3)
+    judged = judge_up_axis_of_points(cloud.means[seen & by_shape])
+    sure = judged.confidence >= SURE_OF_POINTS
+    shape = sure and judged.axis != "+Z"
+    way = up_rotation(judged.axis) if shape else np.eye(3)
     level = up_of_standing(cloud.means[seen].astype(np.float64) @ way.T)
     if level is None and not shape:
         message = f"points made from photos do not say which way is up; {usual} was taken; set up_axis if it is another"
-        unsure = by_shape and judged is None
+        unsure = by_shape and not sure
         return cloud, (SourceWarning(code="orientation-uncertain", message=message),) if unsure else ()
     up = way.T @ (np.array([0.0, 0.0, 1.0]) if level is None else level)
     name = name_of((up_rotation(usual).T @ up).tolist())
@@ -107,10 +101,16 @@ def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tu
 
 
 def _doubt_axis(capture: Capture) -> tuple[SourceWarning, ...]:
-    """A warning if the shape of what moves stands upright along another axis than the one taken."""
+    """A warning if the shape of what moves stands along another axis than the one taken, or one plant rather lies."""
+    lies, widest = 0.78, 2.0  # 67 that stand lie with 0.75 at most; times the height: plots and hedges are wider
     points = capture.cloud.means[moving_part(capture) & (capture.cloud.opacity >= VISIBLE)]
-    judged = judge_up_axis_of_points(points) if len(points) >= FEWEST_GAUSSIANS else None
-    return axis_doubts(judged, capture.cloud.source.up_axis)
+    judged, taken = judge_up_axis_of_points(points), capture.cloud.source.up_axis
+    if judged.confidence >= SURE_OF_POINTS:
+        return axis_doubts(judged, taken)
+    one = capture.tree is None and judged.lying >= lies
+    lying = one and np.ptp(points[:, :2], axis=0).max() <= widest * np.ptp(points[:, 2])
+    message = f"{taken} was taken as up, as is usual, but so the plant rather lies than stands; set up_axis"
+    return (SourceWarning(code="orientation-uncertain", message=message),) if lying else ()
 
 
 def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from dynamictree.axis_names import AXES
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.plant.likeness import FEWEST_GAUSSIANS
 from dynamictree.plant.names import LEAF, WOOD
 from dynamictree.plant.sample import surface_points
 from dynamictree.plant.still import touching_groups
@@ -27,7 +28,8 @@ from dynamictree.plant.still_mesh import find_still_parts
 
 CERTAIN = 0.8
 """Below this probability the axis is a guess, and the reader warns of it."""
-
+SURE_OF_POINTS = 0.95
+"""The same of points alone, which know less than a surface: those of conifers stand on their tips with 0.91."""
 
 CUES = ("trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass", "slenderness")
 WEIGHTS = np.array([5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
@@ -48,6 +50,7 @@ class UpAxis:
     axis: str
     confidence: float  # in [0, 1]
     upright: float = 0.0  # probability of +Z
+    lying: float = 0.0  # of ±X and ±Y together
 
 
 def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
@@ -73,17 +76,14 @@ def judge_standing(mesh: TriangleMesh) -> UpAxis | None:
 
 
 def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
-    """The axis along which most of several trees apart from each other stand, each by itself; None of a single one.
-
-    Together they are wide, and say nothing.
-    """
+    """The axis along which most of several trees apart from each other stand, each by itself; None of a single one."""
     sampled = surface_points(mesh, _POINTS)
     if sampled is None:
         return None
     points, faces = sampled
     _, cell, _, group_of_cell = touching_groups(points, _APART * float(np.ptp(points, axis=0).max()))
     group = group_of_cell[cell]
-    large = np.flatnonzero(np.bincount(group) > _SHARE * len(points))
+    large = np.flatnonzero(np.bincount(group) > _SHARE * len(points))  # together they are wide, and say nothing
     if len(large) < 2:
         return None
     of_face = np.full(mesh.num_faces, -1)
@@ -103,12 +103,12 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
 def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis: bool = False) -> UpAxis:
     """The likeliest axis; where it is a guess, the likelier of the usual ones, unless any may be named."""
     logits = cues @ WEIGHTS + np.array([HABIT * (axis == habit) for axis in AXES])
-    chances = np.exp(logits - logits.max())
-    chances /= chances.sum()
+    odds = np.exp(logits - logits.max())
+    chances = (odds / odds.sum()).tolist()
     best = int(np.argmax(chances))
     if chances[best] < LIKELY and not any_axis:
         best = max((AXES.index(axis) for axis in USUAL), key=lambda row: float(chances[row]))
-    return UpAxis(axis=AXES[best], confidence=float(chances[best]), upright=float(chances[AXES.index("+Z")]))
+    return UpAxis(axis=AXES[best], confidence=chances[best], upright=chances[4], lying=sum(chances[:4]))  # as in AXES
 
 
 def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"]) -> Float64[np.ndarray, " C"]:
@@ -122,16 +122,16 @@ def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"
     return own
 
 
-def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis | None:
-    """The axis that the points of a splat or scan say for sure, else None; outlying ones do not count."""
-    sure_of_points = 0.95  # points alone know less than a surface: those of conifers stand on their tips with 0.91
+def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
+    """The likeliest axis of the points of a splat or scan, of few at a confidence of 0; outlying ones do not count."""
+    if len(points) < FEWEST_GAUSSIANS:
+        return UpAxis(axis="+Z", confidence=0.0)
     outliers = (0.002, 0.998)  # of the coordinates of splats and scans
     drawn = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]].astype(np.float64)
     low, high = np.quantile(drawn, outliers, axis=0)
     drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
     unknown = np.zeros(len(drawn), np.int64)
-    judged = _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), "+Z", any_axis=True)
-    return judged if judged.confidence >= sure_of_points else None
+    return _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), "+Z", any_axis=True)
 
 
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:

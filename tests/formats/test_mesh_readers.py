@@ -55,9 +55,8 @@ f -4/-1 -2/-3 -1/-4
     np.testing.assert_array_equal(mesh.faces[:2], [[0, 1, 2], [0, 2, 3]])
     assert mesh.num_vertices == 7  # three corners of the second face lie elsewhere on the texture
     np.testing.assert_array_equal(mesh.look.uv[mesh.faces[2]], [[0, 0], [1, 1], [0, 1]])  # v downward
-    np.testing.assert_array_equal(
-        mesh.look.vertex_colors[:4, :3], [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]]
-    )
+    colors = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]]
+    np.testing.assert_array_equal(mesh.look.vertex_colors[:4, :3], colors)
 
 
 def test_stl_binary_and_ascii_share_their_equal_corners() -> None:

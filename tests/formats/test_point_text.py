@@ -94,9 +94,8 @@ def test_labels_normals_and_intensities_are_no_colours(text: str) -> None:
 def test_map_coordinates_with_commas_keep_their_millimetres() -> None:
     lines = (f"{x + 694386:.3f},{y + 5155487:.3f},{z + 381:.3f}" for x, y, z in PLACES.tolist())  # Open3D 1379
     cloud = cloud_of("\n".join(lines), "txt")
-    np.testing.assert_allclose(
-        cloud.means + np.subtract(cloud.source.offset, (694386, 5155487, 381)), PLACES, atol=1e-3
-    )
+    moved = np.subtract(cloud.source.offset, (694386, 5155487, 381))
+    np.testing.assert_allclose(cloud.means + moved, PLACES, atol=1e-3)
 
 
 def test_positions_beyond_single_precision_are_refused() -> None:

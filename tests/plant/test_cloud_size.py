@@ -30,9 +30,8 @@ def test_a_stated_height_or_unit_is_taken() -> None:
     assert (cloud_height(tall.cloud), tall.warnings) == (pytest.approx(12.0, rel=1e-4), ())
     metres = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y", unit_m=1.0))
     assert (metres.cloud.source.scale, metres.warnings) == (1.0, ())
-    np.testing.assert_allclose(
-        tall.cloud.scales / metres.cloud.scales, tall.cloud.source.scale / metres.cloud.source.scale, rtol=1e-5
-    )
+    larger = tall.cloud.source.scale / metres.cloud.source.scale
+    np.testing.assert_allclose(tall.cloud.scales / metres.cloud.scales, larger, rtol=1e-5)
 
 
 def test_a_scan_keeps_its_metres() -> None:

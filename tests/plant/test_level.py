@@ -33,10 +33,8 @@ def standing(species: str, *, ground: bool, slope_deg: float = 0.0) -> GaussianC
     height = float(np.ptp(tree.means[:, 2]))
     lawn = sheet([-height, -height, -0.005 * height], [2 * height, 0, 0], [0, 2 * height, 0], 110)
     rough = lawn.means + 0.004 * height * np.random.default_rng(0).normal(size=lawn.means.shape).astype(np.float32)
-    sloping = transformed(
-        replace(lawn, means=rough), Rotation.from_euler("x", slope_deg, degrees=True).as_matrix(), 1.0
-    )
-    return joined([tree, sloping]) if ground else tree
+    slope = Rotation.from_euler("x", slope_deg, degrees=True).as_matrix()
+    return joined([tree, transformed(replace(lawn, means=rough), slope, 1.0)]) if ground else tree
 
 
 def read(cloud: GaussianCloud, tilt_deg: tuple[float, float], reading: Reading | None = None) -> Capture:
