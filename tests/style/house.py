@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_508,
+    "lines in dynamictree": 32_504,
     "lines in lab": 6_320,
     "lines in service, jobs and worker": 13_478,
     "lines in tests": 38_287,
-    "names bound to numbers in dynamictree": 562,
+    "names bound to numbers in dynamictree": 561,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 2_992,
