@@ -34,7 +34,7 @@ QUALITIES: dict[Quality, QualityLimits] = {
         photo_px=1200, splat_px=320, max_gaussians=30_000, sh_degree=0, max_views=40, num_steps=1000
     ),
     "standard": QualityLimits(
-        photo_px=1200, splat_px=640, max_gaussians=60_000, sh_degree=1, max_views=80, num_steps=3000
+        photo_px=1200, splat_px=640, max_gaussians=80_000, sh_degree=1, max_views=80, num_steps=3000
     ),
     "high": QualityLimits(
         photo_px=1600, splat_px=1600, max_gaussians=300_000, sh_degree=2, max_views=MAX_PHOTOS, num_steps=6000

@@ -85,7 +85,7 @@ def optimise(
             state.checks = np.concatenate([state.checks, [[state.step, len(state.table), psnr_db]]])
         share = state.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and state.step % schedule.densify_every == 0:
-            densify(state, _rules(schedule, shrink, cut_out=task.cut_out), extent=task.extent, rng=rng)
+            densify(state, _rules(schedule, share, cut_out=task.cut_out), extent=task.extent, rng=rng)
 
 
 def _one_step(
@@ -135,8 +135,8 @@ def _add_depth(
     gradient[..., 4] += slope * measured
 
 
-def _rules(schedule: Schedule, shrink: int, *, cut_out: bool) -> DensityRules:
-    rules = replace(schedule.rules, max_gaussians=schedule.rules.max_gaussians // shrink)
+def _rules(schedule: Schedule, share: float, *, cut_out: bool) -> DensityRules:
+    rules = replace(schedule.rules, max_gaussians=int(schedule.rules.max_gaussians * share / schedule.densify[1]))
     return replace(rules, min_opacity=schedule.cut_out_min_opacity) if cut_out else rules
 
 

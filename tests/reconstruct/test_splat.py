@@ -190,13 +190,14 @@ def test_the_large_are_split_the_small_get_twins_the_faint_go(rng):
     assert not np.allclose(after[2, MEAN], after[3, MEAN])
 
 
-def test_the_budget_goes_to_those_that_are_pulled_at_most(rng):
+def test_the_budget_goes_to_those_that_are_pulled_at_most_and_to_the_subject_first(rng):
     table = points_table(rng, 10, 0.001)
+    table[:, MEAN] = np.where(np.arange(10)[:, None] == 3, 0.5, 2.0)
     state, rules = pulled(table, np.arange(10)), DensityRules(max_gaussians=12)
     densify(state, rules, extent=1.0, rng=rng)
     after = state.table
     assert len(after) == 12
-    assert {tuple(row) for row in after[10:].tolist()} == {tuple(row) for row in table[[9, 8]].tolist()}
+    assert {tuple(row) for row in after[10:].tolist()} == {tuple(row) for row in table[[9, 3]].tolist()}
     state.pull[:] = 1
     densify(state, rules, extent=1.0, rng=rng)
     assert len(state.table) == 12
