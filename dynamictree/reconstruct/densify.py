@@ -20,7 +20,6 @@ class DensityRules:
     large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
     min_opacity: float = 0.005
     too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away
-    subject: float = 4.0  # as much pull it counts for, where too many are pulled
     max_gaussians: int = 80_000
 
 
@@ -32,15 +31,14 @@ def densify(state: SplatState, rules: DensityRules, *, extent: float, rng: np.ra
     survives = (opacity > rules.min_opacity) & (largest < rules.too_large * reach)
     room = max(rules.max_gaussians - int(survives.sum()), 0)
     chosen = np.flatnonzero(survives & (pull > rules.pull))
-    if len(chosen) > room:  # the subject first: it stands in the middle of the stage
+    if len(chosen) > room:  # the subject, which stands in the middle of the stage, counts four times
         x, y, z = table[chosen, MEAN].T
-        first = pull[chosen] * np.where((np.hypot(x, y) < 0.75) & (z > 0.02), rules.subject, 1.0)
+        first = pull[chosen] * np.where((np.hypot(x, y) < 0.75) & (z > 0.02), 4, 1)
         chosen = chosen[np.argsort(-first, kind="stable")[:room]]
     split = chosen[largest[chosen] > rules.large * reach[chosen]]
-    twins = table[np.setdiff1d(chosen, split)]
     halves = [_half(table[split], rng) for _ in range(2)]
     survives[split] = False
-    state.keep(np.flatnonzero(survives), np.concatenate([twins, *halves]))
+    state.keep(np.flatnonzero(survives), np.concatenate([table[np.setdiff1d(chosen, split)], *halves]))
 
 
 def _half(rows: Float32[np.ndarray, "S P"], rng: np.random.Generator) -> Float32[np.ndarray, "S P"]:

@@ -21,10 +21,9 @@ def evenly_exposed(model: SparseModel) -> SparseModel:
     log_gain = log_gains(model)
     if np.abs(log_gain).max(initial=0) < _SAME:
         return model
-    images = (view.image * np.exp(-gain) for view, gain in zip(model.views, log_gain, strict=True))
-    rounded = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in images)
-    views = (replace(view, image=image) for view, image in zip(model.views, rounded, strict=True))
-    return replace(model, views=tuple(views))
+    images = (np.rint(view.image * np.exp(-gain)) for view, gain in zip(model.views, log_gain, strict=True))
+    pairs = zip(model.views, images, strict=True)
+    return replace(model, views=tuple(replace(one, image=np.minimum(own, 255).astype(np.uint8)) for one, own in pairs))
 
 
 def log_gains(model: SparseModel) -> Float64[np.ndarray, "V 3"]:

@@ -195,9 +195,8 @@ def test_the_budget_goes_to_those_that_are_pulled_at_most_and_to_the_subject_fir
     table[:, MEAN] = np.where(np.arange(10)[:, None] == 3, 0.5, 2.0)
     state, rules = pulled(table, np.arange(10)), DensityRules(max_gaussians=12)
     densify(state, rules, extent=1.0, rng=rng)
-    after = state.table
-    assert len(after) == 12
-    assert {tuple(row) for row in after[10:].tolist()} == {tuple(row) for row in table[[9, 3]].tolist()}
+    assert len(state.table) == 12
+    assert {tuple(row) for row in state.table[10:].tolist()} == {tuple(row) for row in table[[9, 3]].tolist()}
     state.pull[:] = 1
     densify(state, rules, extent=1.0, rng=rng)
     assert len(state.table) == 12
