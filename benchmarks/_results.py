@@ -23,7 +23,7 @@ PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
 WEIGHTS = ROOT / "dynamictree" / "weights" / "small.safetensors"
 EVALUATE = "-m dynamictree.cli evaluate --json"
 COMMANDS = {
-    "motion": f"{EVALUATE} --trees 3 --training-trees 6",
+    "motion": f"{EVALUATE} --trees 8 --training-trees 6",
     **{name: f"-m benchmarks {name}" for name in ("wind_condition", "storm_stretch", "engine_exports")},
     **{name: f"-m benchmarks {name}" for name in ("plant_verdicts", "modal_coordinates", "modal_frame")},
     **{name: f"-m benchmarks {name}" for name in ("deform_gaussians", "bind_gaussians", "render_frame")},
