@@ -35,7 +35,7 @@ class Joints:
     of_voxel: Int32[np.ndarray, " V"]
     num_carried: Int64[np.ndarray, " J"]  # voxels beyond
     moved: Float64[np.ndarray, "J M"]  # e_k of what lies beyond
-    torn: Float64[np.ndarray, " J"]  # strain of the edges across each where it bends, over that of branches; 1 at least
+    strain: Float64[np.ndarray, " J"]  # of the edges across each, per radian that it bends
 
     def chain(self, voxel: int) -> Int64[np.ndarray, " n"]:
         """The joint of a voxel and those that carry it, which give way to a pull there."""
@@ -50,21 +50,17 @@ class Joints:
         share = self.moved[chain] + np.finfo(np.float64).tiny
         return np.asarray(np.sqrt(share @ system.omega**2 / share.sum(axis=1)))
 
-    @property
-    def limit_rad(self) -> Float64[np.ndarray, " J"]:
-        """κ_max, beyond which each joint stiffens: see `pull.py`."""
-        return np.asarray(0.4 / self.torn**3)
-
     @cached_property
     def give(self) -> Float64[np.ndarray, " J"]:
         """How far each joint bends under a moment, per metre to the next: see `pull.py`."""
+        tube, most, power = 0.6, 3, 8  # strains of branches are below the first, those in whole surfaces above it
         heaviest, by_weight = np.zeros_like(self.parent), np.argsort(self.num_carried, kind="stable")
         heaviest[self.parent[by_weight]] = by_weight  # of all that a joint carries, the last one stays
         stiffness, forked = np.maximum(self.num_carried, 1.0) ** 2, np.ones(len(self.parent))
         for joint, parent in enumerate(self.parent[1:].tolist(), start=1):
             is_side = parent > 0 and heaviest[parent] != joint
             forked[joint] = forked[parent] * ((stiffness[joint] / stiffness[parent]) ** 0.5 if is_side else 1)
-        stiffness *= forked * np.minimum(self.torn, 3) ** 8
+        stiffness *= forked * np.clip(self.strain / tube, 1, most) ** power
         return np.where(np.arange(len(stiffness)) > 0, 1 / stiffness, 0.0)
 
     def bent(self, stance: Poses, bends: Float64[np.ndarray, "J 3"]) -> Poses:
@@ -80,7 +76,6 @@ class Joints:
 
 def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V M 3"]) -> Joints:
     """Find the joints of the bones of a mesh; `shapes` are those of the voxels."""
-    branch = 0.6  # strain per radian that joints of branches have at most
     skeleton, edges = bones.skeleton, edges_of(mesh.faces)
     ends = bones.of_vertex[edges]
     of_bone = _together(skeleton, bones.stem, np.unique(np.sort(bones.stem[ends]), axis=0))
@@ -100,7 +95,7 @@ def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V
         of_voxel=of_voxel,
         num_carried=_beyond(parent, np.bincount(of_voxel, minlength=count)),
         moved=_moved(parent, of_voxel, shapes),
-        torn=np.maximum(_strain(parent, place, of_bone[ends], mesh.vertices[edges].astype(np.float64)) / branch, 1),
+        strain=_strain(parent, place, of_bone[ends], mesh.vertices[edges].astype(np.float64)),
     )
 
 

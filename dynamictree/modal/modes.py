@@ -4,9 +4,9 @@ Tensors of the file (safetensors): `coords` int16 [V, 3]; `shapes` int16 [V, K, 
 `scale_m` float32 [K]; `frequencies_hz` float32 [K]; of the rig's bones `bone_parent` int32 [B], -1 of the ground,
 `bone_foot_m` and `bone_reach_m` float32 [B, 3], `bone_turns` int16 [B, K, 3, 2], θ = bone_turns · bone_scale_rad of the
 bin, `bone_scale_rad` float32 [K]; of the joints that a pull bends `joint_parent` int32 [J], -1 of the ground,
-`joint_place_m` float32 [J, 3], `joint_give` and `joint_limit_rad` float32 [J]; `bone_of_voxel` int32 [V] and
-`joint_of_bone` int32 [B]. Index k is the frequency bin; bin 0 is no mode and 0. Where the spectrum is at hand, `lean_m`
-float32 [V, 3] is its bin 0: how far the mean wind leans each voxel. docs/interaction.md tells how they are used.
+`joint_place_m` float32 [J, 3], `joint_give` float32 [J]; `bone_of_voxel` int32 [V] and `joint_of_bone` int32 [B]. Index
+k is the frequency bin; bin 0 is no mode and 0. Where the spectrum is at hand, `lean_m` float32 [V, 3] is its bin 0: how
+far the mean wind leans each voxel. docs/interaction.md tells how they are used.
 """
 
 import json
@@ -35,7 +35,6 @@ def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shape
         "joint_parent": joints.parent,
         "joint_place_m": joints.place_m.astype(np.float32),
         "joint_give": joints.give.astype(np.float32),
-        "joint_limit_rad": joints.limit_rad.astype(np.float32),
         "joint_of_bone": joints.of_bone,
     }
     if not shapes:

@@ -7,8 +7,8 @@ target x*, the solution has the least energy
 
 with g_i = |r_i| / (carried_i² Π_f s_f), |r_i| the length to the next joint and carried_i the number of voxels beyond:
 the stiffness of a beam whose cross-section is that of all that it carries, times the share s_f that it takes of its
-stem at each fork where it leaves one. Where a bend tears a crown that is one surface, g and κ_max are far less
-(`Joints.torn`). So a trunk stands while its twig is pulled, and no joint folds. The point that is drawn is at
+stem at each fork where it leaves one; where bending would tear a crown that is one surface, far less (`Joints.give`).
+So a trunk stands while its twig is pulled, and no joint folds. The point that is drawn is at
 
     x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
 
@@ -32,9 +32,9 @@ from dynamictree.modal.force import CarriedPoint
 from dynamictree.modal.joints import Joints, cross_matrix, exponential
 from dynamictree.parallel import compiled
 
-RIGID = 1e-14  # of the sum of all g: a joint without length gives way as little
 STEP_RAD = 0.5  # that a joint turns in a round, at most
 SETTLED_RAD, STUCK_RAD = 1e-3, 1e-6  # a whole step as small is the last; none as short is tried
+LARGEST_BEND_RAD = 0.4  # κ_max
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,6 @@ class Grip:
 
     segments_m: Float64[np.ndarray, "n 3"]  # s
     give: Float64[np.ndarray, " n"]  # g
-    limit_rad: Float64[np.ndarray, " n"]  # κ_max
     tolerance: float  # ε
 
 
@@ -73,15 +72,13 @@ def grip_at(joints: Joints, chain: Int64[np.ndarray, " n"], point: CarriedPoint)
         segments[1:] += carried[:-1, None] * (place[:-1] - place[1:])
     ends = np.concatenate([at[None], place])[: len(chain)]
     give = joints.give[chain] * np.linalg.norm(ends - place, axis=1)
-    return grip_of(segments, give, joints.limit_rad[chain])
+    return grip_of(segments, give)
 
 
-def grip_of(
-    segments_m: Float64[np.ndarray, "n 3"], give: Float64[np.ndarray, " n"], limit_rad: Float64[np.ndarray, " n"]
-) -> Grip:
+def grip_of(segments_m: Float64[np.ndarray, "n 3"], give: Float64[np.ndarray, " n"]) -> Grip:
     """A chain whose segments are these at rest."""
     compliance = float(2 * give @ (np.cumsum(segments_m, axis=0) ** 2).sum(axis=1))  # at rest
-    return Grip(segments_m=segments_m, give=give, limit_rad=limit_rad, tolerance=3e-7 * compliance)
+    return Grip(segments_m=segments_m, give=give, tolerance=3e-7 * compliance)
 
 
 def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np.ndarray, "n 3"] | None = None) -> Pull:
@@ -95,8 +92,8 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np
 
 def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
     """The bend of least energy that holds the point at a target within reach, from a first guess on."""
-    give = np.maximum(grip.give, RIGID * grip.give.sum())
-    bend, reached = _settled(grip.segments_m, give, grip.limit_rad, grip.tolerance, target_m, bend)
+    give = np.maximum(grip.give, 1e-14 * grip.give.sum())  # a joint without length is rigid
+    bend, reached = _settled(grip.segments_m, give, grip.tolerance, target_m, bend)
     return Pull(bend=bend, reached_m=reached, beyond_m=0.0)
 
 
@@ -125,19 +122,19 @@ def _within_length(
 
 @compiled
 @no_type_check  # numba compiles no checked function
-def _settled(segments, give, limit, tolerance, target, bends):
+def _settled(segments, give, tolerance, target, bends):
     """The bends, and how far they bring the point."""
     rounds, force, price, longest = 120, np.zeros(3), 0.0, STEP_RAD
-    before, arms, reached, energy = _stance(segments, give, limit, bends)
+    before, arms, reached, energy = _stance(segments, give, bends)
     for _ in range(rounds):
         gap = target - reached
-        turns, moved = _turns(before, arms, bends, give, limit, force)
+        turns, moved = _turns(before, arms, bends, give, force)
         force = np.linalg.solve(moved[:, :3] + tolerance * np.eye(3), gap + moved[:, 3])
         step = _bent(before, bends, turns, force)
         price = max(price, 1.5 * np.linalg.norm(force))  # of the gap, above that of the constraint
         size = np.sqrt((step**2).sum(axis=1).max())
         further = bends + min(1.0, longest / max(size, STUCK_RAD)) * step
-        tried = _stance(segments, give, limit, further)
+        tried = _stance(segments, give, further)
         if tried[3] - energy > price * (np.linalg.norm(gap) - np.linalg.norm(target - tried[2])):
             longest = 0.3 * min(longest, size)
             if longest < STUCK_RAD:
@@ -152,7 +149,7 @@ def _settled(segments, give, limit, tolerance, target, bends):
 
 @compiled
 @no_type_check
-def _stance(segments, give, limit, bends):
+def _stance(segments, give, bends):
     """What carries each segment [n, 3, 3], the turned segments, how far they bring the point, and E."""
     before, arms = np.empty((len(bends), 3, 3)), np.empty_like(segments)
     frame, moved = np.eye(3), np.zeros(3)
@@ -162,15 +159,15 @@ def _stance(segments, give, limit, bends):
         arms[i] = frame @ segments[i]
         moved += arms[i] - segments[i]
     square = (bends**2).sum(axis=1)
-    return before, arms, moved, 0.5 * (square * (1 + (square / limit**2) ** 2 / 3) / give).sum()
+    return before, arms, moved, 0.5 * (square * (1 + (square / LARGEST_BEND_RAD**2) ** 2 / 3) / give).sum()
 
 
 @compiled
 @no_type_check
-def _turns(before, arms, bends, give, limit, force):
+def _turns(before, arms, bends, give, force):
     """θ of each segment for a force along each axis and for the moments [n, 3, 4], and how far each moves the point."""
     n = len(arms)
-    folded = ((bends**2).sum(axis=1) / limit**2) ** 2
+    folded = ((bends**2).sum(axis=1) / LARGEST_BEND_RAD**2) ** 2
     stiffness = (1 + 5 * folded) / give
     turns = np.empty((n, 3, 4))  # at first the right sides
     tension = np.empty(n)  # what stiffens the segments up to this one in space

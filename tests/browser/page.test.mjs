@@ -422,7 +422,6 @@ function pole() {
     joint_parent: [-1, 0, 1, 2],
     joint_place_m: Float32Array.from([0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 2]),
     joint_give: [0, 1 / 3, 1 / 2, 1],
-    joint_limit_rad: [0.4, 0.4, 0.4, 0.4],
     joint_of_voxel: [0, 1, 2, 3],
     centres: Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 2, 0, 0, 3]),
   });
@@ -453,11 +452,11 @@ test("a pull along a crooked stem straightens it, to just below its length", () 
 
 test("its answers are those of the service", () => {
   // tests/modal/test_laws_of_the_pull.py reads the same file
-  for (const { name, segments_m, give, limit_rad, target_m, bend, reached_m } of JSON.parse(
+  for (const { name, segments_m, give, target_m, bend, reached_m } of JSON.parse(
     readFileSync("tests/modal/pulls.json", "utf8"),
   )) {
     const still = bend.map(() => [0, 0, 0]);
-    const pull = equilibrium({ segments: segments_m, give, limit: limit_rad }, target_m, { bend: still, rounds: 120 });
+    const pull = equilibrium({ segments: segments_m, give }, target_m, { bend: still, rounds: 120 });
     assert.ok(distance(pull.reached, reached_m) < 1e-5, `${name}: ${pull.reached}`);
     for (const [i, k] of pull.bend.entries()) assert.ok(distance(k, bend[i]) < 1e-5, `${name} ${i}: ${k} ${bend[i]}`);
   }

@@ -62,7 +62,7 @@ declare module "../../web/motion/local.js" {
 declare module "../../web/motion/modes.js" {
   interface Modes {
     J: number; K: number; V: number; bone_of_voxel: Int32Array; coords: Int16Array; frequencies_hz: Float32Array;
-    joint_give: Float32Array; joint_limit_rad: Float32Array; joint_of_bone: Int32Array; joint_parent: Int32Array; joint_place_m: Float32Array;
+    joint_give: Float32Array; joint_of_bone: Int32Array; joint_parent: Int32Array; joint_place_m: Float32Array;
   }
 }
 

@@ -77,11 +77,11 @@ def test_the_other_branch_only_rides_on_the_stem(forked):
 
 
 def test_of_all_bends_that_bring_the_point_there_the_answer_has_the_least_energy(rng):
-    segments, give, limit = rng.normal(size=(6, 3)) + np.array([0, 0, 2]), *np.geomspace([1, 0.1], [0.05, 0.5], 6).T
+    segments, give = rng.normal(size=(6, 3)) + np.array([0, 0, 2]), np.geomspace(1, 0.05, 6)
     target = np.array([2.0, -1.0, -1.5])
-    there = {"type": "eq", "fun": lambda x: _stance(segments, give, limit, x.reshape(6, 3))[2] - target}
-    least = minimize(lambda x: _stance(segments, give, limit, x.reshape(6, 3))[3], np.full(18, 0.1), constraints=there)
-    pull = equilibrium(grip_of(segments, give, limit), target, np.zeros((6, 3)))
+    there = {"type": "eq", "fun": lambda x: _stance(segments, give, x.reshape(6, 3))[2] - target}
+    least = minimize(lambda x: _stance(segments, give, x.reshape(6, 3))[3], np.full(18, 0.1), constraints=there)
+    pull = equilibrium(grip_of(segments, give), target, np.zeros((6, 3)))
     np.testing.assert_allclose(pull.reached_m, target, atol=1e-4)
     np.testing.assert_allclose(pull.bend.ravel(), least.x, atol=0.01)
 
@@ -89,7 +89,7 @@ def test_of_all_bends_that_bring_the_point_there_the_answer_has_the_least_energy
 @pytest.mark.parametrize("case", json.loads(ANSWERS.read_text()), ids=lambda case: case["name"])
 def test_the_answers_are_those_that_the_page_must_give(case):
     """tests/browser/page.test.mjs reads the same file."""
-    grip = grip_of(*(np.array(case[name]) for name in ("segments_m", "give", "limit_rad")))
+    grip = grip_of(np.array(case["segments_m"]), np.array(case["give"]))
     pull = equilibrium(grip, np.array(case["target_m"]), np.zeros_like(grip.segments_m))
     np.testing.assert_allclose(pull.bend, case["bend"], atol=1e-5)
     np.testing.assert_allclose(pull.reached_m, case["reached_m"], atol=1e-5)
@@ -119,7 +119,7 @@ def test_a_vertex_itself_is_pulled_and_edges_keep_their_lengths():
     """A grown tree, and a crown that is one surface, whose other branches tear when one of their bones bends alone."""
     sample = make_sample(3, "sapling")
     spectrum = voxel_spectrum(sample)[1]
-    for mesh, sway, median, most in ((sample.mesh, spectrum, 0.01, 0.01), (*ball_on_a_pole(), 0.06, 0.11)):
+    for mesh, sway, median, most in ((sample.mesh, spectrum, 0.01, 0.01), (*ball_on_a_pole(), 0.06, 0.15)):
         tree = InteractiveTree(modal_system(sway), rig_of(mesh, sway), mesh)
         edges = edges_of(mesh.faces)
         rest = np.linalg.norm(np.diff(mesh.vertices[edges], axis=1)[:, 0], axis=1)

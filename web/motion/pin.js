@@ -8,6 +8,7 @@ import { turned } from "./modes.js";
 import { cross, dot, length, minus, plus, rowOf, scaled } from "./vectors.js";
 
 const ROUNDS = 12; // a frame; the next frame goes on from there
+const LARGEST_BEND_RAD = 0.4;
 const [TOLERANCE, RIGID] = [3e-7, 1e-14];
 const [STEP_RAD, SETTLED_RAD, STUCK_RAD] = [0.5, 1e-3, 1e-6];
 const LET_GO_S = 0.08; // once nothing is pinned, the place goes like a critically damped spring of this time
@@ -48,7 +49,7 @@ export class Pin {
   }
 }
 
-/** What a chain's joints carry of a point: `{ segments, give, limit }`, as `grip_at` of pull.py. */
+/** What a chain's joints carry of a point: `{ segments, give }`, as `grip_at` of pull.py. */
 export function segmentsOf(modes, { joints, weights }, chain, point) {
   const segments = chain.map(() => [0, 0, 0]);
   const carried = chain.map(() => 0); // share of the point beyond each joint
@@ -62,20 +63,18 @@ export function segmentsOf(modes, { joints, weights }, chain, point) {
   });
   const step = (n) => minus(n ? modes.jointAt(chain[n - 1]) : point, modes.jointAt(chain[n]));
   for (let n = 1; n < chain.length; n++) segments[n] = plus(segments[n], scaled(step(n), carried[n - 1]));
-  const give = chain.map((j, n) => modes.joint_give[j] * length(step(n)));
-  return { segments, give, limit: chain.map((j) => modes.joint_limit_rad[j]) };
+  return { segments, give: chain.map((j, n) => modes.joint_give[j] * length(step(n))) };
 }
 
 /** `{ bend, reached }` of least energy that hold the point at `target` [m from rest]; `base` are bends under them. */
-export function equilibrium({ segments, give, limit }, target, { bend, base = null, rounds = ROUNDS }) {
+export function equilibrium({ segments, give }, target, { bend, base = null, rounds = ROUNDS }) {
   let arm = [0, 0, 0];
   const compliance = segments.reduce((sum, s, i) => {
     arm = plus(arm, s);
     return sum + 2 * give[i] * dot(arm, arm);
   }, 0);
   const least = RIGID * give.reduce((sum, g) => sum + g, 0);
-  give = give.map((g) => Math.max(g, least));
-  const rod = { segments, give, limit, base, target, tolerance: TOLERANCE * compliance };
+  const rod = { segments, give: give.map((g) => Math.max(g, least)), base, target, tolerance: TOLERANCE * compliance };
   let now = stance(rod, bend);
   if (!(compliance > 0)) return now;
   let [force, price, longest] = [[0, 0, 0], 0, STEP_RAD];
@@ -98,13 +97,13 @@ export function equilibrium({ segments, give, limit }, target, { bend, base = nu
 }
 
 /** A bend: where it brings the point, the turned segments, what carries each, the moment in each joint, the energy. */
-function stance({ segments, give, limit, base, target }, bend) {
+function stance({ segments, give, base, target }, bend) {
   let [frame, reached, energy] = [IDENTITY, [0, 0, 0], 0];
   const [arms, before, moments, stiffness] = [[], [], [], []];
   const total = bend.map((k, n) => (base ? plus(k, base[n]) : k));
   for (let n = segments.length - 1; n >= 0; n--) {
     const square = dot(bend[n], bend[n]);
-    const folded = (square / limit[n] ** 2) ** 2;
+    const folded = (square / LARGEST_BEND_RAD ** 2) ** 2;
     energy += (square * (1 + folded / 3)) / give[n] / 2;
     stiffness[n] = (1 + 5 * folded) / give[n];
     moments[n] = applied(frame, ofTurn(scaled(total[n], -1), scaled(bend[n], (1 + folded) / give[n])));
