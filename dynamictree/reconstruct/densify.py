@@ -31,7 +31,7 @@ def densify(state: SplatState, rules: DensityRules, *, extent: float, rng: np.ra
     survives = (opacity > rules.min_opacity) & (largest < rules.too_large * reach)
     room = max(rules.max_gaussians - int(survives.sum()), 0)
     chosen = np.flatnonzero(survives & (pull > rules.pull))
-    if len(chosen) > room:  # the subject, which stands in the middle of the stage, counts four times
+    if len(chosen) > room:  # the subject, in the middle of the stage and above its ground, counts four times
         x, y, z = table[chosen, MEAN].T
         first = pull[chosen] * np.where((np.hypot(x, y) < 0.75) & (z > 0.02), 4, 1)
         chosen = chosen[np.argsort(-first, kind="stable")[:room]]
