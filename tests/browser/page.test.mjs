@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
+import { register } from "node:module";
 import { test } from "node:test";
 import { Client, Problem, patiently } from "../../web/client.js";
 import { Gust } from "../../web/draw/gust.js";
@@ -24,6 +25,21 @@ import { Session } from "../../web/page/session.js";
 import { StrokeList } from "../../web/page/stroke_list.js";
 import de from "../../web/texts/de.js";
 import en from "../../web/texts/en.js";
+
+// what is drawn imports three.js by its bare name, for which the page has an import map
+const three = new URL("../../web/vendor/three-0.187.0/", import.meta.url).href;
+const bare = `export function resolve(name, context, next) {
+  const [start, at] = name === "three" ? ["three", "three.module.js"] : ["three/", ""];
+  return next(name.startsWith(start) ? "${three}" + at + name.slice(start.length) : name, context);
+}`;
+register(`data:text/javascript,${encodeURIComponent(bare)}`);
+const { THREE, softenFoliage, seenBox, readDropped, Stage } = await (async () => ({
+  THREE: await import("three"),
+  ...(await import("../../web/draw/foliage.js")),
+  ...(await import("../../web/draw/surface.js")),
+  ...(await import("../../web/draw/dropped.js")),
+  ...(await import("../../web/draw/stage.js")),
+}))();
 
 const limits = {
   mesh_formats: ["obj", "ply", "glb", "gltf"],
@@ -190,7 +206,7 @@ test("an upload goes on after a break", { timeout: 30_000 }, async () => {
   let attempts = 0;
   const upload = async () => {
     if (attempts++ === 0) throw away();
-    return { id: "A1", kind: "mesh", parts: [] };
+    return { id: "A1", kind: "mesh", parts: [{ name: "oak.glb" }] };
   };
   const { session, states } = begin({ upload, jobs: [job("succeeded", moving)] });
   await session.upload([], { name: "oak" });
@@ -606,4 +622,14 @@ test("a watcher that is stopped hears of no job", async () => {
   };
   await assert.rejects(watching(), { name: "AbortError" });
   assert.deepEqual(jobs, []);
+});
+
+test("a trunk is no foliage where each face has corners of its own, as in a flat-shaded mesh", () => {
+  const trunk = new THREE.BoxGeometry(0.5, 0.5, 8, 1, 1, 40).toNonIndexed();
+  const { array: vertices, count: N } = trunk.attributes.position;
+  const own = trunk.attributes.normal.array.slice();
+  const box = new THREE.Box3().setFromBufferAttribute(trunk.attributes.position);
+  softenFoliage(trunk, { N, vertices, faces: Uint32Array.from({ length: N }, (_, v) => v), box });
+  assert.deepEqual(new Set(trunk.attributes.color.array), new Set([220]));
+  assert.deepEqual(trunk.attributes.normal.array, own);
 });

@@ -1,7 +1,7 @@
 // What was dropped, drawn from the files themselves: something to look at before the service has read them.
 
 import * as THREE from "three";
-import { connectedParts, softenFoliage } from "./foliage.js";
+import { softenFoliage } from "./foliage.js";
 import { pointsOf, readLas, readText } from "./scan.js";
 import { makeUpright } from "./upright.js";
 
@@ -114,7 +114,7 @@ function drawAsTrees(object) {
     const N = vertices.length / 3;
     const box = whole.clone().applyMatrix4(node.matrixWorld.clone().invert());
     if (!own && vertices instanceof Float32Array) {
-      softenFoliage(geometry, { N, vertices, parts: partsByPlace(vertices, geometry.index?.array, N), box });
+      softenFoliage(geometry, { N, vertices, faces: geometry.index?.array, box });
     }
     const lit = [node.material].flat().map((material) => {
       const { color, map, alphaTest, transparent } = material;
@@ -131,18 +131,6 @@ function drawAsTrees(object) {
     node.material = lit.length === 1 ? lit[0] : lit;
     node.castShadow = node.receiveShadow = true;
   });
-}
-
-/** The connected part of each vertex, where vertices in one place are one: a file may have one for each corner of a face. */
-function partsByPlace(vertices, index, N) {
-  const first = new Map();
-  const same = Uint32Array.from({ length: N }, (_, v) => {
-    const key = `${vertices[3 * v]} ${vertices[3 * v + 1]} ${vertices[3 * v + 2]}`;
-    if (!first.has(key)) first.set(key, v);
-    return first.get(key);
-  });
-  const parts = connectedParts(index ? Array.from(index, (v) => same[v]) : same, N);
-  return parts.map((_, v) => parts[same[v]]);
 }
 
 /** A mesh of a file without materials; of vertex colours, the light adds none. */

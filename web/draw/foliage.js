@@ -8,7 +8,7 @@ const LEAF_FACES = 400;
 /** Change the normals of small parts, and set the vertex colours of all. */
 export function softenFoliage(geometry, surface) {
   const { N, vertices, vertex_colors: colours } = surface;
-  const part = surface.parts ?? connectedParts(surface.faces, N);
+  const part = partsByPlace(vertices, surface.faces, N);
   const boxes = boxesOf(part, vertices, N);
   const isLeaf = leafTest(surface.box);
   const crown = new THREE.Box3();
@@ -63,8 +63,20 @@ function boxesOf(part, vertices, N) {
   return boxes;
 }
 
+/** The connected part of each vertex, where vertices in one place are one: a file may have one for each corner of a face. */
+export function partsByPlace(vertices, faces, N) {
+  const first = new Map();
+  const same = Uint32Array.from({ length: N }, (_, v) => {
+    const place = vertices[3 * v] + Math.SQRT2 * vertices[3 * v + 1] + Math.sqrt(3) * vertices[3 * v + 2]; // a fast key
+    if (!first.has(place)) first.set(place, v);
+    return first.get(place);
+  });
+  const parts = connectedParts(faces ? Array.from(faces, (v) => same[v]) : same, N);
+  return parts.map((_, v) => parts[same[v]]);
+}
+
 /** The connected part of each vertex: union-find over the faces. */
-export function connectedParts(faces, N) {
+function connectedParts(faces, N) {
   const parent = Uint32Array.from({ length: N }, (_, v) => v);
   const root = (v) => {
     let at = v;
