@@ -633,3 +633,15 @@ test("a trunk is no foliage where each face has corners of its own, as in a flat
   assert.deepEqual(new Set(trunk.attributes.color.array), new Set([220]));
   assert.deepEqual(trunk.attributes.normal.array, own);
 });
+
+test("an island three times as wide as its tree is seen whole", () => {
+  const points = [
+    [-0.5, -0.5, 0],
+    [0.5, 0.5, 1.2],
+    [-1.5, -1.5, -0.4],
+    [1.5, 1.5, 0],
+  ];
+  const whole = new THREE.Box3().setFromPoints(points.map((point) => new THREE.Vector3(...point)));
+  const surface = { vertices: Float32Array.from(points.flat()), still: Uint8Array.of(0, 0, 1, 1), N: 4 };
+  assert.ok(seenBox(surface, whole).equals(whole));
+});

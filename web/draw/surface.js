@@ -6,6 +6,7 @@ import { readTensors } from "../motion/tensors.js";
 import { softenFoliage } from "./foliage.js";
 
 const BESIDE = 0.4; // of the plant's size
+const SCENE = 2.5; // of the plant's size: what is no larger is seen whole
 
 /** `{ geometry, materials, box, ... }` of the body of …/surface. */
 export async function readSurface(buffer) {
@@ -46,20 +47,22 @@ function buildGeometry(surface) {
   return geometry;
 }
 
-/** The box of the plant, and of what stands still as far as it is near: a pot whole, of a sea a little. */
+/** The box of the plant, and of what stands still as far as it is near: a pot or an island whole, of a sea a little. */
 export function seenBox({ vertices, still, N }, whole) {
   if (!still) return whole;
   const plant = new THREE.Box3();
   const at = new THREE.Vector3();
   for (let v = 0; v < N; v++) if (!still[v]) plant.expandByPoint(at.fromArray(vertices, 3 * v));
-  return plant.isEmpty() ? whole : nearBox(plant, whole);
+  return plant.isEmpty() || sizeOf(whole) < SCENE * sizeOf(plant) ? whole : nearBox(plant, whole);
 }
 
 /** A box, and as much of a larger one as is near it. */
 export function nearBox(box, whole) {
-  const near = box.clone().expandByScalar(BESIDE * box.getSize(new THREE.Vector3()).length());
+  const near = box.clone().expandByScalar(BESIDE * sizeOf(box));
   return near.intersect(whole).union(box);
 }
+
+const sizeOf = (box) => box.getSize(new THREE.Vector3()).length();
 
 /** The joints of what is pulled that carry each vertex, and the share of the second; the ground's of what is no plant. */
 export function carryByJoints(surface, modes) {

@@ -12,7 +12,7 @@ const LOOKS = {
 };
 const AROUND = 0.3; // of the radius: so far motion may carry a shadow out of the box
 const WING = 0.045; // of the arrow, in its size
-const ARROW_SHARE = 0.85; // of what is seen beside the tree
+const ARROW_SHARE = 0.95; // of what is seen beside the tree
 
 export class Surroundings {
   /** In `software` a shadow has a quarter of the texels, by which its pass costs there. */
