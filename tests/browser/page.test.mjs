@@ -645,3 +645,14 @@ test("an island three times as wide as its tree is seen whole", () => {
   const surface = { vertices: Float32Array.from(points.flat()), still: Uint8Array.of(0, 0, 1, 1), N: 4 };
   assert.ok(seenBox(surface, whole).equals(whole));
 });
+
+test("a PLY mesh that does not say which way is up is not drawn before the service has found out", async () => {
+  const draft = (comment) => {
+    const head = `ply\nformat ascii 1.0\n${comment}element vertex 3\nproperty float x\nproperty float y\nproperty float z\n`;
+    const rest = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 2 0\n3 0 1 2\n";
+    return readDropped([{ name: "tree.ply", path: "tree.ply", content: new Blob([head, rest]) }]);
+  };
+  assert.equal(await draft(""), null);
+  const { box } = await draft("comment up_axis +Y\n");
+  assert.equal(box.max.z - box.min.z, 2);
+});

@@ -13,6 +13,7 @@ const MAPS = ["map", "alphaMap", "bumpMap", "normalMap", "specularMap"];
 const NOTHING = "data:,";
 const HEAD_BYTES = 4096;
 const SPLAT_PROPERTY = /property \w+ (f_dc_0|scale_0|packed_scale)/;
+const FACES = /^element face [1-9]/m;
 const UP_COMMENT = /^comment up_axis ([+-][XYZ]|[-+\d.e]+,[-+\d.e]+,[-+\d.e]+)\s*$/m;
 const SPLATS = new Set(["splat", "spz", "ksplat", "sog"]);
 const CLAY = 0xb9b3a4;
@@ -34,6 +35,7 @@ export async function readDropped(files, stage) {
   try {
     const head = suffix === "ply" ? await content.slice(0, HEAD_BYTES).text() : "";
     const isSplat = SPLATS.has(suffix) || SPLAT_PROPERTY.test(head);
+    if (FACES.test(head) && !namedUp(head)) return null; // half of such trees lie, and stand as the service finds
     const up = namedUp(head) ?? (isSplat && suffix === "ply" ? "-Y" : UP[suffix]);
     const read = isSplat ? readSplat : READERS[suffix];
     const address = (path) => addressOf(path, files, addresses);
