@@ -656,3 +656,26 @@ test("a PLY mesh that does not say which way is up is not drawn before the servi
   const { box } = await draft("comment up_axis +Y\n");
   assert.equal(box.max.z - box.min.z, 2);
 });
+
+test("what the panels leave free is filled anew, however small the steps in which it changes", () => {
+  const canvas = { clientWidth: 390, clientHeight: 490 };
+  const surroundings = { backdrop: { uniforms: { share: {} } }, bringArrowNear() {} };
+  const seen = new THREE.Box3(new THREE.Vector3(-8, -8, 0), new THREE.Vector3(8, 8, 13));
+  const controls = { target: new THREE.Vector3(), update() {} };
+  const own = {
+    canvas,
+    surroundings,
+    seen,
+    controls,
+    camera: new THREE.PerspectiveCamera(),
+    resolution: {},
+    _setSize() {},
+  };
+  const stage = Object.assign(Object.create(Stage.prototype), own);
+  const distance = () => stage.camera.position.distanceTo(controls.target);
+  stage.home();
+  for (const bottom of [10, 60, 110]) stage.clear({ bottom });
+  const far = distance();
+  stage.home();
+  assert.equal(far, distance());
+});

@@ -9,6 +9,7 @@ import { Surroundings } from "./surroundings.js";
 const FIELD_OF_VIEW = 30;
 const ROUND = Math.SQRT1_2 / 2; // corners of the square in a crown's circle, in shares of its width
 const FILLED = 0.94; // of the free part's half
+const OTHER_ASPECT = 0.15; // of width by height: with so much more or less, the first view is another
 const FIRST_VIEW = new THREE.Vector3(-0.38, -1, 0.2).normalize();
 
 export class Stage {
@@ -98,14 +99,15 @@ export class Stage {
 
   /** Look at the tree as at first. */
   home() {
-    const free = this.free ?? { width: 1, height: 1 };
+    const { width, height } = this.free ?? { width: 1, height: 1 };
+    this.aspect = width / height; // that this view is made for
     const half = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW / 2));
     const wide = this.seen.getSize(new THREE.Vector3());
     const across = Math.max(wide.x, wide.y, Math.hypot(wide.x, wide.y) * 0.85);
     const tall = (0.55 * wide.z) / half;
-    const upright = Math.max(tall, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
-    const distance = Math.max(upright, this._distanceOfWhole(wide, half, free.width / free.height));
-    this.halfWidth = (distance * half * free.width) / free.height; // of what is seen beside the middle [m]
+    const upright = Math.max(tall, (0.55 * across) / half / this.aspect) + 0.3 * across;
+    const distance = Math.max(upright, this._distanceOfWhole(wide, half, this.aspect));
+    this.halfWidth = distance * half * this.aspect; // of what is seen beside the middle [m]
     this.surroundings.bringArrowNear(this.halfWidth);
     const middle = this.seen.getCenter(this.controls.target);
     this.camera.position.copy(middle).addScaledVector(FIRST_VIEW, distance);
@@ -143,14 +145,13 @@ export class Stage {
     this._setSize(width, height, this.resolution.scale);
     this.surroundings.backdrop.uniforms.share.value = height / globalThis.innerHeight;
     const { left = 0, right = 0, bottom = 0, top = 0 } = this.margins ?? {};
-    const before = this.free;
     this.free = { width: Math.max(width - left - right, 1), height: Math.max(height - bottom - top, 1) };
     this.camera.aspect = this.free.width / this.free.height;
     // the camera sees the free part; the view offset adds what lies around it
     this.camera.setViewOffset(this.free.width, this.free.height, -left, -top, width, height);
     this.camera.updateProjectionMatrix();
     this.stale = true;
-    if (!before || Math.abs(before.width / before.height - this.camera.aspect) > 0.25) this.home();
+    if (Math.abs(this.aspect - this.camera.aspect) > OTHER_ASPECT) this.home();
   }
 
   _setSize(width, height, scale) {
