@@ -679,3 +679,18 @@ test("what the panels leave free is filled anew, however small the steps in whic
   stage.home();
   assert.equal(far, distance());
 });
+
+test("a tree of a folder keeps the folder's name when it is opened again", async () => {
+  const kept = new Map();
+  globalThis.localStorage = {
+    getItem: (name) => kept.get(name) ?? null,
+    setItem: (name, value) => kept.set(name, value),
+  };
+  const asset = { id: "A1", kind: "mesh", parts: [{ name: "scene.gltf" }] };
+  const jobs = [job("succeeded", moving)];
+  const { session, machine } = begin({ jobs, upload: async () => asset, asset: async () => asset });
+  await session.upload([], { name: "maple" });
+  await session.open("J1");
+  delete globalThis.localStorage;
+  assert.equal(machine.facts.name, "maple");
+});

@@ -1,13 +1,19 @@
 // Names of trees: what an upload is called, how its name is shown, and how its files are called.
 
 import { element } from "./dom.js";
+import { store, stored } from "./storage.js";
 
 const SHOWN = 48; // characters of a name; what is longer is cut in its middle
 const OF_A_FILE = 50; // UTF-8 takes up to four bytes for each, and file systems take 255 bytes with what follows
 
 /** What an upload is called: its file's name without folder and suffix; empty for photos, of which a film is one file. */
-export function nameOf({ kind, parts }) {
-  return kind === "photos" && parts.length > 1 ? "" : stem(parts[0].name);
+export function nameOf({ id, kind, parts }) {
+  return stored(`name ${id}`) ?? (kind === "photos" && parts.length > 1 ? "" : stem(parts[0].name));
+}
+
+/** Remember a name that an upload does not tell the service: that of a folder with a `scene.gltf` in it. */
+export function keepName(asset, name) {
+  if (name !== nameOf(asset)) store(`name ${asset.id}`, name);
 }
 
 export function stem(path) {

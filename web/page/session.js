@@ -2,7 +2,7 @@
 
 import { randomKey } from "../client/keys.js";
 import { hasEnded, Problem, patiently } from "../client.js";
-import { nameOf } from "./names.js";
+import { keepName, nameOf } from "./names.js";
 
 /** Files that the first job writes; others are written when they are wanted. */
 const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"] };
@@ -32,6 +32,7 @@ export class Session {
       const onProgress = (share) => run.update({ share });
       const send = () => this.client.upload(files, { ...reading, signal: run.signal, onProgress });
       const asset = await patiently(send, run);
+      keepName(asset, name);
       run.signal.throwIfAborted();
       await this._animate(asset, request, run);
     });
