@@ -15,14 +15,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cuda import gsplat_is_there, render_with_gsplat
 from dynamictree.gaussian.deform import Pose, posed
-from dynamictree.gaussian.rasterize_kernel import (
-    MIN_ALPHA,
-    TILE,
-    WIDEST,
-    blend,
-    list_tiles,
-    project,
-)
+from dynamictree.gaussian.rasterize_kernel import MIN_ALPHA, TILE, WIDEST, blend, list_tiles, project
 from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
 
@@ -45,13 +38,7 @@ class SplatPicture:
 
 
 def render_cloud(
-    cloud: GaussianCloud,
-    camera: Camera,
-    *,
-    width: int,
-    height: int,
-    pose: Pose | None = None,
-    antialias: bool = True,
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
 ) -> SplatPicture:
     """Draw a cloud, or a pose of it, whose colours then turn with the Gaussians: the view direction is turned back.
 
@@ -104,34 +91,14 @@ def draw(
     ellipses = np.zeros((cloud.num_gaussians, 10), np.float32)
     bounds = np.zeros((cloud.num_gaussians, 4), np.int32)
     view = _view(camera, width, height)
-    in_bands(
-        project,
-        cloud.num_gaussians,
-        np.ascontiguousarray(now.means),
-        np.ascontiguousarray(now.quaternions),
-        np.ascontiguousarray(now.scales),
-        cloud.opacity,
-        cloud.sh,
-        cloud.quaternions,
-        view,
-        antialias,
-        pose is not None,
-        ellipses,
-        bounds,
-    )
+    shapes = (np.ascontiguousarray(part) for part in (now.means, now.quaternions, now.scales))
+    looks = cloud.opacity, cloud.sh, cloud.quaternions
+    in_bands(project, len(bounds), *shapes, *looks, view, antialias, pose is not None, ellipses, bounds)
     order, starts = tile_lists(ellipses, bounds, width, height)
     picture = np.zeros((height, width, 5), np.float32)
     in_bands(blend, len(starts) - 1, ellipses, bounds, order, starts, picture)
-    return Drawing(
-        cloud=cloud,
-        view=view,
-        antialias=antialias,
-        ellipses=ellipses,
-        bounds=bounds,
-        order=order,
-        starts=starts,
-        picture=picture,
-    )
+    lists = {"ellipses": ellipses, "bounds": bounds, "order": order, "starts": starts}
+    return Drawing(cloud=cloud, view=view, antialias=antialias, **lists, picture=picture)
 
 
 def tile_lists(
@@ -140,7 +107,9 @@ def tile_lists(
     """Which Gaussians each tile shows, the nearest first; tile t lists order[starts[t]:starts[t + 1]]."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     seen = np.flatnonzero(bounds[:, 1] > bounds[:, 0])
-    nearest_first = seen[np.argsort(ellipses[seen, 9], kind="stable")]
+    bits = ellipses[seen, 9].view(np.uint32).astype(np.uint64)  # of positive floats: in their order
+    by_depth = np.sort(bits << 32 | seen.astype(np.uint64))  # a quarter of the time of a stable argsort
+    nearest_first = (by_depth & 0xFFFF_FFFF).astype(np.int64)
     starts = np.zeros(columns * rows + 1, np.int64)
     list_tiles(nearest_first, bounds, columns, starts, np.empty(0, np.int32), False)
     starts = np.concatenate([[0], np.cumsum(starts[:-1])])

@@ -6,11 +6,13 @@ there hold at every size.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.gaussian.rasterize import draw
+from dynamictree.parallel import compiled_fused, in_bands
 from dynamictree.reconstruct.adam import adam_step
 from dynamictree.reconstruct.densify import DensityRules, densify
 from dynamictree.reconstruct.gradient import gradients_of
@@ -67,10 +69,7 @@ class SplatTask:
 
 
 def optimise(
-    state: SplatState,
-    task: SplatTask,
-    schedule: Schedule,
-    on_step: Callable[[SplatState], None] = lambda state: None,
+    state: SplatState, task: SplatTask, schedule: Schedule, on_step: Callable[[SplatState], None] = lambda state: None
 ) -> None:
     """Optimise, split and prune Gaussians in place; `on_step` may save the state, or raise to stop."""
     levels = _Levels(task, schedule)
@@ -89,28 +88,18 @@ def optimise(
 
 
 def _one_step(
-    state: SplatState,
-    target: Target,
-    task: SplatTask,
-    schedule: Schedule,
-    degree: int,
-    rng: np.random.Generator,
+    state: SplatState, target: Target, task: SplatTask, schedule: Schedule, degree: int, rng: np.random.Generator
 ) -> None:
     height, width = target.photo.shape[:2]
     drawing = draw(cloud_of(state.table, degree), target.camera, width=width, height=height)
     behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
-    wanted = target.photo
-    if target.alpha is not None:
-        wanted = target.photo * target.alpha[..., None] + behind * (1 - target.alpha[..., None])
-    light = drawing.picture[..., 4]
-    composited = drawing.picture[..., :3] + behind * light[..., None]
-    loss = picture_loss(planes_of(composited), planes_of(wanted), ssim_share=SSIM_SHARE)
-    gradient = np.zeros_like(drawing.picture)
-    gradient[..., :3] = loss.gradient.transpose(1, 2, 0)
-    gradient[..., 4] = gradient[..., :3] @ behind
-    if target.depth is not None:
-        share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps)
-        _add_depth(gradient, drawing.picture, target.depth, share)
+    shown, wanted = (np.empty((3, height, width), np.float32) for _ in range(2))
+    in_bands(_compose, height, drawing.picture, target.photo, _given(target.alpha), behind, shown, wanted)
+    loss = picture_loss(shown, wanted, ssim_share=SSIM_SHARE)
+    depth = _given(target.depth)
+    share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps) / max(np.count_nonzero(depth), 1)
+    gradient = np.empty_like(drawing.picture)
+    in_bands(_back, height, drawing.picture, loss.gradient, behind, depth, np.float32(share), gradient)
     gradients = gradients_of(drawing, gradient, width=state.table.shape[1])
     half_size = np.array([0.5 * width, 0.5 * height], np.float32)
     state.add_pull(half_size * gradients.centres_px, drawing.bounds[:, 1] > drawing.bounds[:, 0])
@@ -120,19 +109,46 @@ def _one_step(
     unit_quaternions(state.table)
 
 
-def _add_depth(
-    gradient: Float32[np.ndarray, "H W 5"],
-    picture: Float32[np.ndarray, "H W 5"],
-    depth: Float32[np.ndarray, "H W"],
-    share: float,
-) -> None:
-    """Gradient of the mean relative error of depth where one is known: Σ w (z − z*) / z*, so opacity is left alone."""
-    measured = depth > 0
-    per = np.where(measured, 1 / np.where(measured, depth, 1), 0).astype(np.float32)
-    error = picture[..., 3] * per - (1 - picture[..., 4]) * measured
-    slope = np.sign(error) * np.float32(share / max(measured.sum(), 1))
-    gradient[..., 3] += slope * per
-    gradient[..., 4] += slope * measured
+def _given(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w"]:
+    return np.zeros((0, 0), np.float32) if plane is None else plane
+
+
+@compiled_fused
+@no_type_check
+def _compose(first, end, picture, photo, alpha, behind, shown, wanted):
+    """The picture in front of a colour, and the photo in front of it where it is cut out, as planes."""
+    for row in range(first, end):
+        for c in range(3):
+            for j in range(np.uint32(picture.shape[1])):
+                shown[c, row, j] = picture[row, j, c] + behind[c] * picture[row, j, 4]
+                wanted[c, row, j] = photo[row, j, c]
+        if len(alpha):
+            for c in range(3):
+                for j in range(np.uint32(picture.shape[1])):
+                    wanted[c, row, j] = behind[c] + alpha[row, j] * (photo[row, j, c] - behind[c])
+
+
+@compiled_fused
+@no_type_check
+def _back(first, end, picture, loss, behind, depth, share, gradient):
+    """Gradient by the drawn picture of the loss by planes, and of the mean relative error of depth where one is known.
+
+    The latter is Σ w (z − z*) / z*, so opacity is left alone.
+    """
+    for row in range(first, end):
+        for j in range(np.uint32(picture.shape[1])):
+            light = np.float32(0)
+            for c in range(3):
+                gradient[row, j, c] = loss[c, row, j]
+                light += loss[c, row, j] * behind[c]
+            gradient[row, j, 3], gradient[row, j, 4] = 0, light
+        if len(depth):
+            for j in range(np.uint32(picture.shape[1])):
+                z = depth[row, j]
+                if z > 0:
+                    slope = share * np.sign(picture[row, j, 3] / z - (1 - picture[row, j, 4]))
+                    gradient[row, j, 3] = slope / z
+                    gradient[row, j, 4] += slope
 
 
 def _rules(schedule: Schedule, share: float, *, cut_out: bool) -> DensityRules:

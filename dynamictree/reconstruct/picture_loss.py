@@ -13,6 +13,7 @@ _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
 _BELL = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
 WINDOW = (_BELL / _BELL.sum()).astype(np.float32)
 """Along each axis."""
+_W = tuple(WINDOW)
 _TAPS = 2 * _RADIUS + 1
 _ONE, _TWO = np.float32(1), np.float32(2)
 
@@ -60,28 +61,46 @@ def ssim(picture: Float32[np.ndarray, "3 H W"], photo: Float32[np.ndarray, "3 H 
 def blur(planes: Float32[np.ndarray, "P H W"]) -> Float32[np.ndarray, "P H W"]:
     """Each plane blurred by SSIM's window, zero beyond its edges; its own adjoint."""
     result = np.empty_like(planes)
-    in_bands(_blur_rows, planes.shape[0] * planes.shape[1], planes, WINDOW, result)
+    in_bands(_blur_rows, planes.shape[0] * planes.shape[1], planes, result)
     return result
 
 
 @compiled_fused
 @no_type_check
-def _blur_rows(first, end, planes, window, result):
+def _blur_rows(first, end, planes, result):
     _, height, width = planes.shape
-    row_sum = np.zeros(width + _TAPS, np.float32)  # with a margin of zeros on both sides
+    down = np.zeros(width + 2 * _RADIUS, np.float32)  # with a margin of zeros on both sides
+    rows = np.empty((_TAPS, width), np.float32)
     for place in range(first, end):
         plane, row = place // height, place % height
-        row_sum[:] = 0
-        for k in range(max(0, _RADIUS - row), min(_TAPS, height + _RADIUS - row)):
-            weight, source = window[k], planes[plane, row + k - _RADIUS]
-            for j in range(np.uint32(width)):
-                row_sum[j + np.uint32(_RADIUS)] += weight * source[j]
-        target = result[plane, row]
-        target[:] = 0
-        for k in range(np.uint32(_TAPS)):
-            weight = window[k]
-            for j in range(np.uint32(width)):
-                target[j] += weight * row_sum[j + k]
+        top, bottom = max(row - _RADIUS, 0), min(row + _RADIUS + 1, height)
+        if bottom - top == _TAPS:
+            _blur_down(planes[plane, top:bottom], down)
+        else:
+            rows[:] = 0
+            rows[top - row + _RADIUS : bottom - row + _RADIUS] = planes[plane, top:bottom]
+            _blur_down(rows, down)
+        _blur_along(down, result[plane, row])
+
+
+@compiled_fused
+@no_type_check
+def _blur_down(a, out):
+    """The eleven rows, summed by the window, behind a margin; terms are written out, so that LLVM makes vectors."""
+    for j in range(np.uint32(a.shape[1])):
+        far = _W[0] * (a[0, j] + a[10, j]) + _W[1] * (a[1, j] + a[9, j]) + _W[2] * (a[2, j] + a[8, j])
+        near = _W[3] * (a[3, j] + a[7, j]) + _W[4] * (a[4, j] + a[6, j]) + _W[5] * a[5, j]
+        out[j + np.uint32(_RADIUS)] = far + near
+
+
+@compiled_fused
+@no_type_check
+def _blur_along(a, out):
+    """The same along a row that has margins."""
+    b, c, d, e, f, g, h, i, k, last = a[1:], a[2:], a[3:], a[4:], a[5:], a[6:], a[7:], a[8:], a[9:], a[10:]
+    for j in range(np.uint32(len(out))):
+        far = _W[0] * (a[j] + last[j]) + _W[1] * (b[j] + k[j]) + _W[2] * (c[j] + i[j])
+        out[j] = far + _W[3] * (d[j] + h[j]) + _W[4] * (e[j] + g[j]) + _W[5] * f[j]
 
 
 @compiled_fused

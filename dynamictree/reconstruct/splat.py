@@ -11,16 +11,7 @@ from jaxtyping import Float32
 
 from dynamictree.gaussian.cuda import gsplat_is_there
 from dynamictree.reconstruct.depth import DepthMaps
-from dynamictree.reconstruct.optimise import (
-    Schedule,
-    SplatTask,
-    Target,
-    drawn,
-    on_black,
-    optimise,
-    planes_of,
-    smaller,
-)
+from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, drawn, on_black, optimise, planes_of, smaller
 from dynamictree.reconstruct.picture_loss import psnr, ssim
 from dynamictree.reconstruct.result import SplatFigures
 from dynamictree.reconstruct.sky import Foreground

@@ -44,4 +44,5 @@ def cloud_of(table: Float32[np.ndarray, "G P"], sh_degree: int | None = None) ->
 
 def unit_quaternions(table: Float32[np.ndarray, "G P"]) -> None:
     """Make the quaternions of a table unit ones, in place."""
-    table[:, QUATERNION] /= np.linalg.norm(table[:, QUATERNION], axis=1, keepdims=True)
+    turns = table[:, QUATERNION]
+    turns /= np.sqrt(np.einsum("gi,gi->g", turns, turns))[:, None]  # half the time of `norm`
