@@ -12,13 +12,7 @@ from scipy.spatial import cKDTree
 from dynamictree.files import replacing
 from dynamictree.reconstruct.fusion import Box
 from dynamictree.reconstruct.sky import Foreground
-from dynamictree.reconstruct.stereo import (
-    Hypotheses,
-    StereoView,
-    agreed_depths,
-    match_view,
-    neighbours_of,
-)
+from dynamictree.reconstruct.stereo import Hypotheses, StereoView, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.views import SparseModel, View, resized
 
 SIDE_PX = 256

@@ -36,13 +36,7 @@ def learn_scene(
 
 
 def reconstruct_capture(
-    files: Sequence[Path],
-    folder: Path,
-    params: ReconstructParams,
-    *,
-    work: Path,
-    recall: Recall,
-    callbacks: Callbacks,
+    files: Sequence[Path], folder: Path, params: ReconstructParams, *, work: Path, recall: Recall, callbacks: Callbacks
 ) -> Capture:
     """Reconstruct a splat and a mesh from photos; all that is made of them is written into the folder.
 

@@ -248,6 +248,8 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     place = {photo.name: row for row, photo in enumerate(search.photos)}
     chosen, undistorted = folder / "chosen", folder / "undistorted"
     chosen.mkdir(exist_ok=True)
+    for camera in model.cameras.values():
+        straighten(camera)
     model.write(chosen)
     pycolmap.undistort_images(undistorted, chosen, folder / "photos", num_threads=threads, jpeg_quality=95)
     if masked:
@@ -297,6 +299,20 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     being_written.write_text(json.dumps(document))
     being_written.replace(folder / "views.json")
     search.tell("undistort", 1, 1)
+
+
+def straighten(camera: pycolmap.Camera) -> None:
+    """Call a lens straight that bends no place of a photo by a tenth of a pixel, in place.
+
+    To straighten its photos would resample them: half a pixel aside, where they lose one of their rows.
+    """
+    least_px = 0.1
+    edges = np.stack(np.meshgrid([0, camera.width / 2, camera.width], [0, camera.height / 2, camera.height]), -1)
+    places = edges.reshape(-1, 2).astype(np.float64)
+    focal_px = np.array([camera.focal_length_x, camera.focal_length_y])
+    middle_px = np.array([camera.principal_point_x, camera.principal_point_y])
+    if np.abs(camera.cam_from_img(places) * focal_px + middle_px - places).max() < least_px:
+        camera.model, camera.params = pycolmap.CameraModelId.PINHOLE, np.concatenate([focal_px, middle_px])
 
 
 def _end_with_parent() -> None:

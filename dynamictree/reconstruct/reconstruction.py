@@ -116,11 +116,7 @@ def reconstruct(
         model = evenly_exposed(model)
         with clock.stage("depth") as report:
             scene = find_scene(
-                model,
-                max_views=options.max_views,
-                saved=path / DEPTHS,
-                on_model=draft.show_points,
-                on_progress=report,
+                model, max_views=options.max_views, saved=path / DEPTHS, on_model=draft.show_points, on_progress=report
             )
         with clock.stage("splat") as report:
 

@@ -68,13 +68,7 @@ def find_scene(
         depths = outside_sky(depths, sky)
     on_progress(1.0)
     return Scene(
-        model=model,
-        matched=matched,
-        depths=depths,
-        subject=subject,
-        cut=cut,
-        ground_found=stage.ground_found,
-        sky=sky,
+        model=model, matched=matched, depths=depths, subject=subject, cut=cut, ground_found=stage.ground_found, sky=sky
     )
 
 

@@ -70,10 +70,7 @@ WORKDIR /data
 ENTRYPOINT ["/usr/bin/weed"]
 """
 
-DISTRIBUTIONS = {
-    "bookworm": "python3,python3-venv,python3-pip,binutils",
-    "trixie": "postgresql-17,valkey-server,curl",
-}
+DISTRIBUTIONS = {"bookworm": "python3,python3-venv,python3-pip,binutils", "trixie": "postgresql-17,valkey-server,curl"}
 
 NOT_IN_SLIM_IMAGES = (
     *("var/cache/apt", "var/lib/apt/lists", "usr/share/doc", "usr/share/info", "usr/share/locale", "usr/share/man"),

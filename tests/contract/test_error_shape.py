@@ -85,11 +85,7 @@ def test_an_unknown_id(client: TestClient, path: str, id: str) -> None:
 
 @pytest.mark.parametrize(
     ("path", "status", "code"),
-    [
-        ("/boom", 500, "internal-error"),
-        ("/model", 500, "model-error"),
-        ("/database", 503, "storage-unavailable"),
-    ],
+    [("/boom", 500, "internal-error"), ("/model", 500, "model-error"), ("/database", 503, "storage-unavailable")],
 )
 def test_what_goes_wrong_inside_is_withheld(client, caplog, path, status, code) -> None:
     response = client.get(path)
@@ -113,10 +109,7 @@ def test_every_route_is_versioned_or_at_the_root() -> None:
     assert {path for path in paths if not path.startswith("/v1/")} == {"/livez", "/readyz", "/metrics"}
 
 
-@pytest.mark.parametrize(
-    ("path", "methods"),
-    [("/v1/jobs", {"GET", "POST"}), ("/v1/jobs/0", {"GET", "DELETE"})],
-)
+@pytest.mark.parametrize(("path", "methods"), [("/v1/jobs", {"GET", "POST"}), ("/v1/jobs/0", {"GET", "DELETE"})])
 def test_a_wrong_method_is_answered_with_every_allowed_one(client: TestClient, path: str, methods: set[str]) -> None:
     response = client.request("PATCH", path)
     assert_problem(response, 405, "method-not-allowed")

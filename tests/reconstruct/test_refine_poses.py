@@ -11,6 +11,7 @@ from skimage.transform import SimilarityTransform
 
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.input_cameras import InputCamera
+from dynamictree.reconstruct.mapping import straighten
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
 from dynamictree.reconstruct.refine_poses import ENOUGH_POINTS, ENOUGH_PX, refined
 from dynamictree.reconstruct.views import SparseModel
@@ -80,3 +81,11 @@ def test_few_points_move_no_camera(num_points: int, moved: bool) -> None:
     change = [np.linalg.norm(image.projection_center() - given[image.name]) for image in result.images.values()]
     assert (max(change) > 1e-4) == moved
     assert max(change) < 1
+
+
+@pytest.mark.parametrize(("bend", "straight"), [(0.0, True), (1e-5, True), (-1e-4, True), (-0.02, False)])
+def test_photos_of_a_straight_lens_are_not_resampled(bend, straight):
+    camera = pycolmap.Camera(**{**LENS, "params": [FOCAL, WIDTH / 2, HEIGHT / 2, bend]})
+    straighten(camera)
+    of_photo = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+    assert ((of_photo.width, of_photo.height) == (WIDTH, HEIGHT)) == straight

@@ -58,12 +58,7 @@ PARAMS = {
 }
 
 
-def add_job(
-    runtime: Runtime,
-    asset: AssetRecord,
-    job_type: JobType = "voxelize",
-    **params: object,
-) -> JobRecord:
+def add_job(runtime: Runtime, asset: AssetRecord, job_type: JobType = "voxelize", **params: object) -> JobRecord:
     given = PARAMS[job_type] | params  # type: ignore[operator]
     job = job_row(asset, job_type, now=runtime.store.clock(), params=given)
     return runtime.store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
