@@ -43,7 +43,7 @@ class Schedule:
     side_px: int = 640  # of the finest pictures
     coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # until this share of the steps, smaller by this
     position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # of the extent, first and last; theirs times 2
-    cut_out_position_rates: tuple[float, float] = (1.6e-3, 3.2e-5)  # the same for photos that are cut out
+    cut_out_position_rates: tuple[float, float] = (1.6e-3, 3.2e-6)  # the same for photos that are cut out
     color_rate: float = 1e-2  # theirs times 4
     opacity_rate: float = 0.1  # theirs times 2
     scale_rate: float = 2e-2  # theirs times 4
