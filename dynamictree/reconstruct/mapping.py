@@ -312,7 +312,7 @@ def straighten(camera: pycolmap.Camera) -> None:
     focal_px = np.array([camera.focal_length_x, camera.focal_length_y])
     middle_px = np.array([camera.principal_point_x, camera.principal_point_y])
     if np.abs(camera.cam_from_img(places) * focal_px + middle_px - places).max() < least_px:
-        camera.model, camera.params = pycolmap.CameraModelId.PINHOLE, np.concatenate([focal_px, middle_px])
+        camera.model, camera.params = pycolmap.CameraModelId.PINHOLE, [*focal_px, *middle_px]
 
 
 def _end_with_parent() -> None:

@@ -93,9 +93,9 @@ def _one_step(
     height, width = target.photo.shape[:2]
     drawing = draw(cloud_of(state.table, degree), target.camera, width=width, height=height)
     behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
-    shown, wanted = (np.empty((3, height, width), np.float32) for _ in range(2))
-    in_bands(_compose, height, drawing.picture, target.photo, _given(target.alpha), behind, shown, wanted)
-    loss = picture_loss(shown, wanted, ssim_share=SSIM_SHARE)
+    rendered, wanted = (np.empty((3, height, width), np.float32) for _ in range(2))
+    in_bands(_compose, height, drawing.picture, target.photo, _given(target.alpha), behind, rendered, wanted)
+    loss = picture_loss(rendered, wanted, ssim_share=SSIM_SHARE)
     depth = _given(target.depth)
     share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps) / max(np.count_nonzero(depth), 1)
     gradient = np.empty_like(drawing.picture)
@@ -115,12 +115,12 @@ def _given(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w
 
 @compiled_fused
 @no_type_check
-def _compose(first, end, picture, photo, alpha, behind, shown, wanted):
+def _compose(first, end, picture, photo, alpha, behind, rendered, wanted):
     """The picture in front of a colour, and the photo in front of it where it is cut out, as planes."""
     for row in range(first, end):
         for c in range(3):
             for j in range(np.uint32(picture.shape[1])):
-                shown[c, row, j] = picture[row, j, c] + behind[c] * picture[row, j, 4]
+                rendered[c, row, j] = picture[row, j, c] + behind[c] * picture[row, j, 4]
                 wanted[c, row, j] = photo[row, j, c]
         if len(alpha):
             for c in range(3):
