@@ -5,10 +5,10 @@ narrow, go through it from below to above, and go on in the slices above it at n
 hanging branches are thin beside the stem that bears them, the boughs of conifers are wide or lean.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from dynamictree.plant.still import groups_of_cells
 
@@ -61,6 +61,7 @@ def _columns(
     """Narrow parts of a slice that go through it and stand apart."""
     narrow = 0.07  # of the height: the largest radius of a stem
     through_share = 0.8  # of the slice's thickness
+    alone = 0.5  # of the cells within three radii, in the stem itself
     low, high = between[0] * tall, between[1] * tall
     inside = rows[(above[rows] >= low) & (above[rows] < high)]
     if len(inside) == 0:
@@ -70,23 +71,14 @@ def _columns(
     for one in np.flatnonzero(np.bincount(part) >= through_share * (high - low)):
         cells = inside[part == one]
         middle = np.median(coords[cells, :2], axis=0)
-        away = np.linalg.norm(coords[cells, :2] - middle, axis=1)
-        radius = float(np.median(away))
+        away = np.linalg.norm(coords[inside, :2] - middle, axis=1)
+        radius = float(np.median(away[part == one]))
+        own = 1.5 * radius + 1
+        is_alone = (away < own).sum() >= alone * (away < 3 * own).sum()
         through = np.ptp(above[cells]) + 1 >= through_share * (high - low)
-        if through and radius <= narrow * tall and _is_alone(coords, inside, middle, radius):
+        if through and radius <= narrow * tall and is_alone:
             columns.append(Stem(cells=cells, middle=middle, higher=middle, radius=max(radius, 0.5)))
     return columns
-
-
-def _is_alone(
-    coords: Int64[np.ndarray, "V 3"], inside: Int64[np.ndarray, " M"], middle: Float64[np.ndarray, "2"], radius: float
-) -> bool:
-    """Whether most of what is around a column is the column."""
-    alone = 0.5  # of the cells within three radii, in the stem itself
-    away = np.linalg.norm(coords[inside, :2] - middle, axis=1)
-    own = 1.5 * radius + 1
-    around: Bool[np.ndarray, " M"] = away < 3 * own
-    return bool((away < own).sum() >= alone * around.sum())
 
 
 def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
@@ -105,12 +97,5 @@ def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
     for number in sorted(set(group)):
         members = [stem for stem, own in zip(stems, group, strict=True) if own == number]
         thickest = max(members, key=lambda stem: len(stem.cells))
-        joined.append(
-            Stem(
-                cells=np.concatenate([stem.cells for stem in members]),
-                middle=thickest.middle,
-                higher=thickest.higher,
-                radius=thickest.radius,
-            )
-        )
+        joined.append(replace(thickest, cells=np.concatenate([stem.cells for stem in members])))
     return joined
