@@ -7,7 +7,7 @@ VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
 STILL = "still.webp"  # of 2 to 8 kB, beside `preview.png`
 
-STAGE_VERSION = "29"
+STAGE_VERSION = "30"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 HALF_DONE = "half-done-"
 """First part of the names of folders in scratch that hold half-done reconstructions."""

@@ -64,14 +64,8 @@ def on_ground(
 
 def share_right(labels: Int64[np.ndarray, " P"], truth: Int64[np.ndarray, " P"]) -> float:
     """Share of points whose label is that which most of their tree have."""
-    return float(
-        np.mean(
-            [
-                (labels[truth == one] == np.bincount(labels[truth == one] + 1).argmax() - 1).mean()
-                for one in np.unique(truth)
-            ]
-        )
-    )
+    of_each = (labels[truth == one] for one in np.unique(truth))
+    return float(np.mean([(own == np.bincount(own + 1).argmax() - 1).mean() for own in of_each]))
 
 
 def scattered(mesh: TriangleMesh, face: Int64[np.ndarray, " P"]) -> Float32[np.ndarray, "P 3"]:

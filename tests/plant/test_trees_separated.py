@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh
 from dynamictree.errors import InputError
 from dynamictree.formats.description import describe_trees
 from dynamictree.mesh import TriangleMesh, joined
@@ -14,6 +13,7 @@ from dynamictree.plant.trees.segment import segment_trees
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import tube
+from tests.plant.kinds import verdict
 from tests.plant.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
 
 
@@ -37,6 +37,19 @@ def test_five_trees_in_a_scan_are_separated_by_point_and_the_ground_is_of_none()
     assert result.max() == 4
     assert share_right(result[: len(plants)].astype(np.int64), truth[face]) >= 0.95
     assert (result[len(plants) :] == -1).mean() >= 0.9
+
+
+def test_conifers_whose_boughs_begin_low_and_meet_are_separated() -> None:
+    """Stems of 10 m that are bare below 0.9 m only, with boughs of up to 1.8 m, 3 m apart."""
+    rng = np.random.default_rng(0)
+    height, turn = rng.uniform(0.9, 9.8, (500, 1)), rng.uniform(0, 2 * np.pi, (500, 1))
+    away = 0.2 * (10 - height) * np.linspace(0, 1, 70)
+    boughs = np.stack([away * np.cos(turn), away * np.sin(turn), height + 0 * away], axis=2).reshape(-1, 3)
+    stem = np.c_[rng.normal(scale=0.1, size=(6000, 2)), np.linspace(0, 10, 6000)]
+    firs = np.concatenate([np.concatenate([boughs, stem]) + np.array([x, 0, 0]) for x in (0.0, 3.0)])
+    labels = segment_trees(firs, is_scan=True)
+    assert labels.max() == 1
+    assert share_right(labels.astype(np.int64), np.repeat([0, 1], len(firs) // 2)) >= 0.95
 
 
 def test_trees_are_numbered_from_left_to_right_with_their_feet_and_heights() -> None:
@@ -103,17 +116,8 @@ def test_a_canopy_without_stems_is_refused_with_a_reason() -> None:
 
 
 def test_files_of_one_tree_stay_one(samples) -> None:
-    for name in (
-        "mesh/tree-lime.glb",
-        "mesh/quaternius_common_tree/CommonTree_2.obj",
-        "scan/tls_tree_1.txt",
-        "splat/tree_10k.splat",
-    ):
-        path = samples / name
-        if is_cloud(path):
-            assert load_capture(path).tree is None
-        else:
-            assert load_mesh(path).face_tree is None
+    names = "mesh/tree-lime.glb", "mesh/quaternius_common_tree/CommonTree_2.obj", "scan/tls_tree_1.txt"
+    assert [verdict(samples / name)["trees"] for name in (*names, "splat/tree_10k.splat")] == [1, 1, 1, 1]
 
 
 def test_points_that_are_all_ground_are_one_tree(rng) -> None:

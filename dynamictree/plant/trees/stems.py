@@ -36,19 +36,30 @@ def find_stems(
 ) -> list[Stem]:
     """The stems among some cells, whose height is their own tallest; stems of one tree are joined."""
     thinnest = 0.3  # of the cells of the most massive stem: thinner ones are twigs that hang to the ground
+    bare = 0.67  # of the cells of a slice in stems, at least: then no branches hang into it
     tall = float(above[rows].max()) + 1
-    lower = _columns(coords, above, rows, tall, SLICE)
-    upper = _columns(coords, above, rows, tall, HIGHER)
-    stems = []
-    for column in lower:
-        goes_on = [other for other in upper if np.linalg.norm(other.middle - column.middle) < UPRIGHT * tall]
-        if goes_on:
-            nearest = min(goes_on, key=lambda other: float(np.linalg.norm(other.middle - column.middle)))
-            stems.append(Stem(cells=column.cells, middle=column.middle, higher=nearest.middle, radius=column.radius))
+    stems = _upright_stems(coords, above, rows, tall)
+    if not stems:  # crowns that begin in the higher slice hide them, at half the height they may be bare
+        stems = _upright_stems(coords, 2 * above, rows, tall)
+        inside = (2 * above[rows] >= SLICE[0] * tall) & (2 * above[rows] < SLICE[1] * tall)
+        stems = stems if sum(len(stem.cells) for stem in stems) >= bare * inside.sum() else []
     if not stems:
         return []
     most = max(len(stem.cells) for stem in stems)
     return join_stems([stem for stem in stems if len(stem.cells) >= thinnest * most], tall)
+
+
+def _upright_stems(
+    coords: Int64[np.ndarray, "V 3"], above: Float64[np.ndarray, " V"], rows: Int64[np.ndarray, " M"], tall: float
+) -> list[Stem]:
+    """The columns of the slice that go on in the higher one."""
+    upper = _columns(coords, above, rows, tall, HIGHER)
+    stems = []
+    for column in _columns(coords, above, rows, tall, SLICE) if upper else ():
+        nearest = min(upper, key=lambda other: float(np.linalg.norm(other.middle - column.middle)))
+        if np.linalg.norm(nearest.middle - column.middle) < UPRIGHT * tall:
+            stems.append(replace(column, higher=nearest.middle))
+    return stems
 
 
 def _columns(
