@@ -85,7 +85,7 @@ def sized(
     message = (
         f"the file of a {'cloud made from photos' if keep else 'splat'} does not say how large it is; {detected:.3g} "
         f"units were taken for {detected if keep else DEFAULT_HEIGHT_M:.3g} m; set height_m to its height, or unit_m "
-        "to the metres in one unit of the file"
+        "to the metres in one unit of the file; and box_m to the plant if the file shows more than it, such as a room"
     )
     return scaled, (SourceWarning(code="size-unknown", message=message),)
 

@@ -22,7 +22,7 @@ def splat_bytes(height: float) -> bytes:
 def test_a_splat_of_unknown_size_is_five_metres_tall_and_doubted() -> None:
     result = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y"))
     assert cloud_height(result.cloud) == pytest.approx(DEFAULT_HEIGHT_M, rel=1e-4)
-    assert [warning.code for warning in result.warnings] == ["size-unknown"]
+    assert [(warning.code, "box_m" in warning.message) for warning in result.warnings] == [("size-unknown", True)]
 
 
 def test_a_stated_height_or_unit_is_taken() -> None:
