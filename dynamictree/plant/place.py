@@ -50,8 +50,8 @@ def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> Tri
     judged = UpAxis(axis=stated, confidence=1.0) if stated else judge_up_axis(mesh, habit=file.usual_up_axis)
     turned = mesh.vertices @ up_rotation(judged.axis).T  # [N, 3] float64
     height = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
-    given = reading.unit_m or file.unit_m
-    scale = scale_to(reading.height_m, height) or given or guess_unit_m(height, file.usual_units_m)
+    unit_m = reading.unit_m or file.unit_m or guess_unit_m(height, file.usual_units_m)
+    scale = scale_to(reading.height_m, height) or unit_m
     normals = None if mesh.look.normals is None else (mesh.look.normals @ up_rotation(judged.axis).T).astype(np.float32)
     return replace(
         mesh,
@@ -77,9 +77,8 @@ def sized(
     keep &= USUAL_HEIGHT_M[0] <= detected <= USUAL_HEIGHT_M[1]
     scale = scale_to(height_m or (detected if keep else DEFAULT_HEIGHT_M), detected)
     assert scale is not None
-    scaled = replace(
-        transformed(cloud, np.eye(3), scale), source=replace(cloud.source, scale=cloud.source.scale * scale)
-    )
+    source = replace(cloud.source, scale=cloud.source.scale * scale)
+    scaled = replace(transformed(cloud, np.eye(3), scale), source=source)
     if height_m is not None:
         return scaled, ()
     message = (

@@ -91,7 +91,8 @@ def _of_faces(
 ) -> Int32[np.ndarray, " F"]:
     """The tree of each face: that of its connected part, or of its own points where a part spans several trees."""
     one_tree = 0.9  # of a connected part's points in one tree: then all of it is
-    part = _parts(mesh)
+    welded, _ = weld(mesh)
+    part = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]]
     votes = np.zeros((int(part.max()) + 1, count))
     standing = tree >= 0
     np.add.at(votes, (part[face[standing]], tree[standing]), 1)
@@ -100,11 +101,4 @@ def _of_faces(
     whole = votes.max(axis=1) >= one_tree * votes.sum(axis=1)
     small = np.bincount(part, minlength=len(votes)) < 0.01 * mesh.num_faces
     shared = ~(whole | small)[part] & (own.sum(axis=1) > 0)
-    trees: Int32[np.ndarray, " F"] = np.where(shared, own.argmax(axis=1), votes.argmax(axis=1)[part]).astype(np.int32)
-    return trees
-
-
-def _parts(mesh: Surface) -> Int32[np.ndarray, " F"]:
-    welded, _ = weld(mesh)
-    part: Int32[np.ndarray, " F"] = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]]
-    return part
+    return np.asarray(np.where(shared, own.argmax(axis=1), votes.argmax(axis=1)[part]), np.int32)

@@ -43,9 +43,7 @@ def find_stems(
         stems = _upright_stems(coords, 2 * above, rows, tall)
         inside = (2 * above[rows] >= SLICE[0] * tall) & (2 * above[rows] < SLICE[1] * tall)
         stems = stems if sum(len(stem.cells) for stem in stems) >= bare * inside.sum() else []
-    if not stems:
-        return []
-    most = max(len(stem.cells) for stem in stems)
+    most = max((len(stem.cells) for stem in stems), default=0)
     return join_stems([stem for stem in stems if len(stem.cells) >= thinnest * most], tall)
 
 
