@@ -302,9 +302,9 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
 
 
 def straighten(camera: pycolmap.Camera) -> None:
-    """Call a lens straight that bends no place of a photo by a tenth of a pixel, in place.
+    """Replace a lens that bends no place of a photo by a tenth of a pixel with a pinhole, in place.
 
-    To straighten its photos would resample them: half a pixel aside, where they lose one of their rows.
+    COLMAP copies photos of a pinhole; all others it resamples, a pixel smaller and half a pixel aside.
     """
     least_px = 0.1
     edges = np.stack(np.meshgrid([0, camera.width / 2, camera.width], [0, camera.height / 2, camera.height]), -1)
