@@ -45,7 +45,7 @@ ROUTES = (
     *(uploads, assets, jobs, job_events, artifacts, links, spectra, interact, interact_stream),
     *(surface, pages, webhooks, catalogue, health),
 )
-"""A module a resource; a new one is added here."""
+"""Route modules, one per resource."""
 
 EXPOSED = (
     *("ETag", "Location", "Link", "Retry-After", "RateLimit", "RateLimit-Policy", "X-Request-Id", "Content-Range"),
@@ -55,7 +55,7 @@ EXPOSED = (
 """Headers that a page of an allowed origin may read."""
 
 WARM_UP_AFTER_S = 3.0
-"""Worker and housekeeper start beside the API; numba can wait until they are there."""
+"""Delay of the warm-up [s], so that worker and housekeeper can start first."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -71,7 +71,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         openapi_url="/openapi.json",
         separate_input_output_schemas=False,
         generate_unique_id_function=operation_id,
-        redirect_slashes=False,  # it would send the key on to the request's own Host, without TLS behind a proxy
+        redirect_slashes=False,  # a redirect would send the key to the request's own Host, without TLS behind a proxy
         description=DESCRIPTION,
         servers=SERVERS,
         license_info=LICENSE,
@@ -98,7 +98,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def serving_app() -> FastAPI:
-    """Build the application for a server: what takes a second to load comes in once the start is over."""
+    """Build the application for a server, and import slow modules in a thread after the start."""
     app = create_app()
     set_up_logging(app.state.settings)
     if unknown := unknown_variables():
@@ -121,10 +121,10 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
 
 
 def _warm_up() -> None:
-    start_server()  # which the first upload would wait for
-    # numba, which the first push and the first look at the limits would wait for
+    start_server()  # the first upload would otherwise wait for it
+    # numba: the first push and the first request for the limits would otherwise wait for its import
     import dynamictree.export.table
     import dynamictree.gaussian.deform
     import dynamictree.modal.pull  # noqa: F401
 
-    gc.freeze()  # modules are never garbage; to look through them again takes 50 ms, every second or two
+    gc.freeze()  # modules are never garbage; scanning them again takes 50 ms, every second or two

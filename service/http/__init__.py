@@ -1,1 +1,1 @@
-"""HTTP itself: problem details, authentication, rate limits, conditional requests, multipart, timeouts."""
+"""HTTP layer: problem details, authentication, rate limits, conditional requests, multipart, timeouts."""

@@ -1,4 +1,4 @@
-"""Check API keys where they are required; else accept only requests from this machine, not from other sites' pages."""
+"""Check API keys if they are required; otherwise accept only requests of this machine, not of other sites' pages."""
 
 import ipaddress
 import logging
@@ -24,14 +24,14 @@ from service.http.signed_links import LINKABLE, LinkSignature
 logger = logging.getLogger(__name__)
 
 REMEMBERED_S = 2.0
-"""A key that was looked up is believed for so long: a revoked one works so much longer at most."""
+"""Lifetime of a cached key [s]; a revoked key is accepted for at most this long."""
 
 MAX_REMEMBERED = 10_000
 FORWARDED = ("forwarded", "x-forwarded-", "x-real-ip", "via", "cf-connecting-ip", "true-client-ip", "x-client-ip")
-"""Beginnings of headers that proxies add: behind one on this machine, every request seems to come from this machine."""
+"""Prefixes of headers that proxies add. Behind a local proxy, every request seems to come from this machine."""
 
 LINK_HEADERS = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
-"""Of an answer to a signed link, which is the permission itself: a page of any site may show the file."""
+"""Headers of responses to signed links. The link is the permission, so a page of any site may show the file."""
 
 POLICY_VIOLATION = 1008
 PROTOCOL_KEY = "bearer."
@@ -96,7 +96,7 @@ class Authentication:
         return caller_of(key, settings)
 
     async def _linked(self, link: LinkSignature, scope: Scope, store: Store) -> Caller:
-        """Caller who signed a link."""
+        """Return the caller who signed a link."""
         cached = f"id:{link.key_id}"
         try:
             key = self._keys[cached]
@@ -124,7 +124,7 @@ class Authentication:
 
 
 def require_own_machine(scope: Scope, headers: Headers, hosts: tuple[str, ...], cors_origins: tuple[str, ...]) -> None:
-    """Refuse what did not come to a loopback address, under one of its names, from no other site's page."""
+    """Refuse requests through a proxy, to an address beyond loopback, to an unknown Host, or from another site."""
     server = scope.get("server")
     arrived = _address(server[0]) if server else None
     if arrived is not None and not arrived.is_loopback:
@@ -154,7 +154,7 @@ def _bearer(headers: Headers) -> str:
     kind, _, key = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer" and key.strip():
         return key.strip()
-    # a page cannot give its WebSockets headers, only protocols
+    # a page cannot set headers of a WebSocket, only its protocols
     for protocol in headers.get("sec-websocket-protocol", "").split(","):
         if protocol.strip().startswith(PROTOCOL_KEY):
             return protocol.strip().removeprefix(PROTOCOL_KEY)

@@ -7,7 +7,7 @@ from jobs.records import LIMITS, SCOPES, KeyRecord, Limit, Scope
 from jobs.settings import Settings
 
 CALLER = "dynamictree.caller"
-"""Where the doors leave the caller in a request's scope."""
+"""Key under which the authentication stores the caller in a request's scope."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,14 +17,14 @@ class Caller:
     owner: str | None = None
     key_id: str = ""
     scopes: tuple[Scope, ...] = SCOPES
-    by_link: bool = False  # a signed link, in place of the key that signed it
-    limits: Mapping[Limit, int] = field(default_factory=dict)  # none where no key is asked for
+    by_link: bool = False  # authenticated by a signed link, not by the key itself
+    limits: Mapping[Limit, int] = field(default_factory=dict)  # empty if no key is required
 
 
 ANYONE = Caller()
 
 
 def caller_of(key: KeyRecord, settings: Settings) -> Caller:
-    """Caller of a key; limits of the key override those of the settings."""
+    """Return the caller of a key; limits of the key override those of the settings."""
     limits: dict[Limit, int] = {name: getattr(settings, f"limit_{name}") for name in LIMITS}
     return Caller(owner=key.owner, key_id=key.id, scopes=key.scopes, limits=limits | dict(key.limits))

@@ -1,7 +1,7 @@
-"""uvicorn's HTTP protocol with bounds on the time and memory of one connection and the connections of one address.
+"""uvicorn's HTTP protocol, with limits on time and memory per connection and on connections per address.
 
-Named to uvicorn as `--http service.http.connections:BoundedProtocol`. uvicorn itself bounds only idle connections: not
-a request head that drips (slowloris), nor the size of a head, nor a body that nobody reads, nor a reader that stalls.
+Enabled by uvicorn's option `--http service.http.connections:BoundedProtocol`. uvicorn itself limits only idle
+connections, not slow or large request heads (slowloris), bodies that the application does not read, or stalled readers.
 """
 
 import asyncio
@@ -14,32 +14,32 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 logger = logging.getLogger(__name__)
 
 HEAD_TIMEOUT_S = 15.0
-"""From the first byte of a request, or from the connection, to the end of its head."""
+"""Time from the connection, or from the first byte of a request, to the end of the request's head [s]."""
 
 REQUEST_TIMEOUT_S = 3600.0
-"""From the end of a head to the end of its body; an upload goes on with a new request after that."""
+"""Time from the end of a head to the end of its body [s]; a longer upload continues in a new request."""
 
 UNREAD_TIMEOUT_S = 5.0
-"""How long the rest of a body may take that was answered before it was whole."""
+"""Time for the rest of a body if the response was sent before the body was complete [s]."""
 
 STALL_S = 30.0
-"""How often the write buffer of a slow reader is looked at."""
+"""Interval between checks of a slow reader's write buffer [s]."""
 
 MIN_READ_BYTES = 64 * 1024
-"""What a reader takes at least in `STALL_S`: 2 kB/s."""
+"""Bytes that a client must read per `STALL_S`: 2 kB/s."""
 
 MAX_HEAD_BYTES = 64 * 1024
 MAX_HEADERS = 100
 MAX_PER_ADDRESS = 256
-"""Connections from one address, where the application's lifespan state names no other number."""
+"""Connections per address, unless the application's lifespan state sets another number."""
 
 REFUSAL = b"HTTP/1.1 %s\r\ncontent-type: text/plain; charset=utf-8\r\ncontent-length: %d\r\nconnection: close\r\n\r\n%s"
 
 
 class BoundedProtocol(HttpToolsProtocol):
-    """Closes connections that take too much time or memory."""
+    """HTTP protocol that closes connections which take too much time or memory."""
 
-    per_address: ClassVar[Counter[str]] = Counter()  # connections of this process
+    per_address: ClassVar[Counter[str]] = Counter()  # open connections of this process
     _timer: asyncio.TimerHandle | None = None
     _stall: asyncio.TimerHandle | None = None
     _address: str | None = None
@@ -55,7 +55,7 @@ class BoundedProtocol(HttpToolsProtocol):
         """Count the connection of this address, and start the timeout for the first head."""
         super().connection_made(transport)
         allowed = self.app_state.get("max_connections_per_address", MAX_PER_ADDRESS)
-        self._address = self.client[0] if self.client else None  # none on a unix socket
+        self._address = self.client[0] if self.client else None  # None on a unix socket
         if self._address is not None:
             self.per_address[self._address] += 1
             if self.per_address[self._address] > allowed:
@@ -77,7 +77,7 @@ class BoundedProtocol(HttpToolsProtocol):
     # -- requests
 
     def data_received(self, data: bytes) -> None:
-        """Parse received bytes; refuse a header field that grows without end."""
+        """Parse received bytes; refuse a header field that is too large."""
         if self._refused:
             return
         self._unparsed += len(data)
@@ -94,13 +94,13 @@ class BoundedProtocol(HttpToolsProtocol):
             self._expect(HEAD_TIMEOUT_S)
 
     def on_url(self, url: bytes) -> None:
-        """Count the target."""
+        """Count the bytes of the request target."""
         self._head_bytes += len(url)
         self._bound_head()
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Count a header, or a trailer."""
+        """Count a header or trailer field and its bytes."""
         self._unparsed = 0
         self._head_bytes += len(name) + len(value)
         self._head_fields += 1
@@ -115,19 +115,19 @@ class BoundedProtocol(HttpToolsProtocol):
             super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Take a piece of the body."""
+        """Receive a part of the body."""
         self._unparsed = 0
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """The request is whole."""
+        """Stop the timeout: the request is complete."""
         self._unparsed = 0
         self._body_open = False
         self._expect(None)
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """Allow little time for the rest of a body that is no longer read."""
+        """Start a short timeout for the rest of a body that is no longer read."""
         super().on_response_complete()
         if self._body_open and not self.transport.is_closing():
             self._expect(UNREAD_TIMEOUT_S)
@@ -136,17 +136,17 @@ class BoundedProtocol(HttpToolsProtocol):
         if self._head_bytes > MAX_HEAD_BYTES or self._head_fields > MAX_HEADERS:
             reason = b"At most %d headers of %d bytes in all are allowed." % (MAX_HEADERS, MAX_HEAD_BYTES)
             self._refuse(b"431 Request Header Fields Too Large", reason)
-            raise ValueError(reason)  # ends the parser's work on this piece
+            raise ValueError(reason)  # stops the parser
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what cannot be parsed, unless it was refused already."""
+        """Send status 400, unless the connection was refused already."""
         if not self._refused:
             super().send_400_response(msg)
 
     # -- responses
 
     def pause_writing(self) -> None:
-        """Start to check whether the client still reads."""
+        """Start to check whether the client is still reading."""
         super().pause_writing()
         self._watch_writing(self.transport.get_write_buffer_size())
 
@@ -168,7 +168,7 @@ class BoundedProtocol(HttpToolsProtocol):
             return
         self._watch_writing(now)
 
-    # -- ends
+    # -- timeouts and refusals
 
     def _expect(self, within_s: float | None) -> None:
         if self._timer is not None:

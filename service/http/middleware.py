@@ -17,7 +17,7 @@ from service.http.problems import ADDED_HEADERS, REQUEST_ID, ProblemError, reque
 
 logger = logging.getLogger(__name__)
 audit = logging.getLogger("dynamictree.audit")
-"""Every change that a request made, and every refused key. Ids and names only: never a key or a file's content."""
+"""Audit log of changes and of refused keys. It holds ids and names, never a key or a file's content."""
 
 REQUEST_SECONDS = Histogram(
     "dynamictree_request_seconds",
@@ -36,7 +36,7 @@ SECURITY_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
 API_VERSION = "1.3"
-"""Of the HTTP contract, not of the program. The second number is raised with each addition: docs/api-changes.md."""
+"""Version of the HTTP API, not of the program. Each addition raises the second number: docs/api-changes.md."""
 
 TUS_VERSION = "1.0.0"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
@@ -44,7 +44,7 @@ _TRACE_CONTEXT = re.compile(r"[0-9a-f]{2}-[0-9a-f]{32}-[0-9a-f]{16}-[0-9a-f]{2}"
 
 
 class RequestFrame:
-    """Outermost: request id, headers, a problem object for an exception that no handler knows, metrics, audit."""
+    """Outermost middleware: request id, headers, problem object for unhandled exceptions, metrics, audit log."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -76,14 +76,14 @@ class RequestFrame:
             with log_ids(request_id=request_id):
                 await self.app(scope, receive, send_framed)
         except Exception:
-            # the one place that must answer whatever goes wrong; the message stays in the log
+            # every exception must get a response; its message appears only in the log
             logger.exception("request failed", extra={"request_id": request_id, "path": scope["path"]})
             if status:
                 raise
             response = ProblemError("internal-error", "The cause was logged.").response(scope)
             await response(scope, receive, send_framed)
         finally:
-            route = getattr(scope.get("route"), "path", "none")  # paths that nobody serves share one label
+            route = getattr(scope.get("route"), "path", "none")  # unknown paths share one label
             method = "none" if route == "none" else scope["method"]
             REQUEST_SECONDS.labels(method, route).observe(time.perf_counter() - began)
             ANSWERS.labels(str(status or "none")).inc()
@@ -99,11 +99,11 @@ def _add_headers(headers: MutableHeaders, path: str, request_id: str) -> None:
     for name, value in SECURITY_HEADERS.items():
         headers.setdefault(name, value)
     if "frame-ancestors 'none'" not in headers["Content-Security-Policy"]:
-        del headers["X-Frame-Options"]  # it knows no list of origins
+        del headers["X-Frame-Options"]  # this header cannot list origins
 
 
 def _audit(scope: Scope, status: int, location: str) -> None:
-    """Log a change or a refused key. Pushes, and pieces of an upload, change nothing that outlives them."""
+    """Log a change or a refused key. Pushes and pieces of an upload are not logged: they change nothing permanent."""
     path, method = scope["path"], scope["method"]
     changes = method in {"POST", "PUT", "PATCH", "DELETE"} and not path.startswith(("/v1/interact", "/v1/uploads/"))
     if not path.startswith("/v1/") or not (changes or status in {401, 403}):
@@ -122,7 +122,7 @@ def _audit(scope: Scope, status: int, location: str) -> None:
 
 
 class BodyLimit:
-    """Refuse a body that is larger than its route allows, whatever Content-Length says, or that stands still."""
+    """Middleware that refuses a body that stalls or is too large for its route, whatever its Content-Length."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
@@ -144,7 +144,7 @@ class BodyLimit:
 
         async def receive_counted() -> Message:
             nonlocal counted, whole
-            if whole:  # what comes now only tells of a disconnect, and may take its time
+            if whole:  # the next message can only be a disconnect, so it has no timeout
                 return await receive()
             try:
                 async with asyncio.timeout(self.settings.upload_idle_s):
@@ -165,7 +165,7 @@ class BodyLimit:
 
 
 def _body_limit(path: str, sent: Headers, settings: Settings) -> int:
-    """Largest allowed body of a route [bytes]."""
+    """Return the largest allowed body of a route [bytes]."""
     if path == "/v1/assets" and not sent.get("content-type", "").startswith("application/json"):
         return settings.max_multipart_bytes
     if path == "/v1/uploads" or path.startswith("/v1/uploads/"):

@@ -1,4 +1,4 @@
-"""Stream multipart/form-data to files on disk and hash them; no part is ever whole in memory."""
+"""Stream multipart/form-data to files on disk and hash them, without loading a whole part into memory."""
 
 import re
 from collections.abc import AsyncIterator
@@ -18,13 +18,13 @@ from service.http.problems import ProblemError
 from service.uploads.batches import write_in_batches
 
 MAX_FILES = 2 * MAX_PHOTOS + 40
-"""Of one asset, however it is sent: photos, a mask for each, and the files of known cameras."""
+"""Files per asset: photos, one mask per photo, and the files of known cameras."""
 
-MAX_PARTS = MAX_FILES + 20  # and the fields
+MAX_PARTS = MAX_FILES + 20  # files and fields
 MAX_FIELD_BYTES = 4096
 MAX_NAME_CHARS = 255
 PIECE_BYTES = 64 * 1024
-"""So much is parsed at once, and so large may the headers of a part be."""
+"""Bytes that are parsed at once; also the size limit for the headers of one part."""
 
 _ENCODED_WORD = re.compile(r"(=\?[^?\s]+\?[BbQq]\?[^?\s]*\?=\s*)+")
 
@@ -51,7 +51,7 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
     """Parse a multipart body; its files are written to `folder` as part-0, part-1 and so on.
 
     Raises:
-        ProblemError: it is no multipart/form-data, is broken, or has too many or too large parts.
+        ProblemError: the body is no multipart/form-data, is broken, or has too many or too large parts.
     """
     kind, options = parse_options_header(content_type)
     if kind.lower() != "multipart/form-data" or not options.get("boundary"):
@@ -73,13 +73,13 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
 
 
 class _Receiver:
-    """Takes the parts out of a body, one at a time."""
+    """Incremental parser that writes the parts of a body to files, one at a time."""
 
     def __init__(self, boundary: bytes, folder: Path) -> None:
         self.folder = folder
         self.form = Form()
         self._decoder = multipart.MultipartDecoder(boundary, 2 * PIECE_BYTES, max_parts=MAX_PARTS)
-        self._name = ""  # of the field or file that comes
+        self._name = ""  # name of the current field or file
         self._text = b""
         self._stream: BinaryIO | None = None
         self._digest = sha256()
@@ -139,7 +139,7 @@ class _Receiver:
 
 
 def _decoded(name: str) -> str:
-    """A file's name; .NET's HttpClient writes an encoded word (RFC 2047)."""
+    """Decode a file name that is an encoded word (RFC 2047), as .NET's HttpClient sends it."""
     if not _ENCODED_WORD.fullmatch(name):
         return name
     try:

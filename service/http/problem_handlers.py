@@ -1,4 +1,4 @@
-"""Exception handlers: what routes raise becomes a problem response."""
+"""Exception handlers that turn the exceptions of routes into problem responses."""
 
 import logging
 
@@ -20,7 +20,7 @@ _BY_STATUS = {400: "bad-request", 413: "payload-too-large", 422: "validation-fai
 
 
 def install(app: FastAPI) -> None:
-    """Answer every exception that a route may raise with a problem. What is not known is answered by the middleware."""
+    """Install a handler for each exception type that a route may raise; the middleware answers all others."""
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_validation)
     for ours in (DynamicTreeError, JobsError, OSError):
@@ -35,7 +35,7 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 
 def _problem_of_framework(request: Request, error: HTTPException) -> ProblemError:
-    """Problem for a refusal by Starlette or FastAPI."""
+    """Return the problem for a refusal by Starlette or FastAPI."""
     path = request.scope["path"][:MAX_VALUE_CHARS]
     if error.status_code == 404:
         return ProblemError("not-found", f"there is nothing at {path!r}; /openapi.json tells every path")
@@ -48,10 +48,10 @@ def _problem_of_framework(request: Request, error: HTTPException) -> ProblemErro
 
 
 def _methods(request: Request) -> list[str]:
-    """The methods of every route with this path, or that fits it; Starlette names those of the first alone."""
+    """Return the methods of all routes at this path; Starlette reports only those of the first one."""
     path, fitting = request.scope["path"], list[Route]()
     for included in request.app.routes:
-        router = getattr(included, "original_router", None)  # FastAPI keeps included routers whole
+        router = getattr(included, "original_router", None)  # FastAPI does not flatten included routers
         routes = [included] if router is None else router.routes
         fitting += [route for route in routes if isinstance(route, Route) and route.path_regex.match(path)]
     own = [route for route in fitting if route.path == path] or fitting

@@ -1,6 +1,6 @@
 """Errors as RFC 9457 problem objects: one shape, one table from code to status.
 
-Whatever refuses a request raises a `Refusal`, which `problem_handlers` answers; docstrings do not repeat that.
+Functions that refuse a request raise a `Refusal`, which `problem_handlers` answers; docstrings do not repeat that.
 """
 
 import logging
@@ -22,15 +22,15 @@ logger = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dynamictree:problem:"
 REQUEST_ID = "dynamictree.request_id"
-"""Where the outermost middleware leaves the request's id in its scope."""
+"""Key under which the outermost middleware stores the request's id in the scope."""
 
 ADDED_HEADERS = "dynamictree.headers"
-"""Where it finds headers that the authentication adds to the answer."""
+"""Key under which the authentication stores headers to add to the response."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What is the same for every problem of one code."""
+    """Status, title and advice of one problem code."""
 
     status: int
     title: str
@@ -72,7 +72,7 @@ KINDS: dict[str, Kind] = {
     "queue-full": Kind(503, "Too many jobs wait", "Try again later.", retryable=True),
     "disk-full": Kind(503, "The storage is full", "Try again later.", retryable=True),
     "storage-unavailable": Kind(503, "A storage is away", "Try again later.", retryable=True),
-    # failures of jobs; their status is that of a GET which shows them nowhere but in the job's `error`
+    # failures of jobs: they appear in the `error` of a job, never as the status of a response
     "canceled": Kind(409, "The job was canceled", "Create it again."),
     "out-of-memory": Kind(500, "Out of memory", "Simplify the input, or ask for less."),
     "time-limit": Kind(500, "The job took too long", "Simplify the input, or ask for less."),
@@ -86,7 +86,7 @@ KINDS: dict[str, Kind] = {
 
 
 class FieldError(TypedDict):
-    """One field that is wrong."""
+    """One invalid field of a request."""
 
     pointer: str
     code: str
@@ -94,7 +94,7 @@ class FieldError(TypedDict):
 
 
 class ProblemError(HTTPException):
-    """A request that is refused. An HTTPException, so that FastAPI's body parser lets it pass."""
+    """Exception that refuses a request. It is an HTTPException, so that FastAPI's body parser lets it pass."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class ProblemError(HTTPException):
         self.extra = extra or {}
 
     def response(self, scope: Scope) -> Response:
-        """Answer to the request of this scope."""
+        """Return the response to the request of this scope."""
         body = problem_body(self.code, self.detail, request_id=request_id_of(scope), errors=self.errors)
         headers = dict(self.headers or {})
         if self.status_code in {429, 503}:
@@ -120,7 +120,7 @@ class ProblemError(HTTPException):
 
 
 Refusal = ProblemError | DynamicTreeError | JobsError
-"""What a route may raise on purpose."""
+"""Exceptions that routes raise on purpose."""
 
 REFUSALS = get_args(Refusal)
 
@@ -128,7 +128,7 @@ REFUSALS = get_args(Refusal)
 def problem_body(
     code: str, detail: str, *, request_id: str | None, errors: Sequence[FieldError] = ()
 ) -> dict[str, object]:
-    """The problem object of a code."""
+    """Return the problem object of a code."""
     kind = KINDS[code]
     return {
         "type": TYPE_PREFIX + code,
@@ -144,16 +144,16 @@ def problem_body(
 
 
 def wrong_field(pointer: str, code: str, detail: str) -> ProblemError:
-    """A request of which one field is wrong; `pointer` as RFC 6901 into the body, or where:name."""
+    """Return the problem of one invalid field; `pointer` is a JSON pointer (RFC 6901) into the body, or where:name."""
     errors: list[FieldError] = [{"pointer": pointer, "code": code, "detail": detail}]
     return ProblemError("validation-failed", detail, errors=errors)
 
 
 def problem_of(error: Refusal | OSError) -> ProblemError:
-    """Problem of one of our exceptions, or of a full disk. The cause is logged if the client cannot correct it.
+    """Return the problem of one of our exceptions, or of a full disk. A cause that clients cannot correct is logged.
 
     Raises:
-        OSError: another one.
+        OSError: the error is not a full disk.
     """
     if isinstance(error, ProblemError):
         return error
@@ -170,12 +170,12 @@ def problem_of(error: Refusal | OSError) -> ProblemError:
 
 
 def problem_code(error: Exception) -> str:
-    """The code of an exception of ours, or `internal-error`."""
+    """Return the code of one of our exceptions, or `internal-error`."""
     code = getattr(error, "code", "internal-error") if isinstance(error, DynamicTreeError | JobsError) else None
     return code if code in KINDS else "internal-error"
 
 
 def request_id_of(scope: Scope) -> str | None:
-    """The id that the outermost middleware gave a request."""
+    """Return the id that the outermost middleware gave a request."""
     value: str | None = scope.get(REQUEST_ID)
     return value

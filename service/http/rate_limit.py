@@ -1,4 +1,4 @@
-"""Requests per key and time, shared by all replicas of the API."""
+"""Rate limits per key, shared by all replicas of the API."""
 
 import logging
 import time
@@ -17,12 +17,12 @@ logger = logging.getLogger(__name__)
 
 
 WRONG_KEYS_PER_MIN = 30
-"""From one address: a client with a wrong key tries now and then, who guesses tries without end."""
+"""Limit per address: a misconfigured client sends few wrong keys, an attacker who guesses sends many."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Remaining requests after a request. IETF draft ratelimit-headers."""
+    """Requests that remain in the current window. IETF draft ratelimit-headers."""
 
     name: str
     quota: int
@@ -33,7 +33,7 @@ class Standing:
 
     @property
     def headers(self) -> dict[str, str]:
-        """RateLimit-Policy and RateLimit, and Retry-After where it is over."""
+        """Return RateLimit-Policy and RateLimit, and Retry-After if the limit is exceeded."""
         fields = {
             "RateLimit-Policy": f'"{self.name}";q={self.quota};w={self.window_s}',
             "RateLimit": f'"{self.name}";r={self.left};t={self.reset_s}',
@@ -42,23 +42,23 @@ class Standing:
 
 
 def limit_of(method: str, path: str) -> Limit:
-    """The limit that a request counts towards."""
+    """Return the limit that a request counts towards."""
     if path.startswith("/v1/interact"):
         return "interact_per_s"
     if method in {"GET", "HEAD", "OPTIONS"}:
         return "reads_per_min"
-    # photos are uploads of one asset each: to announce one counts like a piece of one
+    # each photo of an asset is an upload, so creating an upload counts like one of its pieces
     chunk = method == "PATCH" or (method, path) == ("POST", "/v1/uploads")
     return "chunks_per_min" if chunk else "creates_per_min"
 
 
 REDIS_TIMEOUT_S = 1.0
 AWAY_S = 5.0
-"""How long Redis is not asked after it did not answer."""
+"""Pause after a failure of Redis before it is tried again [s]."""
 
 
 class RateLimiter:
-    """Fixed windows, one per key and policy, in Redis: replicas share them. In this process while Redis is away."""
+    """Fixed windows per key and policy, shared by replicas through Redis; counted in this process if Redis fails."""
 
     def __init__(self, redis_url: str) -> None:
         url = redis_url.replace("unix://", "redis+unix://", 1)
@@ -68,7 +68,7 @@ class RateLimiter:
         self._away_until = 0.0
 
     async def count(self, caller: Caller, limit: Limit) -> Standing | None:
-        """Count one request; None where the caller has no limit."""
+        """Count one request; return None if the caller has no limit."""
         quota, (name, _, unit) = caller.limits.get(limit), limit.partition("_per_")
         return None if quota is None else await self._count(caller.key_id, name, quota, 1 if unit == "s" else 60)
 

@@ -15,17 +15,17 @@ SAFETENSORS = "application/vnd.safetensors"
 
 
 def matches(header: str | None, etag: str) -> bool:
-    """Whether an If-None-Match header names this ETag; weak comparison."""
+    """Return whether an If-None-Match header lists this ETag, by weak comparison."""
     return header is not None and parse_etags(header).contains_weak(etag.strip('"'))
 
 
 def parse_range(header: str | None, size: int) -> range | None:
-    """The bytes that a header asks for; None for the whole, which none, several or malformed ranges mean.
+    """Return the requested range of bytes; None, for the whole file, if there is no valid range or more than one.
 
-    A range that begins past the end is refused.
+    A range that begins after the end is refused.
     """
     wanted = parse_range_header(header)
-    nothing = header == "bytes=-0"  # the last 0 bytes, which werkzeug takes for malformed
+    nothing = header == "bytes=-0"  # the last 0 bytes, which werkzeug rejects as malformed
     if not nothing and (wanted is None or wanted.units != "bytes" or len(wanted.ranges) != 1):
         return None
     start, stop = (size, size) if wanted is None else wanted.ranges[0]
@@ -37,7 +37,7 @@ def parse_range(header: str | None, size: int) -> range | None:
 
 
 def chosen(accept: str | None, offered: Sequence[str]) -> str:
-    """The offered media type with the highest quality; the first of equals."""
+    """Return the offered media type with the highest quality; the first of equals."""
     accepted = parse_accept_header(accept or "*/*", MIMEAccept)
     if not accepted:
         raise ProblemError("bad-request", f"Accept is {accept!r}; a quality is a number from 0 to 1")
@@ -59,7 +59,7 @@ async def _preferred(
 
 
 WaitS = Annotated[float, Depends(_preferred)]
-"""How long the client would wait [s]."""
+"""Time that the client is ready to wait for the response [s]."""
 
 
 async def _request_id(request: Request) -> str | None:
@@ -67,4 +67,4 @@ async def _request_id(request: Request) -> str | None:
 
 
 RequestId = Annotated[str | None, Depends(_request_id)]
-"""Id of the request, which the record of its job has."""
+"""Id of the request, stored in the record of its job."""

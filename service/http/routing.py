@@ -9,18 +9,18 @@ from fastapi import Depends, Path, Query, Response
 from service.http.problems import KINDS, MEDIA_TYPE, ProblemError
 from service.schemas.base import ULID_PATTERN
 
-_PROBLEM = {"$ref": "#/components/schemas/Problem"}  # there by way of JobPayload.error
+_PROBLEM = {"$ref": "#/components/schemas/Problem"}  # defined through JobPayload.error
 
 
 def refusals(*codes: str) -> dict[int | str, dict[str, Any]]:
-    """The problems that a route answers with, for its OpenAPI page."""
+    """Return the OpenAPI responses for the problems of a route."""
     return refusals_of(
         ("bad-request", "payload-too-large", "validation-failed", *codes, "internal-error", "storage-unavailable")
     )
 
 
 def refusals_of(codes: Sequence[str]) -> dict[int | str, dict[str, Any]]:
-    """Responses by status; each names the codes that it may hold."""
+    """Return OpenAPI responses by status; each description lists its problem codes."""
     by_status: dict[int | str, dict[str, Any]] = {}
     for code in codes:
         entry = by_status.setdefault(KINDS[code].status, {"content": {MEDIA_TYPE: {"schema": _PROBLEM}}})
@@ -30,7 +30,7 @@ def refusals_of(codes: Sequence[str]) -> dict[int | str, dict[str, Any]]:
 
 
 def headers(**described: str) -> Mapping[str, Any]:
-    """Headers of a response, for its OpenAPI page."""
+    """Return the OpenAPI description of a response's headers."""
     return {
         "headers": {
             name.replace("_", "-"): {"description": text, "schema": {"type": "string"}}
@@ -40,12 +40,12 @@ def headers(**described: str) -> Mapping[str, Any]:
 
 
 def is_id(text: str) -> bool:
-    """Whether a text can be an id of ours; no other is looked up."""
+    """Return whether a text has the form of our ids."""
     return re.fullmatch(ULID_PATTERN, text) is not None
 
 
 def file_route(media_type: str, description: str, *codes: str) -> dict[str, Any]:
-    """Arguments of a route that answers with a file, or with a problem of one of the codes."""
+    """Return the decorator arguments of a route that returns a file, or a problem of one of the codes."""
     file = {"description": description, "content": {media_type: {"schema": {"type": "string", "format": "binary"}}}}
     return {"response_class": Response, "responses": refusals(*codes) | {200: file}}
 
@@ -59,6 +59,6 @@ async def _valid_id(id: Annotated[str, Path(description="a ULID, as the service 
 Id = Annotated[str, Depends(_valid_id)]
 
 CACHED = {"Cache-Control": "private, max-age=86400"}
-"""For what is computed of a spectrum, which never changes."""
+"""Headers of results that are computed from a spectrum, which never changes."""
 
 Cursor = Annotated[str | None, Query(description="next_cursor of the page before", pattern="^[0-9A-Z]{26}$")]

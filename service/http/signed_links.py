@@ -1,7 +1,7 @@
-"""Signed links: one path, for a while, without a key in a header.
+"""Signed links, which open one path for a limited time without a key in a header.
 
-A link names the key that signed it, its end and an HMAC over both and the path; nothing is stored. It opens what that
-key opens, so revoking the key ends all its links.
+A link holds the id of its key, its expiry time and an HMAC over both and the path; nothing is stored. It opens what
+the key opens, so revoking the key ends all its links.
 """
 
 import hmac
@@ -15,7 +15,7 @@ from service.schemas.base import ULID_PATTERN
 
 _ID = ULID_PATTERN.strip("^$")
 LINKABLE = re.compile(rf"/v1/(artifacts/{_ID}|spectra/{_ID}(/surface|/modes|/reach)?|assets/{_ID}/(surface|points))")
-"""What has a file that a viewer loads by its address."""
+"""Paths of files that a viewer loads by URL."""
 
 MAX_QUERY_BYTES = 2048
 CONTEXT = "dynamictree signed link 1"
@@ -26,12 +26,12 @@ class LinkSignature:
     """Signature of a link in its query string."""
 
     key_id: str
-    expires: int  # seconds since 1970
+    expires: int  # [s since 1970]
     signature: str
 
     @classmethod
     def of_query(cls, query: bytes) -> "LinkSignature | None":
-        """Parse a query string; None if it has no valid signature fields."""
+        """Parse a query string; return None if it has no valid signature fields."""
         if len(query) > MAX_QUERY_BYTES or b"signature=" not in query:
             return None
         fields = parse_qs(query.decode("latin-1"), keep_blank_values=True)
@@ -44,13 +44,13 @@ class LinkSignature:
         return cls(key_id=key_id, expires=int(expires), signature=signature)
 
     def opens(self, key: KeyRecord, path: str, now: float) -> bool:
-        """Whether the signature is valid for this key and path and has not expired."""
+        """Return whether the signature is valid for this key and path and has not expired."""
         expected = _signature(key, path, self.expires)
         return now < self.expires and hmac.compare_digest(self.signature, expected)
 
 
 def signed(key: KeyRecord, path: str, expires: int) -> str:
-    """The path with its signature, until a time [s since 1970]."""
+    """Return the path with a signature that expires at a time [s since 1970]."""
     query = {"key_id": key.id, "expires": str(expires), "signature": _signature(key, path, expires)}
     return f"{path}?{urlencode(query)}"
 

@@ -1,4 +1,4 @@
-"""What callers share fairly: slots for costly work, and streams that stay open."""
+"""Limits that callers share fairly: slots for costly work, and open streams."""
 
 import asyncio
 from collections import Counter
@@ -16,7 +16,7 @@ from service.http.problems import ProblemError
 
 
 class FairSlots:
-    """`total` slots, of which one owner holds, or waits for in front of others, at most `per_owner`."""
+    """`total` slots; one owner occupies or queues for at most `per_owner` of them at a time."""
 
     def __init__(self, total: int, *, per_owner: int) -> None:
         self.per_owner = per_owner
@@ -31,11 +31,11 @@ class FairSlots:
 
 
 CHECK_S = 5.0
-"""How often an open stream asks whether its key is still valid."""
+"""Interval at which an open stream checks whether its key is still valid [s]."""
 
 
 class OpenStreams:
-    """Streams of this process, per owner. For one event loop."""
+    """Number of open streams of this process per owner. Use it from one event loop."""
 
     def __init__(self, total: int) -> None:
         self.total = total
@@ -57,7 +57,7 @@ class OpenStreams:
 
 
 async def until_revoked(store: Store, caller: Caller) -> None:
-    """Return once the caller's key is revoked or has expired; never where no key is required."""
+    """Wait until the caller's key is revoked or expires; forever if no key is required."""
     while True:
         await asyncio.sleep(CHECK_S)
         if not caller.key_id:
@@ -67,4 +67,4 @@ async def until_revoked(store: Store, caller: Caller) -> None:
             if key is None or not key.valid(store.clock()):
                 return
         except sa.exc.SQLAlchemyError:
-            continue  # the database is away; it will tell later
+            continue  # the database is unavailable: check again later

@@ -9,12 +9,12 @@ from service.http.problems import FieldError, ProblemError
 MAX_VALUE_CHARS = 60
 MAX_ERRORS = 20
 MAX_SEEN = 200
-"""Of the errors of a body so many are looked at."""
+"""Number of a body's errors that are examined."""
 MAX_POINTER = 200
 
 
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
-    """First wrong fields of `ValidationError.errors()` or FastAPI's errors."""
+    """Return the first invalid fields of `ValidationError.errors()` or FastAPI's errors."""
     left = max(len(raw_errors) - MAX_SEEN, 0)
     raw_errors = _own(raw_errors[:MAX_SEEN])
     errors: list[FieldError] = [
@@ -27,13 +27,13 @@ def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
 
 
 def _own(raw_errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """All but lists that count as too short only since wrong members were left out of them."""
+    """Drop the error that a list is too short if only its invalid members make it so."""
     above = {tuple(error["loc"][:end]) for error in raw_errors for end in range(len(error["loc"]))}
     return [error for error in raw_errors if error["type"] != "too_short" or tuple(error["loc"]) not in above]
 
 
 def invalid(raw_errors: Sequence[Mapping[str, Any]], where: str | None = None) -> ProblemError:
-    """Problem of wrong fields; `where` they stood, if pydantic does not know it."""
+    """Return the problem of invalid fields; `where` is their location if pydantic does not report it."""
     if where is not None:
         raw_errors = [{**error, "loc": (where, *error["loc"])} for error in raw_errors]
     errors = field_errors(raw_errors)
@@ -47,7 +47,7 @@ def _pointer(error: Mapping[str, Any]) -> str:
     if where != "body":
         return f"{where}:{steps[-1]}"[:MAX_POINTER]
     if steps and (steps[0] in JOB_TYPES or isinstance(steps[0], int)):
-        steps = steps[1:]  # pydantic's name of the union's branch, or a place in broken JSON: no step in the body
+        steps = steps[1:]  # the union's branch, or a position in broken JSON: not a step in the body
     if error["type"].startswith("union_tag"):
         steps = [*steps, error["ctx"]["discriminator"].strip("'")]
     return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)[:MAX_POINTER]
