@@ -1,1 +1,1 @@
-"""How a tree answers a push: trees in memory, forces, streams."""
+"""Interaction with a tree: trees in memory, forces and streams."""

@@ -20,8 +20,8 @@ from service.schemas.base import Finite, Payload
 MAX_FORCES = 32
 MAX_GROUPS = 64
 MAX_WIND_SAMPLES = 600
-CLOSE_SHARE = 0.01  # of a pull: what is nearer counts as reached
-MAX_BENDS = 1024  # joints under one place
+CLOSE_SHARE = 0.01  # share of the pull; a smaller error counts as reached
+MAX_BENDS = 1024  # joints per group
 
 Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
 Vector = tuple[Component, Component, Component]
@@ -30,7 +30,7 @@ _NUMBER = {"type": "number"}
 _EACH = {"anyOf": [_NUMBER, {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}]}
 Winds = Annotated[
     Vector | Annotated[list[Vector], Field(min_length=1, max_length=MAX_WIND_SAMPLES)],
-    # one array: of two, generators of C# make two methods of one name
+    # a single array schema: for two, C# generators emit two methods of one name
     WithJsonSchema({"type": "array", "items": _EACH, "minItems": 1, "maxItems": MAX_WIND_SAMPLES}),
 ]
 Output = Literal["modal", "voxels", "vertices", "gaussians"]
@@ -126,7 +126,7 @@ class InteractRequest(InteractParams):
 
 
 def library_force(force: ForcePayload, grid: VoxelGrid, vertex_contact: Callable[[int, float], Contact]) -> Force:
-    """Convert to the library's force; `vertex_contact` gives the place of a vertex, and a radius around it."""
+    """Convert to the library's force; `vertex_contact` returns the contact at a vertex, within a radius [m]."""
     if force.wind_m_s is not None:
         samples = force.wind_m_s if isinstance(force.wind_m_s, list) else [force.wind_m_s]
         return WindField(velocity_m_s=np.array(samples), start_s=force.start_s, duration_s=force.duration_s)
@@ -146,7 +146,7 @@ def library_force(force: ForcePayload, grid: VoxelGrid, vertex_contact: Callable
 def with_state(
     groups: tuple[ForceGroup, ...], state: StatePayload, num_modes: int
 ) -> tuple[tuple[ForceGroup, ...], State, tuple[Bend, ...]]:
-    """The groups of the forces and of an earlier call's end, and the state and bends that they begin with."""
+    """Return all groups, of the forces and of the earlier state, with their initial state and bends."""
     by_locality = {_locality(group.locality): group for group in state.groups}
     if len(by_locality) != len(state.groups):
         raise ProblemError("validation-failed", "/initial_state/groups: two groups have the same locality")
@@ -159,7 +159,7 @@ def with_state(
 
 
 def state_payload(groups: tuple[ForceGroup, ...], state: State, bends: Sequence[Bend]) -> dict[str, object]:
-    """The state as a response body, as a `StatePayload` reads it."""
+    """Return the state as a response body, which a `StatePayload` can read."""
     return {
         "groups": [
             {"locality": group.locality, "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
@@ -170,7 +170,7 @@ def state_payload(groups: tuple[ForceGroup, ...], state: State, bends: Sequence[
 
 
 def reached_payload(reached: Reached) -> dict[str, object]:
-    """How far a drag goes, as a response body."""
+    """Return how far a drag reaches, as a response body."""
     error = float(np.linalg.norm(reached.wanted_m - reached.reached_m))
     short = error > CLOSE_SHARE * float(np.linalg.norm(reached.wanted_m))
     return {
@@ -199,7 +199,7 @@ def _locality(payload: LocalityPayload | None) -> Locality | None:
 
 
 def _bend(group: GroupStatePayload | None) -> Bend:
-    """Bends of a group; none for a group that is new."""
+    """Return the bends of a group; straight if the group is new."""
     if group is None or not group.bend:
         return Bend.straight()
     rate = group.bend_rate or [(0.0, 0.0, 0.0)] * len(group.bend)
@@ -210,7 +210,7 @@ def _bend(group: GroupStatePayload | None) -> Bend:
 
 
 def _coordinates(group: GroupStatePayload | None, num_modes: int) -> np.ndarray:
-    """Q and q̇ without bin 0, [2, M]; zero for a group that is new."""
+    """Return q and q̇ without bin 0 [2, M]; zero if the group is new."""
     if group is None:
         return np.zeros((2, num_modes), np.complex128)
     for name, values in (("q", group.q), ("q_dot", group.q_dot)):

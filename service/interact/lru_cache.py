@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class LruCache(Generic[T]):
-    """Values by key, up to `max_bytes` in all; the newest stays whatever its size. Thread-safe."""
+    """Thread-safe cache of at most `max_bytes` in total; the newest value stays whatever its size."""
 
     def __init__(self, max_bytes: int, num_bytes: Callable[[T], int]) -> None:
         self.max_bytes = max_bytes
@@ -18,7 +18,7 @@ class LruCache(Generic[T]):
         self._lock = threading.Lock()
 
     def get(self, key: str) -> T | None:
-        """The value, if it is cached."""
+        """Return the cached value, or None."""
         with self._lock:
             if key in self._entries:
                 self._entries.move_to_end(key)

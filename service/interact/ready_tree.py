@@ -11,19 +11,19 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.interactive_tree import InteractiveTree
 
 if TYPE_CHECKING:
-    from dynamictree.gaussian.deform import Deformer  # brings numba
-    from dynamictree.modal.frames import VertexFrames  # likewise
+    from dynamictree.gaussian.deform import Deformer  # imports numba
+    from dynamictree.modal.frames import VertexFrames  # imports numba
 
-BYTES_A_VOXEL = 1500  # modes; measured at K = 16
-BYTES_A_VERTEX = 250  # the mesh, and the bones that carry it
-BYTES_A_GAUSSIAN = 250  # at rest, and laid out for the deformer
+BYTES_A_VOXEL = 1500  # modal system; measured at K = 16
+BYTES_A_VERTEX = 250  # mesh and rig
+BYTES_A_GAUSSIAN = 250  # rest pose, and the deformer's arrays
 
 
 @dataclass(frozen=True)
 class MovingGaussians:
     """Gaussians bound to the mesh. The deformer computes one pose at a time."""
 
-    rows: Int32[np.ndarray, " M"]  # in the cloud
+    rows: Int32[np.ndarray, " M"]  # indices into the cloud
     deformer: "Deformer"
     alone: threading.Lock = field(default_factory=threading.Lock)
 
@@ -33,14 +33,14 @@ class ReadyTree:
     """A tree prepared for interaction; its source mesh is loaded on demand."""
 
     tree: InteractiveTree
-    expires_at: float  # of the spectrum
+    expires_at: float  # expiry time of the spectrum [s since 1970]
     mesh: TriangleMesh | None = None
     frames: "VertexFrames | None" = None
     gaussians: MovingGaussians | None = None
 
     @property
     def num_bytes(self) -> int:
-        """Approximate size [bytes]."""
+        """Return the approximate size [bytes]."""
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
         extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians

@@ -1,7 +1,7 @@
 """State of one interactive stream: forces go in, one frame per step comes out.
 
-Only the event loop calls `Session`'s methods. What takes long, the force of a message, is computed by `force_of` in a
-thread, which changes nothing.
+Only the event loop calls `Session`'s methods. The slow part, the force of a message, is computed by `force_of` in a
+thread; `force_of` does not change the session.
 """
 
 import asyncio
@@ -22,16 +22,16 @@ from service.http.problems import ProblemError
 from service.interact.forces import MAX_GROUPS, ForcePayload, library_force, reached_payload
 
 SETTLED_M = 1e-4
-"""A group is dropped once no voxel can move further than this [m]."""
+"""A group is dropped once none of its voxels can move further than this [m]."""
 
 WINDOW = 8
 """Frames that may be sent without an acknowledgement: 130 ms at 60 Hz."""
 
 FOLLOW_S = 0.015
-"""Time constant with which a grip follows its pointer: a frame at 60 Hz covers two thirds of what is left."""
+"""Time constant with which a grip follows its pointer: a frame at 60 Hz covers two thirds of the rest."""
 
 STRAIGHT_RAD = 1e-4
-"""A joint that bends and swings less is straight."""
+"""Angle below which a joint counts as straight [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class Hold:
 
     q: Complex128[np.ndarray, " M"]
     bend: Float64[np.ndarray, "n 3"]
-    omega: Float64[np.ndarray, " n"]  # of the joints, once they are let go [rad/s]
+    omega: Float64[np.ndarray, " n"]  # angular frequencies of the joints after a release [rad/s]
     reached: Reached
 
 
@@ -58,7 +58,7 @@ class Grips:
     """Dragged points of one stream; each solution is the initial guess of the next."""
 
     def __init__(self, tree: Callable[[], InteractiveTree], system: ModalSystem) -> None:
-        self.tree = tree  # with its rig, which is found when something is pulled
+        self.tree = tree  # returns the tree with its rig, which the first pull computes
         self.system = system
         self._last: tuple[object, Rest] | None = None
 
@@ -110,11 +110,11 @@ class Session:
     woken: asyncio.Event = field(default_factory=asyncio.Event)
     localities: list[Locality | None] = field(default_factory=list)  # one per row of `state`
     state: State = field(init=False)
-    bends: list[Bend] = field(default_factory=list)  # likewise
-    swings: dict[Locality | None, Step] = field(default_factory=dict)  # how a branch rings once it is let go
-    constant: dict[str, ModalForce] = field(default_factory=dict)  # by kind; act until released
-    impulses: list[ModalForce] = field(default_factory=list)  # act for the next step
-    largest_m: Float64[np.ndarray, " M"] = field(init=False)  # displacement per unit of each coordinate, anywhere [m]
+    bends: list[Bend] = field(default_factory=list)  # one per row of `state`
+    swings: dict[Locality | None, Step] = field(default_factory=dict)  # steps of the joints after a release
+    constant: dict[str, ModalForce] = field(default_factory=dict)  # forces by kind; they act until released
+    impulses: list[ModalForce] = field(default_factory=list)  # forces that act during the next step
+    largest_m: Float64[np.ndarray, " M"] = field(init=False)  # largest displacement per unit of each coordinate [m]
 
     def __post_init__(self) -> None:
         self.state = State.at_rest(0, self.system.num_modes)
@@ -122,7 +122,7 @@ class Session:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing moves and nothing pushes."""
+        """Return whether no group moves and no force acts."""
         return not (self.localities or self.constant or self.impulses)
 
     def push(self, force: ModalForce) -> None:
@@ -155,7 +155,7 @@ class Session:
             self.unacknowledged.popleft()
 
     def tick(self) -> None:
-        """One step of all groups at once; drop those that have settled."""
+        """Advance all groups by one step, and drop those that have settled."""
         self.frame += 1
         acceleration = np.zeros((1, *self.state.q.shape), np.complex128)
         for force in (*self.constant.values(), *self.impulses):
@@ -173,7 +173,7 @@ class Session:
         self._drop_settled()
 
     def _follow(self, index: int, hold: Hold, moved: State) -> None:
-        """Move a pulled group nearer to its shape; its rates are those of this motion, so a release does not jump."""
+        """Move a pulled group towards its target shape; set matching rates, so that a release does not jump."""
         share, dt_s = 1 - np.exp(-self.step.dt_s / FOLLOW_S), self.step.dt_s
         change = share * (hold.q - self.state.q[index])
         moved.q[index], moved.q_dot[index] = self.state.q[index] + change, change / dt_s
@@ -196,7 +196,7 @@ class Session:
             self.state = State(q=self.state.q[rows], q_dot=self.state.q_dot[rows])
 
     def next_frame(self) -> dict[str, object] | None:
-        """The message of this frame, or None where the client has not acknowledged enough of the earlier ones."""
+        """Return the message of this frame; None if too many earlier frames are unacknowledged."""
         if len(self.unacknowledged) >= WINDOW:
             self.skipped += 1
             return None

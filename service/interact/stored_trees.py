@@ -1,6 +1,6 @@
 """Load spectra, and the meshes and clouds that they were made for, from storage.
 
-Each raises NotFoundError or GoneError where there is no spectrum or asset of this id, or it has expired.
+All functions raise NotFoundError or GoneError if no spectrum or asset has this id, or it has expired.
 """
 
 import time
@@ -25,11 +25,11 @@ from service.http.problems import ProblemError
 from service.http.routing import is_id
 from service.services import Owned
 
-_AWAITING = BoundedSemaphore(16)  # each occupies one of the process's 40 threads; a page sends two
+_AWAITING = BoundedSemaphore(16)  # each waiting request occupies one of the process's 40 threads; a page sends two
 
 
 def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
-    """Artifact record of a spectrum."""
+    """Return the artifact record of a spectrum."""
     if not is_id(spectrum_id):
         raise NotFoundError(f"there is no spectrum {spectrum_id!r}; a job's result names the one that it made")
     artifact = owned.store.artifact(spectrum_id)
@@ -39,13 +39,13 @@ def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
 
 
 def source_of(owned: Owned, spectrum_id: str) -> tuple[JobRecord, AssetRecord]:
-    """The job that made a spectrum, and the asset that it was made for."""
+    """Return the job that made a spectrum, and the job's asset."""
     job = owned.store.job(spectrum_artifact(owned, spectrum_id).job_id)
     return job, read_asset(owned.store, job.asset_id)
 
 
 def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
-    """A spectrum with its coefficients, from memory where it was used lately."""
+    """Load a spectrum with its coefficients; recently used ones are cached."""
     artifact = spectrum_artifact(owned, spectrum_id)
     spectrum = owned.services.spectra.get(artifact.sha256)
     if spectrum is None:
@@ -55,7 +55,7 @@ def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
 
 
 def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
-    """The mesh that a spectrum was made for."""
+    """Load the mesh that a spectrum was made for."""
     job, asset = source_of(owned, spectrum_id)
     if asset.prepared is not None and asset.kind == "mesh":
         params = CloudParams.part_of(job.params)
@@ -68,7 +68,7 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
 
 
 def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
-    """What a job computed for a spectrum and its mesh, by `RESULT_SOURCES`, or computes now; None without."""
+    """Load an intermediate result of the spectrum's job; wait if a worker is computing it. None if there is none."""
     job, asset = source_of(owned, spectrum_id)
     digests = {other.name: other.sha256 for other in owned.store.artifacts_of(job.id)}
     if asset.prepared is not None and asset.kind == "mesh":
@@ -83,7 +83,7 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
         while not (files := find_stored(*wanted)) and owned.store.job(job.id).state == "running":
             if not waits:
                 raise ProblemError("overloaded", f"too many requests wait for what jobs compute now, as the {name}")
-            time.sleep(0.1)  # a worker computes it now: twice at once, it would take longer
+            time.sleep(0.1)  # a worker is computing it; computing it here too would take longer
     finally:
         if waits:
             _AWAITING.release()
@@ -92,12 +92,12 @@ def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
 
 
 def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
-    """Mesh of an asset."""
+    """Load the mesh of an asset."""
     return _mesh(owned, _prepared(owned, asset_id, "mesh", "a job makes its mesh"), asset_id)
 
 
 def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
-    """Cloud of an asset."""
+    """Load the cloud of an asset."""
     from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
     digest = _prepared(owned, asset_id, "cloud", "only splats and scans have points")
@@ -105,7 +105,7 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
 
 
 def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudParams]:
-    """The cloud that a spectrum was made for, and what of it moves in its job."""
+    """Load the cloud that a spectrum was made for, and the job's choice of moving parts."""
     from dynamictree.formats.tensors.bundle import read_cloud_bundle
 
     job, asset = source_of(owned, spectrum_id)
@@ -118,7 +118,7 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudPar
 
 
 def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], otherwise: str) -> str:
-    """Digest of the prepared file of an asset of this kind."""
+    """Return the digest of an asset's prepared file; refuse an asset of another kind."""
     asset = read_asset(owned.store, asset_id)
     if asset.kind != kind or asset.prepared is None:
         raise ConflictError(f"asset {asset_id} is no {kind} but {asset.kind}; {otherwise}")

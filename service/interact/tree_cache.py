@@ -1,6 +1,6 @@
-"""Trees of callers, from memory where they were used recently.
+"""Trees of callers; recently used ones stay in memory.
 
-Through them routes raise NotFoundError and GoneError: there is no spectrum, or it or its asset has expired.
+Functions raise NotFoundError or GoneError if a spectrum does not exist, or it or its asset has expired.
 """
 
 from dataclasses import dataclass, replace
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ServedTree:
-    """The tree of a spectrum for one caller; what it needs besides is loaded on demand, and stays in memory."""
+    """The tree of a spectrum for one caller. Mesh, rig and Gaussians are loaded on demand, and then stay in memory."""
 
     owned: Owned
-    id: str  # of the spectrum
+    id: str  # id of the spectrum
     ready: ReadyTree
 
     def system(self, params: SwingParams) -> ModalSystem:
-        """Modal system with the mass, damping and frequency of a request."""
+        """Return the modal system with the mass, damping and frequency of a request."""
         return with_physics(
             self.ready.tree.system,
             mass_kg=params.mass_kg,
@@ -49,14 +49,14 @@ class ServedTree:
         )
 
     def mesh(self) -> TriangleMesh:
-        """Source mesh."""
-        source_of(self.owned, self.id)  # tells when it has expired
+        """Return the source mesh."""
+        source_of(self.owned, self.id)  # raises GoneError if it has expired
         if self.ready.mesh is None:
             self.ready.mesh = load_source_mesh(self.owned, self.id)
         return self.ready.mesh
 
     def vertex_contact(self, vertex: int, radius_m: float, *, bent: bool) -> Contact:
-        """Where a force at a vertex acts; in the bent shape a drag by displacement holds the vertex itself."""
+        """Return the contact of a force at a vertex; if `bent`, a drag by displacement moves the vertex itself."""
         mesh = self.mesh()
         if vertex >= mesh.num_vertices:
             detail = f"vertex {vertex} does not exist; the mesh has vertices 0 to {mesh.num_vertices - 1}"
@@ -67,8 +67,8 @@ class ServedTree:
         return contact_at_point(self.ready.tree.system.grid, (x, y, z), radius_m=radius_m)
 
     def rig(self) -> "Rig":
-        """Rig of the products, or found where no job has needed it yet."""
-        from dynamictree.formats.tensors.rig import read_rig  # brings numba
+        """Return the rig: that of the job's products, or computed if no job has needed one yet."""
+        from dynamictree.formats.tensors.rig import read_rig  # imports numba
         from dynamictree.rig.rig import rig_of
 
         if self.ready.tree.rig is None:
@@ -80,20 +80,20 @@ class ServedTree:
         return self.ready.tree.rig
 
     def with_rig(self) -> InteractiveTree:
-        """The tree with its rig, which locality and bends need."""
+        """Return the tree with its rig, which localities and bends require."""
         self.rig()
         return self.ready.tree
 
     def frames(self) -> "VertexFrames":
-        """Basis that gives the mesh's vertices at any modal coordinates."""
-        from dynamictree.modal.frames import VertexFrames  # brings numba
+        """Return the basis that maps modal coordinates to the mesh's vertices."""
+        from dynamictree.modal.frames import VertexFrames  # imports numba
 
         if self.ready.frames is None:
             self.ready.frames = VertexFrames(self.rig(), self.mesh().vertices)
         return self.ready.frames
 
     def gaussians(self) -> MovingGaussians:
-        """Moving Gaussians of the source cloud, bound to its mesh."""
+        """Return the moving Gaussians of the source cloud, bound to its mesh."""
         from dynamictree.gaussian.binding import bind
         from dynamictree.gaussian.deform import Deformer
         from dynamictree.plant.capture import moving_part
@@ -110,7 +110,7 @@ class ServedTree:
 
 
 def system_facts(system: ModalSystem) -> dict[str, object]:
-    """What a client needs to know of a modal system."""
+    """Return the properties of a modal system that clients need."""
     return {
         "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
         "damping_ratio": float(system.damping_ratio[0]),
@@ -120,7 +120,7 @@ def system_facts(system: ModalSystem) -> dict[str, object]:
 
 
 def served_tree(owned: Owned, spectrum_id: str) -> ServedTree:
-    """The tree of a spectrum."""
+    """Return the tree of a spectrum, cached or loaded."""
     tree = living_tree(owned, spectrum_id)
     if tree is None:
         artifact = spectrum_artifact(owned, spectrum_id)
@@ -131,7 +131,7 @@ def served_tree(owned: Owned, spectrum_id: str) -> ServedTree:
 
 
 def living_tree(owned: Owned, spectrum_id: str) -> ServedTree | None:
-    """The cached tree of a spectrum, if it has not expired; without a query."""
+    """Return the cached tree of a spectrum, without a database query; None if there is none or it has expired."""
     ready = owned.services.trees.get(_key(owned, spectrum_id))
     if ready is None or owned.store.clock() >= ready.expires_at:
         return None
@@ -139,5 +139,5 @@ def living_tree(owned: Owned, spectrum_id: str) -> ServedTree | None:
 
 
 def _key(owned: Owned, spectrum_id: str) -> str:
-    """Cache key, which includes the owner."""
+    """Return the cache key, which includes the owner."""
     return f"{owned.caller.owner or ''}/{spectrum_id}"

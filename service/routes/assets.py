@@ -50,7 +50,7 @@ _FORM = {
                         "kind": {"type": "string", "enum": list(ASSET_KINDS), "description": "by name if unset"},
                         "metadata": {"type": "string", "description": "a JSON object of your texts, returned as it is"},
                         **{
-                            name: field["anyOf"][0] | {"description": field["description"]}  # a form has no null
+                            name: field["anyOf"][0] | {"description": field["description"]}  # forms have no null
                             for name, field in Reading.model_json_schema()["properties"].items()
                         },
                     },
@@ -90,7 +90,7 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
         await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, length)))
         folder = await room.enter_async_context(scratch_folder(owned))
         form = await receive_form(content_type, request.stream(), folder)
-        if not length:  # sent without its size: it counts once it is here
+        if not length:  # no Content-Length: the size counts once the body is received
             sent = sum(file.bytes for file in form.files)
             await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, sent)))
         asset, new = await admit(owned, AssetOptions.read(form.fields, where="form"), form.files, folder)
@@ -107,7 +107,7 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
         asset, new = await make_asset(owned, uploads, wanted)
         return _asset_response(asset, new, response)
     assert wanted.url is not None
-    # says at once what is wrong; what is connected to is checked again
+    # refuses a wrong address at once; it is checked again at the connection
     await owned.services.outbound.check(wanted.url)
     allowed = owned.caller.limits.get("bytes")
     record = await run_in_threadpool(

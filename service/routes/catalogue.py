@@ -95,17 +95,17 @@ class LimitsPayload(Payload):
 
 
 MAX_PRESET_NAME = 64
-"""Characters that the job store has for a model's name."""
+"""Width of the job store's column for a model's name [characters]."""
 
 
 def preset_sizes() -> dict[str, int]:
-    """Models that jobs may name, with the size of their weights [bytes]."""
+    """Return the models that jobs may use, with the size of their weights [bytes]."""
     models = sorted(list_weights().items())
     return {name: path.stat().st_size for name, path in models if len(name) <= MAX_PRESET_NAME}
 
 
 def require_preset(name: str) -> None:
-    """Refuse a model that is not there."""
+    """Refuse a model that does not exist."""
     if name not in preset_sizes():
         detail = f"there is no preset {name!r}; there are {', '.join(preset_sizes()) or 'none'}"
         raise wrong_field("/preset", "unknown-preset", detail)

@@ -49,19 +49,19 @@ router = APIRouter(prefix="/v1/interact", tags=["interact"])
 logger = logging.getLogger(__name__)
 
 MAX_DISPLACEMENT_BYTES = 128 * 1024**2
-"""Of one answer in voxels, vertices or Gaussians: 110 frames of 100,000 vertices, 33 of 100,000 Gaussians."""
+"""Size of one response in voxels, vertices or Gaussians: 110 frames of 100,000 vertices, 33 of 100,000 Gaussians."""
 
 MAX_WORK = 60_000_000
-"""Groups times frames times points of one answer. 64 groups, 600 frames and 10,138 voxels took 26 s of a processor
-(67 ns for each of these products), so this is 4 s."""
+"""Groups x frames x points of one response. 64 groups, 600 frames and 10,138 voxels took 26 s of CPU time (67 ns per
+point), so this limit is 4 s."""
 
 SLOT_WAIT_S = 30.0
 SEND_S = 120.0
 PIECE_BYTES = 256 * 1024
-"""A large answer waits so long for its slot, and holds it so long at most."""
+"""A large response waits `SLOT_WAIT_S` for its slot and occupies it for at most `SEND_S`."""
 
 SHORT = 256
-"""Frames times groups that are answered at once; longer answers go to a thread."""
+"""Frames x groups up to which the event loop computes the response itself; larger ones are computed in a thread."""
 
 
 class GroupPayload(Payload):
@@ -125,7 +125,7 @@ async def interact(
     media_type = chosen(accept, offered)
     tree = living_tree(owned, body.spectrum_id)
     if tree is not None and _is_short(body):
-        return _response(body, tree, media_type, threading.Event())  # 1 to 3 ms: a thread would cost as much again
+        return _response(body, tree, media_type, threading.Event())  # takes 1 to 3 ms; a thread would double it
     if body.output == "modal":
         return await run_in_threadpool(_prepared_response, body, owned, media_type, threading.Event())
     async with AsyncExitStack() as large_slot:
@@ -143,12 +143,12 @@ async def interact(
 
 
 CLIENT_LEFT = 499
-"""Nobody reads it: nginx' word for a client that has left, for the log."""
+"""nginx's status for a client that has disconnected; it appears only in the log."""
 
 
 @asynccontextmanager
 async def _noticing_who_leaves(request: Request) -> AsyncIterator[threading.Event]:
-    """Context manager that sets its event once the client has closed the connection."""
+    """Context manager that yields an event, which is set once the client has closed the connection."""
     left = threading.Event()
 
     async def watch() -> None:
@@ -164,14 +164,14 @@ async def _noticing_who_leaves(request: Request) -> AsyncIterator[threading.Even
 
 
 class SlotResponse(Response):
-    """A large answer that is sent piece by piece, as the client reads, and gives its slot back at the end."""
+    """Large response that is sent in pieces, as the client reads, and releases its slot at the end."""
 
     def __init__(self, response: Response, large_slot: AsyncExitStack) -> None:
         super().__init__(response.body, response.status_code, None, response.media_type)
         self.large_slot = large_slot
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the answer, or give up after `SEND_S`."""
+        """Send the response, or give up after `SEND_S`."""
         start = {"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers}
         content = memoryview(self.body)
         async with self.large_slot:
@@ -187,7 +187,7 @@ class SlotResponse(Response):
 
 
 def _is_short(body: InteractRequest) -> bool:
-    """Whether an answer takes a few milliseconds and reads nothing."""
+    """Return whether a response takes a few milliseconds and reads no files."""
     at_vertices = any(force.at is not None and force.at.vertex is not None for force in body.forces)
     groups = len(body.forces) + (0 if body.initial_state is None else len(body.initial_state.groups))
     return body.output == "modal" and not (at_vertices or body.warp) and body.num_frames * max(groups, 1) <= SHORT
@@ -197,7 +197,7 @@ def _prepared_response(body: InteractRequest, owned: Owned, media_type: str, lef
     try:
         return _response(body, served_tree(owned, body.spectrum_id), media_type, left)
     finally:
-        owned.services.trees.trim()  # what the answer needs grows with the tree
+        owned.services.trees.trim()  # the cached tree may have grown for this response
 
 
 def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: threading.Event) -> Response:
@@ -215,7 +215,7 @@ def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: th
 
 
 def answer_of(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
-    """Let the tree answer a request."""
+    """Compute the tree's response to a request."""
     system = tree.system(body)
     bent = tree.with_rig() if body.warp else None
     at_vertex = partial(tree.vertex_contact, bent=body.warp)
@@ -244,7 +244,7 @@ def answer_of(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Ans
 
 
 def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event) -> np.ndarray:
-    """[T, V or N, 3] in metres."""
+    """Return the displacement of voxels or vertices, [T, V or N, 3] [m]."""
     if body.output == "voxels":
         _refuse_costly(answer, len(tree.ready.tree.system.grid), 12)
         return np.stack(list(_while_there(tree.with_rig().voxels(answer, warp=body.warp), left)))
@@ -253,10 +253,10 @@ def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left:
 
 
 def _while_there(frames: Iterator[np.ndarray], left: threading.Event) -> Iterator[np.ndarray]:
-    """The frames, until the client has left.
+    """Iterate over frames until the client has disconnected.
 
     Raises:
-        Cancelled: it has.
+        Cancelled: the client has disconnected.
     """
     for frame in frames:
         if left.is_set():
@@ -265,7 +265,7 @@ def _while_there(frames: Iterator[np.ndarray], left: threading.Event) -> Iterato
 
 
 def _iter_vertices(body: InteractRequest, tree: ServedTree, answer: Answer) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Displacement of the mesh's vertices, frame after frame [m]."""
+    """Iterate over the displacement of the mesh's vertices in each frame [m]."""
     if body.warp:
         yield from tree.with_rig().bent(answer, tree.mesh().vertices, tree.rig().vertices)
     else:
@@ -273,8 +273,8 @@ def _iter_vertices(body: InteractRequest, tree: ServedTree, answer: Answer) -> I
 
 
 def _gaussians(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event) -> dict[str, np.ndarray]:
-    """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
-    from dynamictree.gaussian.deform import Pose  # brings numba
+    """Return the moving Gaussians: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
+    from dynamictree.gaussian.deform import Pose  # imports numba
 
     moving = tree.gaussians()
     _refuse_costly(answer, len(moving.rows), 40)

@@ -1,7 +1,7 @@
 """/v1/interact/stream: a WebSocket for a continuous drag. The client sends the pointer, the server coordinates.
 
-docs/interaction.md tells the messages. The tree moves in real time whatever the line does: at most `WINDOW` frames are
-under way unacknowledged, further ones are left out, so that a slow client sees fewer frames, not old ones.
+docs/interaction.md describes the messages. The tree moves in real time at any connection speed: at most `WINDOW`
+frames are unacknowledged and further ones are skipped, so that a slow client sees fewer frames, not old ones.
 """
 
 import asyncio
@@ -31,17 +31,17 @@ from service.services import Owned, owned_by_caller
 router = APIRouter(prefix="/v1/interact")
 logger = logging.getLogger(__name__)
 
-OPEN_S = 10.0  # how long the first message may take
-IDLE_S = 60.0  # after which a client that says nothing is let go
+OPEN_S = 10.0  # timeout for the first message
+IDLE_S = 60.0  # a client that sends nothing for so long is disconnected
 MAX_MESSAGE = 16_384  # characters
-LATE_S = 0.25  # after a longer stall the clock begins anew
+LATE_S = 0.25  # the clock restarts if a stall was longer than this
 
 INVALID, TOO_LARGE, DONE, BUSY, UNSUPPORTED = 1008, 1009, 1000, 1013, 1003
 PROTOCOL = "dynamictree"
 
 
 class OpenMessage(SwingParams):
-    """The first message."""
+    """First message of a stream: the tree and its physics."""
 
     type: Literal["open"]
     spectrum_id: str = Field(max_length=64)
@@ -49,21 +49,21 @@ class OpenMessage(SwingParams):
 
 
 class ForceMessage(Payload):
-    """Push, from now on."""
+    """Message that applies a force from now on."""
 
     type: Literal["force"]
     force: ForcePayload
 
 
 class ReleaseMessage(Payload):
-    """Let go."""
+    """Message that ends a drag or the wind."""
 
     type: Literal["release"]
     kind: Literal["drag", "wind"] = "drag"
 
 
 class AckMessage(Payload):
-    """What was drawn."""
+    """Message that acknowledges drawn frames."""
 
     type: Literal["ack"]
     frame: int = Field(ge=0)
@@ -76,8 +76,8 @@ _LATER: TypeAdapter[ForceMessage | ReleaseMessage | AckMessage] = TypeAdapter(_L
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket) -> None:
-    """Follow a pointer."""
-    # a browser insists that one of the protocols that it offers is taken; the other one is its key
+    """Stream the motion of a tree while the client pushes and drags it."""
+    # a browser requires that the server selects one of the offered protocols; the other one holds its key
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope["subprotocols"] else None)
     owned = await owned_by_caller(socket)
     try:
@@ -111,7 +111,7 @@ async def _close_once_revoked(socket: WebSocket, owned: Owned) -> None:
 
 
 async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ServedTree, Session] | None:
-    """Answer the first message; None where it was refused."""
+    """Answer the first message; return None if it was refused."""
     try:
         message = _FIRST.validate_json(await asyncio.wait_for(_text(socket), OPEN_S))
         tree = await run_in_threadpool(served_tree, owned, message.spectrum_id)
@@ -129,7 +129,7 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ServedTre
 
 
 async def _receive(socket: WebSocket, opened: OpenMessage, tree: ServedTree, session: Session) -> None:
-    """Take messages until the client disconnects or falls silent."""
+    """Receive messages until the client disconnects or is idle for too long."""
     project = partial(
         force_of,
         system=session.system,
@@ -196,7 +196,7 @@ async def _send(socket: WebSocket, message: dict[str, object]) -> None:
 
 
 def _problem(error: ValidationError | Refusal) -> dict[str, object]:
-    """A problem object, less its `type`, whose place the message's own takes."""
+    """Return a problem object in which `type` is that of the message."""
     if isinstance(error, ValidationError):
         error = invalid(error.errors(), "body")
     problem = problem_of(error)

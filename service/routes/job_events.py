@@ -17,11 +17,11 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 HEARTBEAT_S = 15
 SEND_TIMEOUT_S = 30.0
-"""After which a client that does not read is let go."""
+"""Time after which a client that does not read is disconnected [s]."""
 
 
 async def _counted(owned: OwnedDep) -> AsyncIterator[None]:
-    """Count one of the caller's streams until its response ends, however it ends; refuse one too many."""
+    """Count one of the caller's streams until its response ends; refuse one above the limit."""
     with owned.services.streams.opened(owned.caller):
         yield
 

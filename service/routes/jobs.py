@@ -118,7 +118,7 @@ async def get_job(
         estimate["Preference-Applied"] = f"wait={wait_s:g}"
     if matches(if_none_match, estimate["etag"]):
         return Response(status_code=304, headers=estimate)
-    # made here: FastAPI would check the payload once more, which takes longer than the queries
+    # serialized here: FastAPI would validate the payload again, which takes longer than the queries
     return Response(payload.model_dump_json(), headers=estimate, media_type="application/json")
 
 

@@ -1,6 +1,6 @@
 """/metrics: metrics in Prometheus' format.
 
-Counts of jobs come from the store, so every replica tells the same of them; requests and memory are this process's own.
+Counts of jobs come from the store, so every replica reports the same; requests and memory are per process.
 """
 
 from collections.abc import Iterator, Mapping
@@ -55,7 +55,7 @@ class StoreMetrics:
 
     store: Store
     artifacts: ArtifactStore
-    queues: tuple[str, ...]  # with a value always: an autoscaler takes a missing one for a failure
+    queues: tuple[str, ...]  # always reported: an autoscaler treats a missing one as a failure
 
     def collect(self) -> Iterator[Metric]:
         """Collect every metric family."""
@@ -69,7 +69,7 @@ class StoreMetrics:
 
 
 def store_gauges(now: Census, queue_names: tuple[str, ...]) -> Iterator[Metric]:
-    """The state of the service at this moment."""
+    """Yield the gauges of the service's current state."""
     states: dict[tuple[str, ...], float] = {(str(state),): now.jobs.get(state, 0) for state in JobState}
     yield _gauge("jobs", "Jobs with a record, by state", states, ["state"])
     none: dict[tuple[str, ...], float] = {(name,): 0.0 for name in queue_names}

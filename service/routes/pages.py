@@ -28,30 +28,30 @@ MEDIA_TYPES = {
     "wasm": "application/wasm",
 }
 LEVEL = 6
-"""Of gzip, once a start."""
+"""Level of gzip; each page is compressed once per start."""
 
 VENDORED = "public, max-age=31536000, immutable"
 """Cache-Control of vendored libraries: their paths hold the version."""
 
 ELEMENT = "embed/dynamic-tree.js"
 ANY_SITE = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
-"""A module script of another site is loaded with CORS."""
+"""Headers of the element's script: browsers load module scripts of another site with CORS."""
 
 _IMPORT_MAP = re.compile(r'<script type="importmap">(.*?)</script>', re.DOTALL)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """One file as it is sent."""
+    """Content and headers of one file."""
 
     media_type: str
     content: bytes
-    packed: bytes  # with gzip; the content itself where that is no smaller
+    packed: bytes  # gzip of the content; the content itself if gzip is no smaller
     etag: str  # changes with the content
 
 
 def answer(request: Request, page: Page, headers: dict[str, str]) -> Response:
-    """The page, packed where the browser takes that; 304 where it has it."""
+    """Return the page, compressed if the browser accepts gzip; 304 if the browser has it already."""
     headers = {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"} | headers
     if matches(request.headers.get("if-none-match"), page.etag):
         return Response(None, 304, headers)
@@ -60,8 +60,8 @@ def answer(request: Request, page: Page, headers: dict[str, str]) -> Response:
     return Response(page.packed, 200, headers | {"Content-Encoding": "gzip"}, page.media_type)
 
 
-# These routes stay in the event loop, and read headers themselves: a visit takes 70 of them, and threads and injected
-# headers would double what each costs.
+# These routes run in the event loop and read headers themselves: a visit makes 70 requests, and threads and injected
+# headers would double the cost of each.
 
 
 @router.api_route("/", methods=["GET", "HEAD"])
@@ -82,7 +82,7 @@ async def get_embed_page(request: Request) -> Response:
 @router.api_route("/docs", methods=["GET", "HEAD"])
 async def get_api_page(request: Request) -> Response:
     """Every operation of the API, to read and to try."""
-    icons = {"img-src": "'self' data: blob:"}  # Swagger UI keeps them as data in its style sheet
+    icons = {"img-src": "'self' data: blob:"}  # Swagger UI embeds icons in its style sheet
     return answer(request, await read_page("docs.html"), content_policy(icons))
 
 
@@ -102,16 +102,16 @@ async def get_page_file(path: str, request: Request) -> Response:
 
 
 def content_policy(allowed: Mapping[str, str]) -> dict[str, str]:
-    """Header by which a page loads its own scripts and styles, calls its own service, and what is allowed besides."""
+    """Return a CSP header that allows a page its own scripts, styles and service, and the sources in `allowed`."""
     policy = {"default-src": "'none'"} | dict.fromkeys(("script-src", "style-src", "connect-src"), "'self'")
     policy |= dict.fromkeys(("base-uri", "form-action", "frame-ancestors"), "'none'") | dict(allowed)
     return {"Content-Security-Policy": "; ".join(f"{name} {where}" for name, where in policy.items())}
 
 
 def viewer_policy(page: bytes, *, ancestors: str = "'none'") -> dict[str, str]:
-    """The viewer also loads blobs for textures and Spark's sorting worker, which is WebAssembly.
+    """Return the viewer's CSP: it also loads blobs for textures, and Spark's sorting worker, which is WebAssembly.
 
-    Browsers take an import map only inline, so its hash is named.
+    Browsers accept an import map only inline, so the policy holds its hash.
     """
     [import_map] = _IMPORT_MAP.findall(page.decode())
     digest = base64.b64encode(hashlib.sha256(import_map.encode()).digest()).decode()
@@ -126,11 +126,11 @@ def viewer_policy(page: bytes, *, ancestors: str = "'none'") -> dict[str, str]:
 
 
 packed_pages: dict[str, Page] = {}
-"""Those that were asked for, by package and path; what does not exist is not remembered."""
+"""Requested pages by package and path; paths that do not exist are not cached."""
 
 
 async def read_page(path: str, package: str = "web") -> Page:
-    """A file of a package."""
+    """Return a file of a package, read and compressed at its first request."""
     name = f"{package}/{path}"
     if name not in packed_pages:
         packed_pages[name] = await run_in_threadpool(_pack_page, path, package)

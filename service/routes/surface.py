@@ -1,4 +1,4 @@
-"""What a viewer or an engine draws and moves: meshes, points of clouds, bones, mode shapes, reach of a force."""
+"""Routes for viewers and engines: meshes, points of clouds, bones, mode shapes, reach of a force."""
 
 import json
 from typing import Annotated
@@ -24,17 +24,17 @@ from service.services import OwnedDep
 router = APIRouter(prefix="/v1", tags=["spectra"])
 
 MAX_POINTS = 200_000
-"""More are thinned out: a preview, 4 MB."""
+"""Points of a preview (4 MB); larger clouds are thinned out."""
 
 FAINTEST = 0.1
-"""Gaussians of a lower opacity are left out: alone they are not seen."""
+"""Lowest opacity of a Gaussian in the preview; a fainter one alone is invisible."""
 
 STEP = 6e-6
-"""Of a bone's turn, by the tree's height and the bone's lever. Together such steps move a vertex by up to 6.5e-5 of the
-height: measured on eight trees in winds of 5 and 20 m/s."""
+"""Quantization step of a bone's turn, times the tree's height over the bone's lever [rad]. Such steps together move a
+vertex by up to 6.5e-5 of the height: measured on eight trees in winds of 5 and 20 m/s."""
 
 ZERO = 1 << 15 | 1 << 7
-"""What stands for no turn in 16 bits: the high bytes of small turns are equal, and pack well."""
+"""16-bit code of no turn. It gives small turns equal high bytes, which compress well."""
 
 BYTES = "application/octet-stream"
 
@@ -94,7 +94,7 @@ def get_asset_points(id: Id, owned: OwnedDep) -> Response:
 
 
 def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:
-    """Places [m], sRGB colours and radii [m] of at most `MAX_POINTS` Gaussians, evenly chosen."""
+    """Return positions [m], sRGB colours and radii [m] of at most `MAX_POINTS` Gaussians, evenly chosen."""
     visible = np.flatnonzero(cloud.opacity >= FAINTEST)
     if not len(visible):
         visible = np.arange(cloud.num_gaussians)
@@ -109,7 +109,7 @@ def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:
 
 
 def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    """Tensors from which a viewer draws a mesh."""
+    """Return the tensors from which a viewer draws a mesh."""
     tensors: dict[str, np.ndarray] = {"vertices": mesh.vertices, "faces": mesh.faces}
     for name in ("uv", "vertex_colors", "face_material"):
         if getattr(mesh.look, name) is not None:

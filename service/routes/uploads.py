@@ -33,7 +33,7 @@ EXTENSIONS = ("creation", "creation-with-upload", "expiration", "termination")
 CONTENT_TYPE = "application/offset+octet-stream"
 MAX_METADATA_CHARS = 8192
 PART_BYTES = 64 * 1024**2
-"""Of one address: 64 of them are an upload of 4 GiB."""
+"""Size of the part per presigned URL: 64 parts are an upload of 4 GiB."""
 
 _LOOK_S = 0.25
 
@@ -199,14 +199,14 @@ def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> R
 
 
 def _as_it_stands(owned: Owned, record: UploadRecord) -> UploadRecord:
-    """The record with the number of bytes that are there while they come."""
+    """Return the record with the number of bytes received so far."""
     if record.state != "receiving":
         return record
     return replace(record, received=owned.services.upload_parts.size(record.id))
 
 
 async def _append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> UploadRecord:
-    """Append a body; an upload that is whole is closed, and checked against its sha256."""
+    """Append a body; close a complete upload and check its sha256."""
     size = await append(owned, record, body, offset)
     changes: dict[str, Any] = {"received": size}
     if size:
@@ -257,7 +257,7 @@ def _length(header: str | None, owned: Owned) -> int:
 
 
 def _metadata(header: str | None) -> UploadMetadata:
-    """The pairs of Upload-Metadata that mean something here."""
+    """Parse the pairs of Upload-Metadata that the service uses."""
     if header is not None and len(header) > MAX_METADATA_CHARS:
         raise ProblemError("bad-request", f"Upload-Metadata has more than {MAX_METADATA_CHARS} characters")
     pairs: dict[str, str] = {}
