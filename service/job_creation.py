@@ -25,7 +25,7 @@ from service.uploads.quota import require_place, require_room
 
 KEY_EXPIRES_S = 86400.0
 OF_REQUEST = ("type", "preset", "seed", "priority", "webhook_events", "external_id", "metadata", "destination")
-"""Fields that a job has as its request does."""
+"""Fields that a job copies from its request."""
 
 PAPER = "paper"
 """The preset that takes minutes without a GPU."""
@@ -38,7 +38,7 @@ def accept(
     named = None
     if key is not None:
         named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=KEY_EXPIRES_S)
-        earlier = owned.store.job_of_key(named)  # first: its asset may have gone, and the queue be full
+        earlier = owned.store.job_of_key(named)  # checked first: the asset may be gone by now, or the queue full
         if earlier is not None:
             return _answer(owned, earlier, response)
     asset, stages = _require_possible(owned, body)
@@ -56,7 +56,7 @@ def accept(
 
 
 def accept_again(owned: Owned, old: JobRecord, request_id: str | None, response: Response) -> JobPayload:
-    """Store a new job with an old one's request."""
+    """Store a new job with the request of a job that has ended."""
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
     _require_turn(owned)
@@ -81,7 +81,7 @@ def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
 
 
 def _fingerprint(body: JobRequest) -> str:
-    """Of what was sent: defaults change with releases."""
+    """Hash only the fields that were sent, since defaults change with releases."""
     return sha256(body.model_dump_json(exclude_unset=True).encode()).hexdigest()
 
 
@@ -124,12 +124,12 @@ def _require_destination(owned: Owned, wanted: str) -> None:
     owner, prefixes = owned.caller.owner or "", owned.services.settings.destinations
     allowed = [prefix.replace("{owner}", owner).rstrip("/") + "/" for prefix in prefixes]
     below = wanted.startswith(tuple(allowed)) and wanted.isprintable()
-    if not below or {*"%?#", ".."} & {*wanted, *wanted.split("/")}:  # by which a store reads another place
+    if not below or {*"%?#", ".."} & {*wanted, *wanted.split("/")}:  # object stores resolve these to another path
         raise ProblemError("forbidden", f"{wanted!r} is not below one of {allowed}, or has one of % ? # ..")
 
 
 def _require_photos(body: JobRequest, asset: AssetRecord) -> None:
-    """Refuse what only photos and films have; a tree's height is taken with every asset."""
+    """Refuse options of photos and films for other assets; `height_m` is allowed for every asset."""
     names = body.params.model_fields_set & (PhotoParams.model_fields.keys() - {"height_m"})
     chosen = sorted(name for name in names if getattr(body.params, name) != PhotoParams.model_fields[name].default)
     if chosen and asset.kind != "photos":
@@ -154,7 +154,7 @@ def _record(owned: Owned, **fields: Any) -> JobRecord:
 
 
 def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:
-    """The queue whose workers a job is for: those with a GPU where it needs one and they are there."""
+    """Choose a job's queue: GPU if it has workers and the job benefits from one, or no CPU worker is running."""
     if owned.services.settings.queue != AUTO:
         return owned.services.settings.queue
     learns = asset.kind == "photos" or (body.type in ("diffuse", "animate") and body.preset == PAPER)
@@ -169,7 +169,7 @@ def _require_turn(owned: Owned) -> None:
 
 
 def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
-    """The job's parameters for the worker: default formats filled in, and always a picture."""
+    """Return the job's parameters for the worker; fill in default formats, and always add a PNG."""
     params: dict[str, Json] = body.params.model_dump(mode="json")
     for name in CloudParams.model_fields:
         if params[name] is None:
@@ -181,7 +181,7 @@ def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
 
 
 def _period_s(params: AnimateParams) -> float | None:
-    """As asked for, or as the number of frames means it; None where the tree's height chooses [s]."""
+    """Return the period as requested or as the number of frames implies; None leaves it to the tree's height [s]."""
     return params.period_s or params.wanted_period_s
 
 
@@ -191,15 +191,15 @@ def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
 
 
 def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
-    """Size of the products whose size is known beforehand [bytes].
+    """Return the total size of the products whose size is known in advance [bytes].
 
     Raises:
-        InputError: frames that make no loop, a format without turbulent motion, a file that would be too large, or a
-            format whose library is not installed.
+        InputError: the frames are no loop, a format does not support turbulent motion, a file would be too large, or a
+            format's library is not installed.
     """
     if not isinstance(body.params, AnimateParams):
         return 0
-    # numba comes with the products; loaded beside the first requests, not with this module
+    # these modules import numba, so they are imported at the first request
     from dynamictree.export.size import sequence_bytes
     from dynamictree.export.table import require_available
     from dynamictree.modal.real_trees import loop_period_s
@@ -214,7 +214,7 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
 
 
 def _counts(asset: AssetRecord, kind: str, first: str, second: str) -> tuple[int, int]:
-    """Two numbers of an asset of one kind; 0 of others, and where an earlier release did not count."""
+    """Return two counts of an asset of this kind; 0 for other kinds, and if an earlier release did not count."""
     if asset.kind != kind:
         return 0, 0
     one, other = asset.summary.get(first, 0), asset.summary.get(second, 0)

@@ -1,4 +1,4 @@
-"""Estimate durations from this service's own recent jobs, remembered for seconds."""
+"""Estimate durations from this service's recent jobs, which are cached for some seconds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,30 +15,30 @@ from jobs.store import Store
 
 REMEMBERED_S = 10.0
 OF_PHOTOS_S: dict[JobType, float] = {"reconstruct": 240.0, "voxelize": 1.0, "diffuse": 5.0, "animate": 15.0}
-"""Seconds that the stages of a job on photos usually take on two cores."""
+"""Usual duration of each stage of a job on photos on two cores [s]."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Where a job stands."""
+    """Queue position, progress and remaining time of a job."""
 
-    queue_position: int | None  # jobs before it; None once it has begun
-    progress: float  # share of its time
-    eta_s: float | None  # until it ends; None where that is not known
+    queue_position: int | None  # number of jobs before it; None once it has started
+    progress: float  # [share of the job's time]
+    eta_s: float | None  # time until it ends; None if unknown
 
 
 @dataclass
 class JobDurations:
-    """Durations, remembered for `REMEMBERED_S`, so that a poll costs no query for them."""
+    """Durations of jobs and stages, cached for `REMEMBERED_S` so that a poll needs no query for them."""
 
     store: Store
     _recent: TTLCache[tuple[str, str], Sequence[float]] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
 
     def forecast(self, job: JobRecord, position: int | None) -> Forecast:
-        """Where a job stands; its end by the pace of the stage that runs and by this service's history.
+        """Estimate a job's progress and end, from the speed of the running stage and from this service's history.
 
-        After photos, which take minutes, later stages have an expected time even without a history. A job that waits
-        has `position` others before it, which the workers share.
+        Photos take minutes, so the stages after them have an expected time even without a history. A queued job has
+        `position` jobs before it, which all workers share.
         """
         unknown = Forecast(queue_position=position, progress=self._progress(job), eta_s=None)
         if job.terminal or job.state == JobState.CANCELING:
@@ -58,7 +58,7 @@ class JobDurations:
         return replace(unknown, eta_s=round(left, 1))
 
     def _progress(self, job: JobRecord) -> float:
-        """Mean over the stages; of photos weighed by usual times, which a job keeps, so that it never goes back."""
+        """Average over the stages; for photos weighted by constant usual times, so that progress never decreases."""
         first, least_of_photos_s = job.stages[0], 20.0  # a cloud takes seconds
         weights = {stage.name: 1.0 for stage in job.stages}
         took = 0.0 if first.started_at is None else (first.finished_at or self.store.clock()) - first.started_at
@@ -68,10 +68,10 @@ class JobDurations:
         return round(sum(weights[stage.name] * stage.progress for stage in job.stages) / whole, 4)
 
     def _left_s(self, job: JobRecord, stage: StageRecord) -> float | None:
-        """Seconds until a stage ends: by its pace, or as those that took longer than it has; None where none did."""
+        """Estimate the time until a stage ends [s], by its speed or by longer recent stages; None without these."""
         if stage.state == "succeeded":
             return 0.0
-        least_progress = 0.02  # before the pace of a stage tells when it ends
+        least_progress = 0.02  # progress from which a stage's speed predicts its end
         begun = stage.started_at if stage.state == "running" else None
         took = 0.0 if begun is None else self.store.clock() - begun
         if stage.progress >= least_progress:

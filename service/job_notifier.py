@@ -16,14 +16,14 @@ LOOK_S = 0.2
 
 @dataclass
 class JobNotifier:
-    """Waiters by job; a task looks as long as there are any."""
+    """Waiting requests by job; one task polls the store while there are any."""
 
     store: Store
     _waiting: dict[str, dict[asyncio.Future[None], int]] = field(default_factory=dict)
     _looking: asyncio.Task[None] | None = None
 
     async def changed(self, job_id: str, version: int, timeout_s: float) -> bool:
-        """Wait until a job has another version than this, or is gone; tell whether it has within the time."""
+        """Wait until a job has another version or is gone; return False if the time runs out first."""
         waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(job_id, {})[waiter] = version
         if self._looking is None or self._looking.done():

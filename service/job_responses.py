@@ -17,13 +17,13 @@ POLL_AFTER_S = 1
 
 
 def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
-    """Response body of a job; sets the response's headers."""
+    """Return the response body of a job, and set the response's headers."""
     [payload] = payloads(owned, [job])
-    seen = f"{job.id} {job.version} {payload.queue_position}"  # not the forecast: each process has medians of its own
+    seen = f"{job.id} {job.version} {payload.queue_position}"  # not the forecast, which differs between processes
     response.headers["ETag"] = '"' + sha256(seen.encode()).hexdigest()[:32] + '"'
     if not job.terminal:
         response.headers["Retry-After"] = str(POLL_AFTER_S)
-    elif "Retry-After" in response.headers:  # of an earlier look in the same answer
+    elif "Retry-After" in response.headers:  # set by an earlier look for the same response
         del response.headers["Retry-After"]
     return payload
 
@@ -35,7 +35,7 @@ def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobP
 
 
 def payloads(owned: Owned, page: Sequence[JobRecord]) -> list[JobPayload]:
-    """Response bodies of jobs, with as many queries as for one of them."""
+    """Return the response bodies of jobs; the number of queries does not grow with the number of jobs."""
     seen = owned.store.standing_of(page)
     sources = asset_summaries(owned.store, {job.asset_id for job in page if seen[job.id][1]})
     retention_s = owned.services.settings.job_retention_s

@@ -1,4 +1,4 @@
-"""Where `ops_address` is set: /metrics, /ops and the probes at an address of their own, which needs no key."""
+"""Serve /metrics, /ops and the probes at a separate address without keys, if `ops_address` is set."""
 
 import socket
 import threading
@@ -12,15 +12,15 @@ from service.http import problem_handlers
 from service.routes import health, metrics, ops
 
 ROUTES = (metrics, ops)
-"""The application has them where there is no such address."""
+"""Routes that the application itself serves if `ops_address` is not set."""
 
 
 @contextmanager
 def serve_operations(app: FastAPI) -> Iterator[None]:
-    """Context manager that serves them beside the application, whose event loop may be busy, in a thread.
+    """Context manager that serves these routes in a thread, since the application's event loop may be busy.
 
     Raises:
-        OSError: the address is taken or not ours.
+        OSError: the address is in use or not available.
     """
     address = app.state.settings.ops_address
     if address is None:

@@ -34,15 +34,15 @@ class Services:
     outbound: Outbound
     job_durations: JobDurations
     job_notifier: JobNotifier
-    spectra: LruCache[SparseVoxelSpectrum]  # by the hash of the spectrum's file
-    trees: LruCache[ReadyTree]  # by owner and spectrum id
+    spectra: LruCache[SparseVoxelSpectrum]  # keys: hashes of spectrum files
+    trees: LruCache[ReadyTree]  # keys: owner and spectrum id
     parsers: FairSlots
     streams: OpenStreams
     large_answers: FairSlots
     ingest_wakeup: asyncio.Event
 
     def owned_by(self, caller: Caller) -> "Owned":
-        """The services as one caller may see them: the store returns only the rows of the caller's owner."""
+        """Restrict the services to a caller: the store returns only rows of the caller's owner."""
         store = self.store if caller.owner is None else self.store.for_owner(caller.owner)
         return Owned(services=self, caller=caller, store=store)
 
@@ -57,7 +57,7 @@ class Owned:
 
 
 LARGE_ANSWERS = 3
-"""Answers in voxels, vertices or Gaussians, up to 128 MiB each, that are computed or sent at once."""
+"""Number of large responses, up to 128 MiB each, that are computed or sent at the same time."""
 
 
 @contextmanager
@@ -87,7 +87,7 @@ def open_services(settings: Settings) -> Iterator[Services]:
 
 
 async def owned_by_caller(connection: HTTPConnection) -> Owned:
-    """Give a route its caller's view. Async, because FastAPI runs a plain function in a thread."""
+    """Restrict the services to a route's caller. Async, because FastAPI runs a plain function in a thread."""
     services: Services = connection.app.state.services
     caller: Caller = connection.scope.get(CALLER, ANYONE)
     return services.owned_by(caller)

@@ -1,4 +1,4 @@
-"""The service for tests of programs that call it: `from service.testing import client`; see docs/jobs.md."""
+"""Test client of a real service for tests of other programs: `from service.testing import client`; see docs/jobs.md."""
 
 import os
 import subprocess
@@ -16,13 +16,13 @@ from service.app import create_app
 
 @contextmanager
 def client() -> Iterator[TestClient]:
-    """Context manager that gives a client of a real service without keys, whose jobs run without Redis.
+    """Context manager that yields a client of a real service without keys, whose jobs run without Redis.
 
-    Its state is a folder that is deleted at the end; a process of its own runs the jobs, one after another.
+    Its state is a temporary folder; a separate process runs the jobs, one after another.
     """
     with TemporaryDirectory(prefix="dynamictree-") as folder:
         environment = os.environ | {"DYNAMICTREE_STATE_DIR": folder, "DYNAMICTREE_LOG_LEVEL": "ERROR"}
-        # starlette opens its WebSockets as testserver, whatever the base
+        # starlette sends the Host testserver for WebSockets, whatever the base URL
         settings = Settings(state_dir=Path(folder), hosts=("testserver",))
         worker = subprocess.Popen([sys.executable, "-m", "worker.inline"], stdin=subprocess.PIPE, env=environment)
         try:

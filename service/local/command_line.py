@@ -1,4 +1,4 @@
-"""Shared by the commands of operators: options, settings, one-line errors."""
+"""Options, settings and one-line errors that the operators' commands share."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +17,7 @@ StateDir = Annotated[
 
 
 def settings_of(**given: object) -> Settings:
-    """The environment's settings, and those that the command line gives.
+    """Return the settings of the environment; those of the command line override them.
 
     Raises:
         SettingsError: a value is not allowed.

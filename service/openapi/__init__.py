@@ -1,1 +1,1 @@
-"""The OpenAPI document: additions to FastAPI's, examples, and how the committed file is printed."""
+"""The OpenAPI document: additions to FastAPI's, examples, and the command that prints the committed file."""

@@ -10,7 +10,7 @@ from service.app import create_app
 
 
 def openapi_text() -> str:
-    """The page, as it is committed."""
+    """Return the OpenAPI document as it is committed."""
     with TemporaryDirectory() as folder:
         page = create_app(Settings(state_dir=Path(folder))).openapi()
     return json.dumps(page, indent=1, ensure_ascii=False) + "\n"

@@ -28,7 +28,7 @@ TAGS = [
     {"name": "health", "description": "For probes and balancers."},
 ]
 KEY = {"type": "http", "scheme": "bearer", "description": "where the service asks for keys"}
-DOORS = ("unauthorized", "forbidden", "rate-limited")  # what every route under /v1 may answer before it is asked
+DOORS = ("unauthorized", "forbidden", "rate-limited")  # problems of the authentication, for every route under /v1
 LICENSE = {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
 CONTACT = {"name": "The maintainers of DynamicTree"}
 HEADERS = {
@@ -44,13 +44,13 @@ Page = dict[str, Any]
 
 
 def operation_id(route: APIRoute) -> str:
-    """Id of an operation: the name of its function in camel case."""
+    """Return the id of an operation: the name of its function in camel case."""
     first, *others = route.name.strip("_").split("_")
     return first + "".join(word.title() for word in others)
 
 
 def described(app: FastAPI) -> Page:
-    """The application's page, with examples, and tuples that every reader understands."""
+    """Return the application's OpenAPI document, with examples, and with tuples that every reader understands."""
     if app.openapi_schema is None:
         page = FastAPI.openapi(app)
         for path, item in page["paths"].items():
@@ -58,20 +58,20 @@ def described(app: FastAPI) -> Page:
                 _complete(operation, DOORS if path.startswith("/v1") else ())
         components = page["components"]
         for node in _nodes(page):
-            if "prefixItems" in node:  # of equal kind in all our tuples; older tools only know items
+            if "prefixItems" in node:  # all members of our tuples have one type; older tools support only `items`
                 node["items"] = node["prefixItems"][0]
         components["headers"] = {
             name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()
         }
         components["securitySchemes"] = {"key": KEY}
-        page["security"] = [{}, {"key": []}]  # keys are asked for where the operator wants them
+        page["security"] = [{}, {"key": []}]  # the operator decides whether keys are required
         page["tags"] = TAGS
         app.openapi_schema = page
     return app.openapi_schema
 
 
 def _complete(operation: Page, doors: Sequence[str]) -> None:
-    """Add the refusals by the doors, the headers of every response, and examples of bodies."""
+    """Add the problems of the authentication, the headers of every response, and examples of bodies."""
     for status, entry in refusals_of(doors).items():
         response = operation["responses"].setdefault(str(status), entry)
         if response is not entry:
@@ -90,7 +90,7 @@ def _complete(operation: Page, doors: Sequence[str]) -> None:
 
 
 def _never_null(schema: Page) -> Page:
-    """Drop the null of a parameter that may be left out: no header and no query can hold one."""
+    """Remove null from the schema of an optional parameter: no header and no query can be null."""
     kinds = [kind for kind in schema.pop("anyOf", ()) if kind.get("type") != "null"]
     return schema | (kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {})
 

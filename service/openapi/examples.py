@@ -46,4 +46,4 @@ REQUESTS: dict[str, dict[str, Any]] = {
     "createLink": {"hour": {"summary": "For an hour", "value": {"path": f"/v1/artifacts/{_FILE}", "expires_s": 3600}}},
     "createWebhookEndpoint": _ENDPOINT,
 }
-"""By operation."""
+"""Example bodies by operation id."""

@@ -50,7 +50,7 @@ class AssetOptions(Reading):
 
     @classmethod
     def read(cls, values: Mapping[str, object], *, where: str) -> Self:
-        """Read the fields of a form, or of `Upload-Metadata`, which are texts; `where` names them in errors.
+        """Validate the text fields of a form or of `Upload-Metadata`; `where` is their location in errors.
 
         Raises:
             ProblemError: a field is unknown or not allowed.
@@ -61,14 +61,14 @@ class AssetOptions(Reading):
                 values["metadata"] = from_json(texts)
             return cls.model_validate(values, strict=False)
         except ValidationError as error:
-            # too many items are reported without a place, and of these fields only `metadata` has items
+            # an error about too many items has no location; only `metadata` has items
             located = [{**one, "loc": one["loc"][:1] or ("metadata",)} for one in error.errors()]
             raise invalid(located, where) from None
         except ValueError as error:
             raise wrong_field(f"{where}:metadata", "json-invalid", f"metadata is no JSON object: {error}") from None
 
     def stored(self) -> dict[str, Any]:
-        """Those that were given, as they are stored with an upload."""
+        """Return the options that were given, as they are stored with an upload."""
         return self.model_dump(mode="json", include=set(AssetOptions.model_fields), exclude_none=True)
 
 
@@ -136,6 +136,6 @@ class UploadPartsPayload(Payload):
 
 
 def upload_payload(upload: UploadRecord) -> UploadPayload:
-    """An upload as a response body."""
+    """Return an upload as a response body."""
     error = problem_of(upload.error_code, upload.error_message)
     return UploadPayload.of(upload, bytes_received=upload.received, error=error)

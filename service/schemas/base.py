@@ -25,7 +25,7 @@ class Payload(Bounded):
 
     @classmethod
     def of(cls, record: object, **others: object) -> Self:
-        """A body with the fields that a record has by the same name; times in seconds since 1970 become RFC 3339."""
+        """Build a body from a record's fields of the same names; times in seconds since 1970 become RFC 3339."""
         own = {name: getattr(record, name) for name in cls.model_fields if name not in others and hasattr(record, name)}
         return cls.model_validate(own | others, from_attributes=True)
 
@@ -55,7 +55,7 @@ class Problem(BaseModel):
 
 
 def problem_of(code: str | None, message: str | None) -> Problem | None:
-    """Problem of a failed job or upload; None if it did not fail."""
+    """Return the problem of a failed job or upload; None if it did not fail."""
     if code is None:
         return None
     valid_code = code if code in KINDS else "internal-error"

@@ -162,7 +162,7 @@ class ManifestPayload(Payload):
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
-    """A job's manifest as a response body."""
+    """Return a job's manifest as a response body."""
     listed = [
         ArtifactPayload.of(
             artifact,

@@ -1,1 +1,1 @@
-"""From bytes that a client sends to an asset: tus, multipart, URL ingest, archives, EXIF."""
+"""Conversion of uploaded bytes to assets: tus, multipart, URL ingest, archives, EXIF."""

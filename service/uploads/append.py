@@ -20,17 +20,17 @@ from service.services import Owned
 from service.uploads.batches import write_in_batches
 
 LOOK_S = 0.5
-"""How often a request asks whether a newer one has taken the upload over."""
+"""Interval at which a request checks whether a newer one has taken over the upload [s]."""
 
 TAKE_OVER_S = 5.0
-"""How long a newer request waits for the older one to store its bytes."""
+"""Time that a newer request waits for the older one to store its bytes [s]."""
 
 
 async def append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> int:
-    """Append a body to an upload, in place of an older request that still writes; return the new size.
+    """Append a body to an upload, taking over from an older request that still writes; return the new size.
 
     Raises:
-        ProblemError: wrong offset, too many bytes, no room, or a newer request took over.
+        ProblemError: the offset is wrong, there are too many bytes or no room, or a newer request took over.
     """
     parts, token = owned.services.upload_parts, new_id()
     await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), writer=token)
@@ -52,7 +52,7 @@ async def append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes],
 
 
 def stands_elsewhere(offset: int, size: int) -> ProblemError:
-    """Problem for bytes that do not begin at the upload's offset."""
+    """Return the problem of bytes that do not begin at the upload's offset."""
     reason = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
     return ProblemError("upload-offset-conflict", reason, headers={"Upload-Offset": str(size)})
 
@@ -62,7 +62,7 @@ def _taken_over(upload_id: str) -> ProblemError:
 
 
 async def _open(parts: PartStore, upload_id: str, offset: int) -> PartWriter:
-    """The upload's only writer. Its size is final once the older request has stored its bytes."""
+    """Open the upload's only writer; wait until the older request has stored its bytes."""
     deadline = time.monotonic() + TAKE_OVER_S
     while True:
         try:
@@ -112,11 +112,11 @@ def _is_ours(store: Store, upload_id: str, token: str) -> bool:
     except (NotFoundError, GoneError):
         return False
     except sa.exc.SQLAlchemyError:
-        return True  # the database is away; it will tell later
+        return True  # the database is unavailable: check again later
 
 
 def _clear_deleted(store: Store, parts: PartStore, upload_id: str) -> None:
-    """Delete the bytes that an upload got after it was deleted."""
+    """Delete the bytes that an upload received after it was deleted."""
     try:
         upload(store, upload_id)
     except (NotFoundError, GoneError):
@@ -124,7 +124,7 @@ def _clear_deleted(store: Store, parts: PartStore, upload_id: str) -> None:
 
 
 async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes], offset: int) -> AsyncIterator[bytes]:
-    """The body, as long as it is no longer than what was announced."""
+    """Iterate over the body; refuse bytes beyond the announced length."""
     assert record.length is not None
     size = offset
     async for chunk in body:
@@ -138,6 +138,6 @@ async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes
 
 
 def _stay(owned: Owned, record: UploadRecord) -> None:
-    """With its first byte, an upload stays longer than one that was only announced."""
+    """Extend the lifetime of an upload at its first byte."""
     until = owned.store.clock() + owned.services.settings.upload_retention_s
     change_upload(owned.store, record.id, expires_at=until)

@@ -21,14 +21,14 @@ UNREADABLE = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
     *(RuntimeError, EOFError, ValueError, OverflowError),
 )
-"""What zipfile raises where a file lies."""
+"""Exceptions that zipfile raises for a corrupt or inconsistent file."""
 
 _UTF8_NAME = 0x800  # PKWARE's APPNOTE 6.3, section 4.4.4, bit 11
 ARCHIVE_SUFFIXES = frozenset({".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".xz", ".bz2", ".zst"})
 
 
 def is_zip(path: Path) -> bool:
-    """Whether a file begins as a zip does."""
+    """Return whether a file begins with the signature of a zip."""
     with path.open("rb") as stream:
         return stream.read(4) in {b"PK\x03\x04", b"PK\x05\x06"}
 
@@ -36,15 +36,15 @@ def is_zip(path: Path) -> bool:
 def unpack(
     archive: ReceivedFile, folder: Path, *, require_room: Callable[[int], None] = lambda declared: None
 ) -> list[ReceivedFile]:
-    """Unpack into `folder` as entry-0, entry-1 and so on; the names stay names.
+    """Unpack into `folder` as entry-0, entry-1 and so on; names in the zip are never used as paths.
 
     Args:
-        archive: the zip.
-        folder: for its files.
-        require_room: gets the bytes that the zip unpacks to, before any of them is written; may refuse.
+        archive: the uploaded zip.
+        folder: output folder.
+        require_room: called with the unpacked size [bytes] before anything is written; may refuse.
 
     Raises:
-        ProblemError: it is broken, too large, or holds what an upload never needs.
+        ProblemError: the zip is broken, too large, or holds what an upload never needs.
     """
     try:
         with zipfile.ZipFile(archive.path) as opened:
@@ -62,7 +62,7 @@ def unpack(
                 files.append(_unpack_one(opened, entry, folder / f"entry-{number}", left))
                 left -= files[-1].bytes
     except OSError as error:
-        if error.errno != errno.EINVAL:  # a full disk is ours; an entry before the file's start is the sender's
+        if error.errno != errno.EINVAL:  # EINVAL: an entry starts before the file, an error of the sender
             raise
         raise _unreadable(error) from error
     except UNREADABLE as error:
@@ -71,7 +71,7 @@ def unpack(
 
 
 def _name(entry: zipfile.ZipInfo) -> str:
-    """The entry's path with slashes; UTF-8 also where the flag for it is not set, as Finder leaves it."""
+    """Return the entry's path with forward slashes; decode UTF-8 even without its flag, as Finder writes it."""
     name = entry.filename.replace("\\", "/")
     if entry.flag_bits & _UTF8_NAME:
         return name
@@ -86,7 +86,7 @@ def _unreadable(error: Exception) -> ProblemError:
 
 
 def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> int:
-    """Refuse what an upload never needs; return the declared size, which `_unpack_one` holds each entry to."""
+    """Refuse entries that an upload never needs; return the declared size, which `_unpack_one` enforces."""
     if not 1 <= len(entries) <= MAX_FILES:
         raise _rejected(f"the zip has {len(entries)} files; 1 to {MAX_FILES} are allowed")
     names = [entry.filename for entry in entries]

@@ -1,14 +1,14 @@
-"""Write a body that comes over the network in batches, in threads, while the next one comes in."""
+"""Write a received body in batches, in threads, while the next batch is being received."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
 
 BATCH_BYTES = 4 * 1024**2
-"""So much is handed to a thread at once; two batches at most are in memory."""
+"""Size of the batch that a thread writes; at most two batches are in memory."""
 
 
 async def write_in_batches(body: AsyncIterator[bytes], write: Callable[[list[bytes]], object]) -> int:
-    """Hand a body to `write` and return its size [bytes]. Whatever ends the body, what came is written first."""
+    """Pass a body to `write` and return its size [bytes]. If the body breaks off, what was received is written."""
     loop = asyncio.get_running_loop()
     writing: asyncio.Future[object] | None = None
     batch: list[bytes] = []

@@ -1,6 +1,6 @@
-"""Remove the place where a photo was taken, in place. Exif 2.32 section 4.6.6; XMP part 3, 1.1.3.
+"""Remove the location where a photo was taken. Exif 2.32 section 4.6.6; XMP part 3, 1.1.3.
 
-In place and of the same length: pixels, orientation and focal length stay as they are.
+The bytes are zeroed in place, so the length, pixels, orientation and focal length stay as they are.
 """
 
 import re
@@ -15,8 +15,8 @@ from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
 
 _EXIF, _XMP = b"Exif\0\0", b"http://ns.adobe.com/"
-_APP1, _APP13 = 0xE1, 0xED  # EXIF and XMP; IPTC, which names towns
-_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)  # in the coded picture there is no other
+_APP1, _APP13 = 0xE1, 0xED  # segments with EXIF and XMP; with IPTC, which may name a town
+_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)  # excludes what occurs within the coded picture
 _BARE, _END = (0x01, 0xD8), 0xD9  # markers without a length
 _GPS = 0x8825
 _TIFF_TEXT = frozenset({700, 33723, 34377})  # XMP, IPTC, Photoshop's
@@ -26,13 +26,13 @@ _PLACE_TEXT = re.compile(rb"XML:com\.adobe\.xmp\0|Raw profile type ", re.DOTALL)
 _TIFF_HEAD = re.compile(rb"II\*\0|MM\0\*")
 _XMP_PACKET = re.compile(rb"<x:xmpmeta.*?</x:xmpmeta>", re.DOTALL)
 MAX_EXIF_BYTES = 2**20
-"""Of the EXIF of a HEIC file: sixteen times what a JPEG can hold."""
+"""Size of the EXIF in a HEIC file: sixteen times what a JPEG can contain."""
 MAX_CHUNKS, MAX_PAGES = 10_000, 1_000
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # bytes of a TIFF type
 
 
 def without_place(file: ReceivedFile) -> ReceivedFile:
-    """The same photo without the place where it was taken, in JPEG, PNG, WebP, TIFF and HEIC; BigTIFF is refused."""
+    """Remove the location from a photo in JPEG, PNG, WebP, TIFF or HEIC; refuse BigTIFF."""
     content = bytearray(file.path.read_bytes())
     before = bytes(content)
     if before.startswith(b"\xff\xd8"):
@@ -54,7 +54,7 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
 
 
 def _blank_jpeg(content: bytearray) -> None:
-    """Blank EXIF, XMP and IPTC wherever they stand, and what follows the picture: other pictures, films, notes."""
+    """Blank EXIF, XMP and IPTC anywhere in the file, and all that follows the picture: other pictures, films, notes."""
     at = 2
     while marker := _MARKER.search(content, at):
         at, kind = marker.end(), content[marker.end() - 1]
@@ -96,11 +96,11 @@ def _blanked_chunk(name: bytes, content: bytes) -> bytes:
 
 
 def _blank_heif(content: bytearray) -> None:
-    """Blank the GPS of EXIF, which lies in a HEIC file as a TIFF does, and XMP; wherever they stand."""
+    """Blank the GPS data of EXIF, which a HEIC file stores as a TIFF, and XMP, anywhere in the file."""
     before = bytes(content)
     for match in _TIFF_HEAD.finditer(before):
         tiff = bytearray(before[match.start() : match.start() + MAX_EXIF_BYTES])
-        with suppress(struct.error, KeyError):  # these bytes are of the coded picture
+        with suppress(struct.error, KeyError):  # no EXIF but bytes of the coded picture
             _blank_gps(tiff)
             content[match.start() : match.start() + len(tiff)] = tiff
     for match in _XMP_PACKET.finditer(before):
@@ -109,7 +109,7 @@ def _blank_heif(content: bytearray) -> None:
 
 def _blank_tiff(content: bytearray) -> None:
     tiff = bytearray(content)
-    with suppress(struct.error, KeyError):  # no decoder reads it either
+    with suppress(struct.error, KeyError):  # no decoder can read it either
         _blank_gps(tiff, also=_TIFF_TEXT)
         content[:] = tiff
 
@@ -123,16 +123,16 @@ def _blanked(marker: int, content: bytes) -> bytes:
     try:
         _blank_gps(tiff)
     except (struct.error, KeyError):
-        return bytes(len(content))  # what cannot be read may tell a place
+        return bytes(len(content))  # unreadable metadata may contain a location
     return _EXIF + bytes(tiff)
 
 
 def _blank_gps(tiff: bytearray, also: frozenset[int] = frozenset()) -> None:
-    """Empty the directories of GPS of all pages, and zero what they point to, and the values of the tags `also`.
+    """Empty the GPS directories of all pages, and zero their values and those of the tags `also`.
 
     Raises:
-        struct.error: an offset that leads outside.
-        KeyError: a byte order or a type that there is not.
+        struct.error: an offset points outside of the content.
+        KeyError: a byte order or a type is unknown.
     """
     order = {b"II": "<", b"MM": ">"}[bytes(tiff[:2])]
     (directory,) = struct.unpack_from(f"{order}I", tiff, 4)

@@ -26,7 +26,7 @@ from service.uploads.quota import require_place
 logger = logging.getLogger(__name__)
 
 BYTES_ALLOWED = "bytes_allowed"
-"""Option of an upload from an address: the quota of the key that asked for it."""
+"""Option of an upload from a URL: the quota of the key that requested it."""
 
 LEASE_S = 60.0
 LOOK_S = 5.0
@@ -34,7 +34,7 @@ CHUNK_BYTES = 1024**2
 
 
 async def make_asset(owned: Owned, uploads: Sequence[UploadRecord], options: AssetOptions) -> tuple[AssetRecord, bool]:
-    """Make one asset of whole uploads, or give the one that was made of them before; tell whether it is new."""
+    """Make an asset from complete uploads, or return the one made before; the second value is whether it is new."""
     asset_ids = {upload.asset_id for upload in uploads}
     if len(asset_ids) == 1 and None not in asset_ids:
         return await run_in_threadpool(read_asset, owned.store, str(asset_ids.pop())), False
@@ -80,7 +80,7 @@ def _finish(owned: Owned, upload: UploadRecord, asset: AssetRecord) -> None:
 
 
 class Ingest:
-    """Fetches addresses and makes assets that nobody waits for. A lease in the store tells who does which."""
+    """Background task that fetches URLs and makes assets. A lease in the store assigns each upload to one process."""
 
     def __init__(self, services: Services) -> None:
         self.services = services
@@ -138,7 +138,7 @@ class Ingest:
         except (*REFUSALS, OSError) as error:
             problem = problem_of(error)
             if upload.state == "fetching":
-                await run_in_threadpool(owned.services.upload_parts.delete, upload.id)  # a later fetch begins anew
+                await run_in_threadpool(owned.services.upload_parts.delete, upload.id)  # a later fetch starts over
             await run_in_threadpool(
                 change_upload,
                 owned.store,
@@ -159,7 +159,7 @@ class Ingest:
 
 
 async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
-    """Fetch an upload's bytes from its address."""
+    """Fetch an upload's bytes from its URL."""
     settings = owned.services.settings
     assert upload.source_url is not None
     parts = owned.services.upload_parts
@@ -200,5 +200,5 @@ def _bytes_of(length: str) -> int:
 
 
 def name_of_url(url: str) -> str:
-    """What a file at an address is called."""
+    """Return the file name in a URL."""
     return PurePosixPath(unquote(urlsplit(url).path)).name[:255].replace("\0", "") or "file"

@@ -45,15 +45,15 @@ CAMERA_FILES = (
     *("transforms.json", "poses_bounds.npy"),
     *(f"{name}.{end}" for name in ("cameras", "images", "points3D", "rigs", "frames") for end in ("txt", "bin")),
 )
-"""What may come with photos: cameras that are known."""
+"""Files that may come with photos: known cameras."""
 MAX_PHOTO_BYTES = 30 * 1024**2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Upload:
-    """Files that make one asset, the models first, and how to read them."""
+    """Files of one asset, the models first, and how to read them."""
 
-    kind: AssetKind  # its bytes decide whether a model is a mesh or a cloud
+    kind: AssetKind  # the content decides whether a model is a mesh or a cloud
     num_models: int = 1
     files: tuple[ReceivedFile, ...]
     reading: Reading = field(default_factory=Reading)
@@ -62,12 +62,12 @@ class Upload:
 
     @property
     def is_film(self) -> bool:
-        """Whether the photos are to be chosen from a film."""
+        """Return whether the photos are to be chosen from a film."""
         return self.kind == "photos" and _suffix(self.files[0]) in FILM_SUFFIXES
 
     @property
     def fingerprint(self) -> str:
-        """sha256 over all that decides what the asset means; names count, because files name one another."""
+        """sha256 of everything that determines the asset; names count, because files refer to one another by name."""
         meaning = [
             self.kind,
             self.reading.up_axis,
@@ -79,7 +79,7 @@ class Upload:
 
 
 def _sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
-    """Tell models, companions and photos apart; unpack a zip, if there is room for what is in it."""
+    """Separate models, companions and photos; unpack a zip if there is room for its content."""
     metadata = options.metadata or {}
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder, require_room=partial(require_room, owned))
@@ -94,7 +94,7 @@ def _sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], fo
     if kind == "photos":
         stems = {PurePosixPath(_beside(file.name)).with_suffix("") for file in pictures}
         live = [file for file in films if PurePosixPath(_beside(file.name)).with_suffix("") in stems]
-        if films and len(live) == len(films):  # each is the film of a Live Photo, beside it
+        if films and len(live) == len(films):  # each film belongs to a Live Photo
             stills = [file for file in files if file not in live]
             unused = tuple(file.name for file in live)
             return Upload(kind="photos", files=_photos(stills), unused=unused, metadata=metadata)
@@ -137,13 +137,13 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
 
 
 def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
-    """The mesh or cloud, or a cloud and a mesh."""
+    """Return the models: a mesh, a cloud, or a cloud and a mesh."""
     if len(files) == 1:
-        return (files[0],)  # whatever its name: its bytes tell
+        return (files[0],)  # any name is allowed: the content decides
     certain = [file for file in files if _suffix(file) in {*MESH_SUFFIXES, *CLOUD_SUFFIXES} - {*POINT_SUFFIXES}]
     certain = certain or [file for file in files if PurePosixPath(file.name).name == SOG_FOLDER_FILE]
     points = [file for file in files if _suffix(file) in POINT_SUFFIXES]
-    models = certain or points  # text beside a model is a note or a licence
+    models = certain or points  # a text file beside a model is a note or a licence
     if certain and points and all(_suffix(file) != ".txt" for file in points):
         models = certain + points
     if not models:
@@ -159,7 +159,7 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
 
 
 def scratch_folder(owned: Owned) -> AbstractAsyncContextManager[Path]:
-    """Context manager that gives a folder for files that make an asset, and deletes it."""
+    """Context manager that yields a temporary folder for the files of an asset."""
 
     @contextmanager
     def opened() -> Iterator[Path]:
@@ -172,7 +172,7 @@ def scratch_folder(owned: Owned) -> AbstractAsyncContextManager[Path]:
 async def admit(
     owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path
 ) -> tuple[AssetRecord, bool]:
-    """Read files in the parser's process, keep their bytes, and keep the asset; tell whether it is new."""
+    """Parse files in the parser's process, store them and their asset; the second value is whether it is new."""
     store, upload = owned.store, await run_in_threadpool(_sort_out, owned, options, files, folder)
     expires_at = store.clock() + owned.services.settings.asset_retention_s
     existing = await run_in_threadpool(find_asset, store, upload.fingerprint)
@@ -238,14 +238,14 @@ def _keep(
 
 
 def _picture_alone(film: ReceivedFile, prepared: Path) -> ReceivedFile:
-    """The film as it is stored: an MP4 without sound, place and names of devices."""
+    """Return the film as it is stored: an MP4 without sound, location and device names."""
     digest, size = hash_file(prepared)
     name = PurePosixPath(_beside(film.name)).with_suffix(".mp4").name
     return ReceivedFile(name=name, path=prepared, sha256=digest, bytes=size)
 
 
 def _beside(name: str) -> str:
-    """The name by which another file may mean this one: relative, with forward slashes."""
+    """Return the name by which other files refer to this one: relative, with forward slashes."""
     return str(PurePosixPath(name.replace("\\", "/")))
 
 

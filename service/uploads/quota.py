@@ -13,11 +13,11 @@ from service.http.problems import ProblemError
 from service.services import Owned
 
 OWNERS_SHARE, ALL_SHARE = 4, 2
-"""Uploads that were only announced reserve at most a quarter of the free room for one owner, half of it for all."""
+"""Announced uploads reserve at most 1 / OWNERS_SHARE of the free space for one owner, and 1 / ALL_SHARE for all."""
 
 
 def require_place(owned: Owned, wanted: int) -> None:
-    """Refuse bytes for which there is no room on the disk or in the owner's quota."""
+    """Refuse bytes that exceed the free disk space or the owner's quota."""
     require_room(owned, wanted)
     allowed = owned.caller.limits.get("bytes")
     if allowed is not None:
@@ -26,7 +26,7 @@ def require_place(owned: Owned, wanted: int) -> None:
 
 
 def announce(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:
-    """Begin an upload, if there is room for it."""
+    """Create an upload, if there is room for it."""
     now = owned.store.clock()
     record = UploadRecord(id=new_id(), created_at=now, expires_at=now + lifetime_s, **fields)
     require_room(owned, record.length or 0)
@@ -35,7 +35,7 @@ def announce(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:
 
 @contextmanager
 def reserved(owned: Owned, length: int) -> Iterator[None]:
-    """Context manager that holds room for a body of this length, as an upload that was announced does."""
+    """Context manager that reserves room for a body of this length, like an announced upload."""
     fields = {"state": "receiving", "filename": "form", "options": {}, "length": length, "writer": "form"}
     row = announce(owned, REQUEST_TIMEOUT_S, **fields)
     try:
@@ -45,12 +45,12 @@ def reserved(owned: Owned, length: int) -> Iterator[None]:
 
 
 def require_room(owned: Owned, wanted: int = 0) -> None:
-    """Refuse what would leave less than `min_free_bytes`, counting what uploads that have begun announce."""
+    """Refuse bytes that would leave less than `min_free_bytes`, after the announced bytes of unfinished uploads."""
     settings, promised = owned.services.settings, 0
     free = free_bytes(settings)
     in_storage = owned.services.artifacts.free_bytes()
     room = free - settings.min_free_bytes
-    if in_storage is not None:  # a folder, where parts of uploads lie too; object storage has no end that we can see
+    if in_storage is not None:  # a folder, which also holds parts of uploads; object storage reports no limit
         free = min(free, in_storage)
         room = free - settings.min_free_bytes
         shares = (min(announced, room // OWNERS_SHARE) for announced in announced_bytes(owned.services.store))
