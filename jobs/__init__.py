@@ -1,1 +1,1 @@
-"""What service and worker share: jobs, their store, files and settings. Without torch and HTTP."""
+"""Code that service and worker share: jobs, their store, files and settings. Without torch and HTTP."""

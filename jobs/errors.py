@@ -1,13 +1,13 @@
 """Exceptions of the job store.
 
-Each class that the API answers with has a stable `code`, by which the service chooses status and problem type.
+Each class that the API reports has a stable `code`, from which the service derives the status and problem type.
 """
 
 from typing import ClassVar
 
 
 class JobsError(Exception):
-    """Root of all others."""
+    """Base class of all exceptions of the job store."""
 
     code: ClassVar[str] = "jobs-error"
 
@@ -19,13 +19,13 @@ class NotFoundError(JobsError):
 
 
 class GoneError(JobsError):
-    """There was one; it expired or was deleted."""
+    """The asset, job or artefact has expired or was deleted."""
 
     code = "expired"
 
 
 class ConflictError(JobsError):
-    """The state of the thing forbids it."""
+    """The state of the resource forbids the operation."""
 
     code = "conflict"
 
@@ -37,13 +37,13 @@ class ReusedKeyError(JobsError):
 
 
 class QuotaError(JobsError):
-    """The owner has as many jobs as are allowed."""
+    """The owner has reached the limit of active jobs."""
 
     code = "too-many-active-jobs"
 
 
 class BytesQuotaError(JobsError):
-    """The owner has as many bytes as are allowed."""
+    """The owner has reached the limit of stored bytes."""
 
     code = "quota-exceeded"
 
@@ -69,13 +69,13 @@ class SchemaError(JobsError):
 
 
 class FencedError(JobsError):
-    """Another attempt owns the job, or it has ended; whoever gets this must stop and publish nothing."""
+    """Another attempt owns the job, or it has ended; the caller must stop and publish nothing."""
 
     code = "fenced"
 
 
 class OutboundError(JobsError):
-    """An address that may not be called, or that does not answer."""
+    """An address is not allowed or does not respond."""
 
     code = "fetch-failed"
 

@@ -18,7 +18,7 @@ TEXT = "%(asctime)s %(levelname)s %(name)s %(message)s"
 
 @contextmanager
 def log_ids(**ids: str | int | None) -> Iterator[None]:
-    """Name these ids in every line that is logged inside, in this thread or task: request_id, job_id, attempt."""
+    """Context manager that adds ids to every log line of this thread or task: request_id, job_id, attempt."""
     token = _IDS.set({**_IDS.get(), **{name: value for name, value in ids.items() if value is not None}})
     try:
         yield
@@ -27,10 +27,10 @@ def log_ids(**ids: str | int | None) -> Iterator[None]:
 
 
 class JsonLines(logging.Formatter):
-    """One object a line: time, level, logger, message, ids, what was given as `extra`, and the traceback if any."""
+    """JSON formatter, one object per line: time, level, logger, message, ids, `extra`, and the traceback if any."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Write one line."""
+        """Format a record as one line."""
         line: dict[str, object] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname,
@@ -48,7 +48,7 @@ _SIGNATURE = re.compile(r"(signature=)[^&\s\"]+")
 
 
 def _without_signature(record: logging.LogRecord) -> bool:
-    """Take the signature out of a line of the access log: a signed link opens a file for whoever reads it."""
+    """Remove the signature from a line of the access log: anyone who reads a signed link can open its file."""
     if isinstance(record.args, tuple):
         record.args = tuple(_SIGNATURE.sub(r"\1…", each) if isinstance(each, str) else each for each in record.args)
     return True
@@ -62,8 +62,8 @@ def set_up_logging(settings: Settings) -> None:
     logging.captureWarnings(True)
     for name in ("uvicorn", "uvicorn.access"):
         own = logging.getLogger(name)
-        if own.handlers:  # uvicorn's own; with --no-access-log the second has none, and stays silent
+        if own.handlers:  # uvicorn's own; with --no-access-log, "uvicorn.access" has none and stays silent
             own.handlers.clear()
             own.propagate = True
     logging.getLogger("uvicorn.access").addFilter(_without_signature)
-    logging.getLogger("httpx").setLevel("WARNING")  # it tells whole URLs, with secrets of webhooks and storages
+    logging.getLogger("httpx").setLevel("WARNING")  # httpx logs whole URLs, with secrets of webhooks and storages

@@ -1,6 +1,6 @@
-"""Rows of the store as dataclasses; their tables are made of them (`jobs/database/tables.py`).
+"""Rows of the store as dataclasses, from which the tables are derived (`jobs/database/tables.py`).
 
-Times are seconds since 1970. An `owner` is empty where no key was asked for.
+Times are seconds since 1970. An `owner` is empty if no key was required.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,8 +10,8 @@ from typing import Literal, get_args
 from jobs.states import TERMINAL, AssetKind, JobState, JobType, Priority, StageState
 
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
-"""What a JSON column holds."""
-Facts = Mapping[str, int | float | list[str]]  # what a file has to tell, by name
+"""Value of a JSON column."""
+Facts = Mapping[str, int | float | list[str]]  # facts about a file, by name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class AssetRecord:
     id: str
     owner: str = ""
     kind: AssetKind
-    fingerprint: str  # sha256 over everything that decides what the asset means
+    fingerprint: str  # sha256 of everything that determines the asset
     parts: tuple[AssetPart, ...]  # the mesh first; photos in the order sent
     prepared: AssetPart | None  # the mesh in metres and +Z up, written by the parser's process; None for photos
     summary: Mapping[str, Json]
@@ -41,7 +41,7 @@ class AssetRecord:
 
     @property
     def bytes(self) -> int:
-        """Size of all files, the prepared one included [bytes]."""
+        """Return the size of all files, including the prepared one [bytes]."""
         return sum(part.bytes for part in (*self.parts, *([self.prepared] if self.prepared else [])))
 
 
@@ -59,7 +59,7 @@ class StageRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class JobRecord:
-    """One job. `version` rises with every change; the ETag is made of it."""
+    """One job. Every change increments `version`, from which the ETag is computed."""
 
     id: str
     owner: str = ""
@@ -71,9 +71,9 @@ class JobRecord:
     params: Mapping[str, Json]
     queue: str
     priority: Priority = "normal"
-    webhook_id: str | None = None  # notified besides endpoints that subscribed to all jobs
-    webhook_events: Sequence[str] | None = None  # that this endpoint gets of this job; those of its end if unset
-    request_id: str | None = None  # of the request that made it
+    webhook_id: str | None = None  # endpoint notified in addition to those that subscribed to all jobs
+    webhook_events: Sequence[str] | None = None  # events for that endpoint; if unset, those of the job's end
+    request_id: str | None = None  # id of the request that created the job
     stages: tuple[StageRecord, ...] = field(default=())
     attempt: int = 1
     version: int = 1
@@ -83,16 +83,16 @@ class JobRecord:
     external_id: str | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     cancel_at: float | None = None
-    destination: str | None = None  # address in a bucket, for copies of its products
-    processor_s: float = 0.0  # of all attempts so far
-    gpu_s: float = 0.0  # during which they had a GPU
+    destination: str | None = None  # URL in a bucket for copies of the products
+    processor_s: float = 0.0  # CPU time of all attempts so far
+    gpu_s: float = 0.0  # time of all attempts on a GPU
     created_at: float
     started_at: float | None = None
     finished_at: float | None = None
 
     @property
     def terminal(self) -> bool:
-        """Whether the state is final."""
+        """Return whether the state is final."""
         return self.state in TERMINAL
 
 
@@ -102,18 +102,18 @@ class ClientKey:
 
     key: str
     body_sha256: str
-    expires_s: float  # after which the key may mean another job [s]
+    expires_s: float  # time until the key can be used for another job [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class OutputFile:
-    """A file that a stage made, its bytes already in the artefact store under their hash."""
+    """Output file of a stage; its bytes are already in the artefact store under their hash."""
 
     name: str
     media_type: str
     sha256: str
     bytes: int
-    facts: Facts = field(default_factory=dict)  # how far it is from the motion, by name; warnings of a report
+    facts: Facts = field(default_factory=dict)  # a product's distances from the motion, by name; a report's warnings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,37 +134,37 @@ class ArtifactRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """The right to run one attempt of a job. Whoever holds it renews the lease, or loses it."""
+    """The right to run one attempt of a job; it is lost unless the lease is renewed."""
 
     job: JobRecord
     owner: str
 
     @property
     def attempt(self) -> int:
-        """Number of the attempt, which fences off writes of older attempts."""
+        """Return the attempt's number, which fences off writes of older attempts."""
         return self.job.attempt
 
 
 UploadState = Literal["receiving", "fetching", "received", "ready", "failed"]
-"""Bytes come from a client, or from an address; all are there; an asset was made; it could not be."""
+"""In order: a client sends bytes; a URL is fetched; all bytes are stored; the asset was made; it could not be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UploadRecord:
-    """One file that someone sends in pieces, or that is fetched from an address."""
+    """One file that a client sends in pieces, or that is fetched from a URL."""
 
     id: str
     owner: str = ""
     state: UploadState
     filename: str
-    options: Mapping[str, Json]  # how to read it: kind, up_axis, unit_m
-    length: int | None  # unset while an address does not tell
+    options: Mapping[str, Json]  # options for reading the file: kind, up_axis, unit_m
+    length: int | None  # None until the server of a URL reports it
     received: int = 0
-    sha256: str | None = None  # as promised; as found once it is whole
+    sha256: str | None = None  # announced hash; computed hash once the upload is complete
     source_url: str | None = None
-    make_asset: bool = False  # without being asked for it
-    writer: str | None = None  # the request that may write
-    lease_until: float | None = None  # of the process that fetches, or makes the asset
+    make_asset: bool = False  # make the asset without a request for it
+    writer: str | None = None  # token of the request that may write
+    lease_until: float | None = None  # lease of the process that fetches the file or makes the asset
     asset_id: str | None = None
     error_code: str | None = None
     error_message: str | None = None
@@ -178,7 +178,7 @@ Limit = Literal[
     "active_jobs", "bytes", "creates_per_min", "reads_per_min", "chunks_per_min", "interact_per_s", "streams"
 ]
 LIMITS: tuple[Limit, ...] = get_args(Limit)
-"""Each is a setting `limit_…`; a key may have its own."""
+"""Names of limits. Each is a setting `limit_…`, which a key may override."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,16 +188,16 @@ class KeyRecord:
     id: str
     owner: str
     name: str
-    digest: str  # sha256 of the key, which is nowhere
+    digest: str  # sha256 of the key, which itself is not stored
     scopes: tuple[Scope, ...]
-    limits: Mapping[Limit, int]  # what differs from the settings
+    limits: Mapping[Limit, int]  # limits that override the settings
     created_at: float
     expires_at: float | None = None
     revoked_at: float | None = None
-    last_used_at: float | None = None  # written once an hour at most
+    last_used_at: float | None = None  # written at most once per hour
 
     def valid(self, now: float) -> bool:
-        """Whether the key is valid at a time."""
+        """Return whether the key is valid at a time."""
         return self.revoked_at is None and (self.expires_at is None or now < self.expires_at)
 
 
@@ -215,7 +215,7 @@ class Endpoint:
     id: str
     owner: str
     url: str
-    events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
+    events: tuple[Event, ...]  # events of all jobs; if empty, only jobs that name this endpoint notify it
     secret: str = field(repr=False)
     disabled_reason: str | None = None
     created_at: float
@@ -226,7 +226,7 @@ class Try:
     """One delivery attempt."""
 
     at: float
-    status: int | None  # none where no answer came
+    status: int | None  # None if there was no response
     detail: str
     seconds: float
 
@@ -239,9 +239,9 @@ class Delivery:
     endpoint_id: str
     job_id: str
     event: Event
-    message_id: str  # the same for each attempt, so that the receiver may know it
+    message_id: str  # constant over attempts, so that the receiver can detect repeats
     payload: str
     state: DeliveryState
     log: tuple[Try, ...]
-    next_at: float | None  # null once it is over
+    next_at: float | None  # None once delivered or given up
     created_at: float

@@ -17,14 +17,14 @@ GIB = 1024**3
 DAY_S = 86400.0
 
 RETRY_S = (0.0, 5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
-"""Seconds from one attempt to tell a webhook to the next: the schedule that Standard Webhooks proposes."""
+"""Pauses between delivery attempts of a webhook [s]: the schedule that Standard Webhooks proposes."""
 
 SOCKET_PATH_LIMIT = 100
-"""Linux allows 107 bytes for a unix socket's path."""
+"""Limit of a unix socket's path [bytes]; Linux allows 107."""
 
 
 class Settings(BaseSettings):
-    """One process's settings. URLs that are unset mean the embedded default in the state folder."""
+    """Settings of one process. An unset URL means the embedded default in the state folder."""
 
     model_config = SettingsConfigDict(env_prefix="DYNAMICTREE_", frozen=True, extra="forbid", env_ignore_empty=True)
 
@@ -115,27 +115,27 @@ class Settings(BaseSettings):
         return self
 
     def share_of(self, total: int) -> int:
-        """Slots of `total` that one owner may hold at once: a quarter, at least one; all where there are no keys."""
+        """Return the slots of `total` that one owner may use at once: a quarter, at least one; all without keys."""
         return max(1, total // 4) if self.keys == "required" else total
 
     @property
     def worker_queue(self) -> str:
-        """The queue that a worker of these settings serves."""
+        """Return the queue that a worker with these settings serves."""
         return CPU if self.queue == AUTO else self.queue
 
     @property
     def job_queues(self) -> tuple[str, ...]:
-        """The queues that jobs may go to."""
+        """Return the queues that jobs may be put into."""
         return (CPU, GPU) if self.queue == AUTO else (self.queue,)
 
     @property
     def resolved_database_url(self) -> str:
-        """SQLAlchemy's URL of the job store."""
+        """Return the job store's URL for SQLAlchemy."""
         return self.database_url or f"sqlite:///{self.state_dir.resolve() / 'jobs.sqlite'}"
 
     @property
     def redis_socket(self) -> Path:
-        """Where the embedded server listens; a temporary folder where the state folder's path is too long."""
+        """Return the path of the embedded Redis's socket, in a temporary folder if that of the state is too long."""
         path = self.state_dir.resolve() / "redis" / "redis.sock"
         if len(os.fsencode(path)) <= SOCKET_PATH_LIMIT:
             return path
@@ -143,12 +143,12 @@ class Settings(BaseSettings):
 
     @property
     def resolved_redis_url(self) -> str:
-        """redis-py's URL of the broker."""
+        """Return the broker's URL for redis-py."""
         return self.redis_url or f"unix://{self.redis_socket}?db=0"
 
     @property
     def broker_url(self) -> str:
-        """Celery's URL of the broker; its word for a unix socket differs from redis-py's."""
+        """Return the broker's URL for Celery, whose scheme for a unix socket differs from redis-py's."""
         url = self.resolved_redis_url
         if url.startswith("unix://"):
             return url.replace("unix://", "redis+socket://", 1).replace("?db=", "?virtual_host=")
@@ -156,12 +156,12 @@ class Settings(BaseSettings):
 
     @property
     def resolved_artifacts_url(self) -> str:
-        """Folder or bucket of the bytes."""
+        """Return the URL of the folder or bucket of artifacts."""
         return self.artifacts_url or (self.state_dir.resolve() / "artifacts").as_uri()
 
     @property
     def s3_credentials(self) -> dict[str, str]:
-        """Key and secret of object storage, where they are settings; else obstore looks into AWS's own variables."""
+        """Return the key and secret of object storage if they are set; otherwise obstore reads AWS's variables."""
         if self.s3_access_key_id is None or self.s3_secret_access_key is None:
             return {}
         secret = self.s3_secret_access_key.get_secret_value()
@@ -169,12 +169,12 @@ class Settings(BaseSettings):
 
     @property
     def scratch_dir(self) -> Path:
-        """Half-received uploads and half-made results; `serve` deletes all but half-done reconstructions at start."""
+        """Return the folder for unfinished files; at its start `serve` deletes all but half-done reconstructions."""
         return self.state_dir.resolve() / "scratch"
 
 
 def read_settings(**overrides: object) -> Settings:
-    """Read the environment, and files of the folder that DYNAMICTREE_SECRETS_DIR names (one file a setting).
+    """Read the environment, and the files in the folder DYNAMICTREE_SECRETS_DIR (one file per setting).
 
     Raises:
         SettingsError: a value is not allowed.
@@ -193,7 +193,7 @@ def read_settings(**overrides: object) -> Settings:
 
 
 def unknown_variables() -> list[str]:
-    """Variables of the environment with our prefix that are no setting: most likely a typo."""
+    """Return environment variables with our prefix that are not settings, most likely typos."""
     names = {f"DYNAMICTREE_{name.upper()}" for name in Settings.model_fields} | {
         "DYNAMICTREE_SECRETS_DIR",
         "DYNAMICTREE_SAMPLES",

@@ -37,17 +37,17 @@ StageState = Literal["queued", "running", "succeeded", "failed", "canceled"]
 
 
 def states_before(target: JobState) -> frozenset[JobState]:
-    """States from which a job may change to `target`, for compare-and-set."""
+    """Return the states from which a job may change to `target`, for compare-and-set."""
     return frozenset(state for state, following in TRANSITIONS.items() if target in following)
 
 
 def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
-    """The stages of a job, first to last: what it asks for, and what that needs upstream.
+    """Return the stages of a job in order: the requested one and those that it depends on.
 
-    Photos and clouds first become a mesh.
+    Photos and clouds are first reconstructed as a mesh.
 
     Raises:
-        ConflictError: a mesh cannot be reconstructed.
+        ConflictError: the job would reconstruct a mesh from a mesh.
     """
     if job_type == "reconstruct" and asset_kind == "mesh":
         raise ConflictError(
@@ -58,14 +58,14 @@ def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
 
 
 AUTO, CPU, GPU = "auto", "cpu", "gpu"
-"""Queues: by what a job needs and which workers there are; of workers without and with a GPU."""
+"""Queues: chosen per job by its needs and the workers; for workers without a GPU; for workers with one."""
 
 
 def queue_of(base: str, priority: Priority) -> str:
-    """The queue of a priority: workers empty `cpu-high` before `cpu`, and that before `cpu-low`."""
+    """Return the queue of a priority: workers serve `cpu-high` before `cpu`, and `cpu` before `cpu-low`."""
     return base if priority == "normal" else f"{base}-{priority}"
 
 
 def queues_of(base: str) -> tuple[str, ...]:
-    """The queues that a worker of `base` listens to, first served first."""
+    """Return the queues that a worker of `base` serves, in order of priority."""
     return tuple(queue_of(base, priority) for priority in ("high", "normal", "low"))

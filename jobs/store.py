@@ -1,7 +1,7 @@
 """The job store: jobs, stages and artifacts, in SQLite or PostgreSQL through SQLAlchemy.
 
-Other rows have modules of their own (`assets.py`, `uploads.py`, `webhooks.py`, `keys.py`); what a worker does to a
-running job is in `attempts.py`, what the housekeeper does in `maintenance.py`.
+Other rows have their own modules (`assets.py`, `uploads.py`, `webhooks.py`, `keys.py`). A worker's changes to a
+running job are in `attempts.py`, those of the housekeeper in `maintenance.py`.
 """
 
 import time
@@ -24,21 +24,21 @@ from jobs.states import ACTIVE, JobState, JobType
 
 
 def new_id() -> str:
-    """A ULID: sorts by the time it was made."""
+    """Return a new ULID; ids sort by their time of creation."""
     return str(ULID())
 
 
 class Store:
     """Access of one process to the job store; with an owner, restricted to the owner's rows.
 
-    Whoever reads a row by its id gets NotFoundError where there is none, and GoneError where there was one.
+    Reading a row by its id raises NotFoundError if it never existed, and GoneError if it existed once.
     """
 
     def __init__(self, engine: sa.Engine, *, clock: Callable[[], float] = time.time, owner: str | None = None) -> None:
         self.engine = engine
         self.clock = clock
         self.owner = owner
-        self.patience_s = 0.0  # how long what is marked @patient waits for a database that is away
+        self.patience_s = 0.0  # how long functions marked @patient wait for an unavailable database
 
     def for_owner(self, owner: str) -> "Store":
         """Restrict the store to the rows of one owner."""
@@ -50,7 +50,7 @@ class Store:
 
     @classmethod
     def open(cls, url: str, *, clock: Callable[[], float] = time.time) -> "Store":
-        """Connect, and make the tables where there are none."""
+        """Connect, and create the tables if there are none."""
         engine = open_engine(url)
         make_tables(engine)
         return cls(engine, clock=clock)
@@ -61,7 +61,7 @@ class Store:
 
     @contextmanager
     def reading(self, *, of_one_moment: bool = False) -> Iterator[sa.Connection]:
-        """A transaction that only reads; on SQLite it blocks no writer, and always sees one moment."""
+        """Open a read-only transaction; on SQLite it blocks no writer and always sees one snapshot."""
         needs_level = of_one_moment and self.engine.dialect.name != "sqlite"
         options = {"isolation_level": "REPEATABLE READ"} if needs_level else {}
         with self.engine.connect().execution_options(reading=True, **options) as connection, connection.begin():
@@ -69,13 +69,13 @@ class Store:
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:
-        """A transaction that may write."""
+        """Open a transaction that may write."""
         with self.engine.begin() as connection:
             yield connection
 
     def take_turns(self, connection: sa.Connection) -> None:
-        """Let this owner's transactions that count what the owner has go on one after another."""
-        if connection.dialect.name == "postgresql":  # those of SQLite do so anyway
+        """Serialize this owner's transactions that check a quota."""
+        if connection.dialect.name == "postgresql":  # SQLite serializes writers anyway
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(self.owner or ""))))
 
     def add_job(
@@ -89,9 +89,9 @@ class Store:
         """Store a new job, its stages and message in one transaction; return whether it is new.
 
         Raises:
-            GoneError: its asset has gone in the meantime.
-            ReusedKeyError: the client's key means a job with another body.
-            QuotaError: the owner has `max_active` jobs that have not ended.
+            GoneError: its asset was deleted in the meantime.
+            ReusedKeyError: the client's key was used for another body.
+            QuotaError: the owner already has `max_active` unfinished jobs.
         """
         job = replace(job, owner=self.owner or "")
         row = {k: v for k, v in asdict(job).items() if k != "stages"} | {"lost_stages": []}
@@ -115,10 +115,10 @@ class Store:
             return rows.read_job(connection, job.id), True
 
     def job_of_key(self, client_key: ClientKey) -> JobRecord | None:
-        """The job that was created under a client's key before; None where there is none.
+        """Return the job that was created with a client's key, or None.
 
         Raises:
-            ReusedKeyError: its request had another body.
+            ReusedKeyError: that job's request had another body.
         """
         client_key = self._own_key(client_key)
         fresh = t.jobs.c.created_at >= self.clock() - client_key.expires_s
@@ -143,13 +143,13 @@ class Store:
             )
 
     def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
-        """Let a key go whose time is over."""
+        """Release a client key that has expired."""
         old = t.jobs.c.created_at < self.clock() - client_key.expires_s
         connection.execute(t.jobs.update().where((t.jobs.c.client_key == client_key.key) & old).values(client_key=None))
 
     @patient
     def job(self, job_id: str) -> JobRecord:
-        """One job with its stages."""
+        """Return one job with its stages."""
         with self.reading() as connection:
             return self._read_job(connection, job_id)
 
@@ -166,7 +166,7 @@ class Store:
         return job
 
     def job_versions(self, job_ids: list[str]) -> dict[str, int]:
-        """Version of each job; none of those that are gone."""
+        """Return the version of each job that exists."""
         query = sa.select(t.jobs.c.id, t.jobs.c.version).where(t.jobs.c.id.in_(job_ids))
         with self.reading() as connection:
             return {row.id: row.version for row in connection.execute(query)}
@@ -179,7 +179,7 @@ class Store:
         before: str | None = None,
         limit: int = 20,
     ) -> list[JobRecord]:
-        """Jobs whose columns have the chosen values, newest first: from a time on, older than the id `before`."""
+        """List jobs with the chosen column values, newest first: created from `since` on, with ids below `before`."""
         query = sa.select(t.jobs).where(self.mine(t.jobs)).order_by(t.jobs.c.id.desc()).limit(limit)
         for name, value in (chosen or {}).items():
             if value is not None:
@@ -197,7 +197,7 @@ class Store:
         return [rows.job_of(row, stages.get(row.id, [])) for row in matches]
 
     def standing_of(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
-        """How many jobs of its queue are there before each job, None once it has begun; and what it offers so far.
+        """Return each job's number of jobs before it in its queue (None once started) and its artifacts so far.
 
         Owners take turns, as in `maintenance.unsent`.
         """
@@ -221,10 +221,10 @@ class Store:
         return {job.id: (positions.get(job.id), offered.get(job.id, [])) for job in page}
 
     def cancel(self, job_id: str) -> JobRecord:
-        """Cancel a job, at once if no worker runs it; repeating it changes nothing.
+        """Cancel a job, at once if no worker runs it. Idempotent.
 
         Raises:
-            ConflictError: it has ended otherwise.
+            ConflictError: the job has ended in another way.
         """
         with self.writing() as connection:
             job = self._read_job(connection, job_id)
@@ -238,10 +238,10 @@ class Store:
             return rows.read_job(connection, job_id)
 
     def delete_job(self, job_id: str) -> None:
-        """Delete a job that has ended, with the records of its files; retention deletes their bytes.
+        """Delete a job that has ended and the records of its files; retention deletes their bytes.
 
         Raises:
-            ConflictError: it has not ended.
+            ConflictError: the job has not ended.
         """
         with self.writing() as connection:
             job = self._read_job(connection, job_id)
@@ -251,12 +251,12 @@ class Store:
 
     @patient
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
-        """Artifacts of a job so far, in order of creation."""
+        """Return the artifacts of a job so far, in order of creation."""
         with self.reading() as connection:
             return [t.record_of(ArtifactRecord, row) for row in connection.execute(rows.ARTIFACTS, {"id": job_id})]
 
     def artifact(self, artifact_id: str) -> ArtifactRecord:
-        """One artefact."""
+        """Return one artefact."""
         with self.reading() as connection:
             query = sa.select(t.artifacts).where(t.artifacts.c.id == artifact_id)
             if self.owner is not None:

@@ -1,1 +1,1 @@
-"""What is known of clients: keys, usage, webhooks, and requests to addresses that they name."""
+"""Records about clients: keys, usage, webhooks, and requests to addresses that they name."""

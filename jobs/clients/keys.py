@@ -43,7 +43,7 @@ def create_key(
 
 
 def digest_of(key: str) -> str:
-    """The hash that is stored in place of a key. It has 256 random bits, so a plain hash cannot be guessed back."""
+    """Return the hash that is stored in place of a key. A key has 256 random bits, so a fast hash is enough."""
     return sha256(key.encode()).hexdigest()
 
 
@@ -55,7 +55,7 @@ def find_key(store: Store, **column: str) -> KeyRecord | None:
 
 
 USE_WRITTEN_S = 3600.0
-"""So rarely a key's use is written: a write per request would cost more than most requests."""
+"""Interval at which a key's last use is written [s]; a write per request would cost more than most requests."""
 
 
 def note_use(store: Store, key: KeyRecord) -> None:
@@ -68,7 +68,7 @@ def note_use(store: Store, key: KeyRecord) -> None:
 
 
 def keys(store: Store) -> list[KeyRecord]:
-    """Every key, oldest first."""
+    """Return all keys, oldest first."""
     with store.reading() as connection:
         return [
             t.record_of(KeyRecord, row) for row in connection.execute(sa.select(t.api_keys).order_by(t.api_keys.c.id))
@@ -79,7 +79,7 @@ def revoke_key(store: Store, key_id: str) -> None:
     """Revoke a key. Its owner's data stay.
 
     Raises:
-        NotFoundError: there is no such key, or it was revoked before.
+        NotFoundError: there is no such key, or it is already revoked.
     """
     living = (t.api_keys.c.id == key_id) & t.api_keys.c.revoked_at.is_(None)
     with store.writing() as connection:

@@ -1,4 +1,4 @@
-"""Requests to addresses that clients name: look up once, check, connect to the address that was checked."""
+"""Requests to addresses that clients name: resolve the name once, check the address, and connect to that address."""
 
 import asyncio
 import ipaddress
@@ -21,22 +21,22 @@ CONNECT_S = 10.0
 READ_S = 30.0
 MAX_REDIRECTS = 3
 MAX_URL_CHARS = 2048
-_EMBEDS_V4 = (  # IPv6 addresses that mean an IPv4 address, and where it stands in them
-    (ipaddress.ip_network("::ffff:0:0/96"), 0),  # mapped
-    (ipaddress.ip_network("::ffff:0:0:0/96"), 0),  # translated, RFC 7915
+_EMBEDS_V4 = (  # IPv6 networks that embed an IPv4 address, and the shift of that address [bits]
+    (ipaddress.ip_network("::ffff:0:0/96"), 0),  # IPv4-mapped
+    (ipaddress.ip_network("::ffff:0:0:0/96"), 0),  # IPv4-translated, RFC 7915
     (ipaddress.ip_network("64:ff9b::/96"), 0),  # NAT64
     (ipaddress.ip_network("2002::/16"), 80),  # 6to4
 )
-_ISATAP = (0x0000_5EFE, 0x0200_5EFE)  # the second half of such an address begins so; an IPv4 address follows
-_GLOBAL_V6 = ipaddress.ip_network("2000::/3")  # all that IANA has given out
-_SPECIAL = tuple(  # IANA's registries of special addresses: what the interpreter knows of them depends on its version
+_ISATAP = (0x0000_5EFE, 0x0200_5EFE)  # beginnings of the second half of an ISATAP address; an IPv4 address follows
+_GLOBAL_V6 = ipaddress.ip_network("2000::/3")  # all global addresses that IANA has assigned
+_SPECIAL = tuple(  # IANA's registries of special addresses; those in the standard library depend on its version
     ipaddress.ip_network(text)
     for text in (
         *("0.0.0.0/8", "10.0.0.0/8", "100.64.0.0/10", "127.0.0.0/8", "169.254.0.0/16", "172.16.0.0/12"),
         *("192.0.0.0/24", "192.0.2.0/24", "192.88.99.0/24", "192.168.0.0/16", "198.18.0.0/15", "198.51.100.0/24"),
         *("203.0.113.0/24", "224.0.0.0/3"),
         *("2001::/23", "2001:db8::/32", "3fff::/20"),
-        "168.63.129.16/32",  # public by number, inside of a cloud by meaning
+        "168.63.129.16/32",  # a public number, but a service within Azure
     )
 )
 
@@ -48,7 +48,7 @@ async def look_up(host: str, port: int) -> list[str]:
 
 
 def is_public(address: Address) -> bool:
-    """Whether an address is one that anybody in the world may call, the IPv4 address inside of it included."""
+    """Return whether an address is globally reachable, and an IPv4 address embedded in it too."""
     if isinstance(address, ipaddress.IPv6Address):
         for network, shift in _EMBEDS_V4:
             if address in network:
@@ -70,7 +70,7 @@ class Target:
 
     @property
     def pinned_url(self) -> str:
-        """The URL with the address in the place of the name."""
+        """Return the URL with the checked address in place of the host name."""
         host_part = f"[{self.address}]" if ":" in self.address else self.address
         port = f":{self.parts.port}" if self.parts.port is not None else ""
         return self.parts._replace(netloc=host_part + port, fragment="").geturl()
@@ -87,7 +87,7 @@ class Outbound:
         """Resolve a URL's host and check its address.
 
         Raises:
-            OutboundError: it is no URL that may be called, or leads to a private address.
+            OutboundError: the URL is not allowed, or its host has a private address.
         """
         parts = self.check_form(url)
         host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
@@ -103,10 +103,10 @@ class Outbound:
         return Target(url=url, parts=parts, address=str(addresses[0]))
 
     def check_form(self, url: str) -> SplitResult:
-        """Check the form of a URL, without looking the name up.
+        """Check the form of a URL without resolving its host.
 
         Raises:
-            OutboundError: it is no URL that may be called.
+            OutboundError: the URL is not allowed.
         """
         try:
             parts = urlsplit(url)
@@ -130,15 +130,15 @@ class Outbound:
     async def send(
         self, target: Target, method: str, *, headers: Mapping[str, str], content: bytes | None = None
     ) -> "AsyncIterator[httpx.Response]":
-        """Make one request to the checked address, follow nothing; the body is the caller's to read.
+        """Make one request to the checked address, without following redirects; the caller reads the body.
 
         Raises:
-            OutboundError: no answer came.
+            OutboundError: the server did not respond.
         """
         import httpx
 
         timeout = httpx.Timeout(READ_S, connect=CONNECT_S)
-        # no proxy, no credentials of this machine; the certificate is the name's, though the address is called
+        # no proxy or credentials of this machine; the certificate must match the host name, not the address
         async with httpx.AsyncClient(timeout=timeout, trust_env=False, follow_redirects=False) as client:
             try:
                 request = client.build_request(
@@ -160,10 +160,10 @@ class Outbound:
 
     @asynccontextmanager
     async def get(self, url: str) -> "AsyncIterator[httpx.Response]":
-        """GET a URL, following at most `MAX_REDIRECTS` redirects, each checked as the first address was.
+        """GET a URL, following at most `MAX_REDIRECTS` redirects, each checked like the first URL.
 
         Raises:
-            OutboundError: it may not be called, or what answers is no file.
+            OutboundError: the URL is not allowed, or the response is no file.
         """
         for _ in range(MAX_REDIRECTS + 1):
             target = await self.check(url)

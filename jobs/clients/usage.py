@@ -12,13 +12,13 @@ MEASURES = ("attempts", "processor_s", "gpu_s")
 
 
 def stored_bytes(store: Store) -> int:
-    """What the owner's assets, uploads, products and intermediates take [bytes]."""
+    """Return the total size of the owner's assets, uploads, products and intermediates [bytes]."""
     with store.reading() as connection:
         return stored_bytes_in(connection, store)
 
 
 def stored_bytes_in(connection: sa.Connection, store: Store) -> int:
-    """`stored_bytes` as a transaction sees them, in one statement."""
+    """Compute `stored_bytes` within a transaction, in one statement."""
     live = t.assets.c.deleted_at.is_(None) & store.mine(t.assets)
     sums = (
         sa.select(sa.func.sum(t.assets.c.bytes)).where(live),
@@ -32,7 +32,7 @@ def stored_bytes_in(connection: sa.Connection, store: Store) -> int:
 
 
 def months(store: Store, *, limit: int = 12) -> list[dict[str, object]]:
-    """What attempts of the owner's jobs took, by month, newest first."""
+    """Return the resource use of the owner's attempts by month, newest first."""
     columns = (t.usage.c.month, *(sa.func.sum(t.usage.c[name]).label(name) for name in MEASURES))
     query = sa.select(*columns).where(store.mine(t.usage)).group_by(t.usage.c.month).order_by(t.usage.c.month.desc())
     with store.reading() as connection:
@@ -40,7 +40,7 @@ def months(store: Store, *, limit: int = 12) -> list[dict[str, object]]:
 
 
 def count_jobs(store: Store, states: Collection[JobState]) -> int:
-    """How many jobs are in one of these states."""
+    """Count the jobs in any of these states."""
     wanted = t.jobs.c.state.in_(states) & store.mine(t.jobs)
     with store.reading() as connection:
         return connection.execute(sa.select(sa.func.count()).where(wanted)).scalar_one()

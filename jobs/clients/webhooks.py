@@ -17,7 +17,7 @@ MAX_ENDPOINTS = 20
 
 
 def new_secret() -> str:
-    """A random signing secret, as Standard Webhooks writes it."""
+    """Return a random signing secret in the format of Standard Webhooks."""
     return "whsec_" + base64.b64encode(secrets.token_bytes(24)).decode()
 
 
@@ -28,7 +28,7 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
     """Store a new endpoint, with a new secret.
 
     Raises:
-        ConflictError: there are too many.
+        ConflictError: the owner has too many endpoints.
     """
     new = Endpoint(
         id=str(ULID()),
@@ -47,14 +47,14 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
 
 
 def endpoints(store: Store) -> list[Endpoint]:
-    """The endpoints, oldest first."""
+    """Return all endpoints, oldest first."""
     with store.reading() as connection:
         query = sa.select(t.webhook_endpoints).where(store.mine(t.webhook_endpoints)).order_by(t.webhook_endpoints.c.id)
         return [t.record_of(Endpoint, row) for row in connection.execute(query)]
 
 
 def endpoint(store: Store, endpoint_id: str) -> Endpoint:
-    """One endpoint."""
+    """Return one endpoint."""
     this = (t.webhook_endpoints.c.id == endpoint_id) & store.mine(t.webhook_endpoints)
     with store.reading() as connection:
         row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
@@ -74,7 +74,7 @@ def delete_endpoint(store: Store, endpoint_id: str) -> None:
 
 
 def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int) -> list[Delivery]:
-    """Deliveries to an endpoint, newest first."""
+    """Return deliveries to an endpoint, newest first."""
     endpoint(store, endpoint_id)
     query = sa.select(t.deliveries).where(t.deliveries.c.endpoint_id == endpoint_id)
     if before is not None:
@@ -89,9 +89,9 @@ def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int
 def claim_due(
     store: Store, *, lease_s: float, limit: int, per_owner: int, busy: Mapping[str, int]
 ) -> list[tuple[Delivery, Endpoint]]:
-    """Claim deliveries that are due, each for `lease_s`; of one owner at most `per_owner`, `busy` ones included.
+    """Claim due deliveries, each for `lease_s`: at most `per_owner` per owner, including those that are `busy`.
 
-    Events of one job reach an endpoint in order: its end waits until the first artifact was delivered, or given up.
+    Events of one job reach an endpoint in order: its end waits until `job.first-artifact` was delivered or given up.
     """
     now = store.clock()
     owner = t.webhook_endpoints.c.owner

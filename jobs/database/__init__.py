@@ -1,1 +1,1 @@
-"""Tables, how they are made, and how to connect to them."""
+"""Tables of the job store, their creation, and connections to the database."""

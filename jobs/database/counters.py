@@ -9,11 +9,11 @@ from jobs.database import tables as t
 from jobs.database.engine import add_up
 
 SECONDS = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
-"""Upper bounds of the classes into which durations are sorted [s]."""
+"""Upper bounds of the histogram buckets of durations [s]."""
 
 
 def count(connection: sa.Connection, name: str, label: str = "", by: float = 1.0) -> None:
-    """Add to a count."""
+    """Increment a counter."""
     add_up(connection, t.tallies, {"name": name, "label": label}, value=by)
 
 
@@ -25,7 +25,7 @@ def count_seconds(connection: sa.Connection, name: str, label: str, seconds: flo
 
 
 def tallies(connection: sa.Connection) -> dict[str, dict[str, float]]:
-    """Every count, by name and label."""
+    """Return all counters, by name and label."""
     totals: dict[str, dict[str, float]] = {}
     for row in connection.execute(sa.select(t.tallies)):
         totals.setdefault(row.name, {})[row.label] = row.value

@@ -16,9 +16,9 @@ BUSY_TIMEOUT_S = 10.0
 
 
 def open_engine(url: str) -> sa.Engine:
-    """Make an engine whose transactions may write from their first statement on."""
+    """Create an engine whose transactions may write from their first statement on."""
     if make_url(url).get_backend_name() != "sqlite":
-        from jobs.database.postgres_connection import connect  # psycopg is not imported where the store is a file
+        from jobs.database.postgres_connection import connect  # imports psycopg, which SQLite does not need
 
         engine = sa.create_engine(_with_psycopg(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
         event.listen(engine, "do_connect", connect)
@@ -26,8 +26,8 @@ def open_engine(url: str) -> sa.Engine:
     database = make_url(url).database
     if database and database != ":memory:":
         Path(database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with suppress(OSError):  # SQLite says what is wrong with it
-            # it contains the secrets of webhooks; SQLite gives its journal the same mode
+        with suppress(OSError):  # SQLite reports the cause
+            # the file contains secrets of webhooks; SQLite gives its journal the same mode
             os.close(os.open(database, os.O_RDWR | os.O_CREAT, 0o600))
             os.chmod(database, 0o600)
     engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S}, pool_size=60, max_overflow=0)
@@ -41,14 +41,14 @@ def _with_psycopg(url: str) -> str:
 
 
 def _configure_sqlite(connection: sqlite3.Connection, _record: object) -> None:
-    connection.isolation_level = None  # transactions are begun by _begin_sqlite, never by the driver
+    connection.isolation_level = None  # `_begin_sqlite` begins transactions, never the driver
     _switch_to_wal(connection)
     connection.execute("PRAGMA synchronous=FULL")  # an accepted job survives a power cut
     connection.execute("PRAGMA foreign_keys=ON")
 
 
 def _switch_to_wal(connection: sqlite3.Connection) -> None:
-    # SQLite refuses this switch at once, without its busy timeout, while another connection makes the same one
+    # SQLite refuses this switch at once, without its busy timeout, while another connection is switching
     deadline = time.monotonic() + BUSY_TIMEOUT_S
     while True:
         try:
@@ -61,7 +61,7 @@ def _switch_to_wal(connection: sqlite3.Connection) -> None:
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:
-    # IMMEDIATE: a reader that turns writer half-way would get SQLITE_BUSY at once, without the timeout
+    # IMMEDIATE: a transaction that reads first and then writes could get SQLITE_BUSY at once, without the timeout
     reading = connection.get_execution_options().get("reading", False)
     connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
 
@@ -98,13 +98,13 @@ def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, 
 
 
 def _touched_a_row(connection: sa.Connection, table: sa.Table, statement: Any) -> bool:
-    # rowcount tells nothing of an INSERT on PostgreSQL
+    # rowcount is unreliable for an INSERT on PostgreSQL
     returned = connection.execute(statement.returning(*table.primary_key.columns))
     return returned.one_or_none() is not None
 
 
 def _insert(connection: sa.Connection, table: sa.Table) -> Any:
-    # Both dialects have ON CONFLICT, in statements of their own. Each comes in with its engine: both cost 0.05 s.
+    # Both dialects have their own ON CONFLICT. Only the one in use is imported: both take 0.05 s.
     if connection.dialect.name == "postgresql":
         from sqlalchemy.dialects import postgresql
 

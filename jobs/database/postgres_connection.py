@@ -1,4 +1,4 @@
-"""A connection to PostgreSQL that gives up on a server which does not answer: hung, or cut off without a word."""
+"""PostgreSQL connection with a timeout for servers that hang or are silently disconnected."""
 
 from collections.abc import Generator
 from typing import Any, TypeVar
@@ -7,7 +7,7 @@ import psycopg
 from psycopg import errors
 
 ANSWER_S = 30.0
-"""Longest time for the answer to one statement. Without it a request, and its thread, would wait for ever."""
+"""Timeout of one statement [s]. Without it a request and its thread would wait forever."""
 
 CONNECT_S = 5
 
@@ -15,14 +15,14 @@ Result = TypeVar("Result")
 
 
 class ImpatientConnection(psycopg.Connection[tuple[Any, ...]]):
-    """Is closed, and raises OperationalError, where the server takes longer than `ANSWER_S` over a statement."""
+    """Connection that closes and raises OperationalError if a statement takes longer than `ANSWER_S`."""
 
     def wait(self, gen: Generator[Any, Any, Result], interval: float = 0.1, timeout: float | None = None) -> Result:
-        """Run one exchange with the server to its end."""
+        """Run one exchange with the server, with a timeout."""
         try:
             return super().wait(gen, interval, ANSWER_S if timeout is None else timeout)
         except errors._WaitTimeout as error:
-            self.pgconn.finish()  # an answer that comes later must not be taken for that of the next statement
+            self.pgconn.finish()  # a late answer must not be read as that of the next statement
             raise psycopg.OperationalError(f"PostgreSQL did not answer within {ANSWER_S:g} s") from error
 
 

@@ -1,4 +1,4 @@
-"""Retry while the database is away: workers wait for it, requests do not."""
+"""Retry while the database is unavailable: workers wait for it, requests do not."""
 
 import logging
 import time
@@ -17,9 +17,9 @@ PAUSE_S = 0.5
 
 
 def patient(ask: Callable[P, T]) -> Callable[P, T]:
-    """Retry while the database restarts or its disk is full, for at most `patience_s` of the store, the first argument.
+    """Retry while the database restarts or its disk is full, for at most `patience_s` of the first argument, a store.
 
-    Only for what may be done twice: an answer that was lost on the way back may have been a commit.
+    Only for idempotent functions: a statement whose answer was lost may have been committed.
     """
 
     @wraps(ask)

@@ -1,4 +1,4 @@
-"""Tables, made of the records of their rows: mapped classes would not be frozen. Times are seconds since 1970."""
+"""Tables, derived from the dataclasses of their rows: mapped classes would not be frozen. Times: seconds since 1970."""
 
 from collections.abc import Callable
 from dataclasses import is_dataclass
@@ -13,7 +13,7 @@ from jobs.errors import SchemaError
 from jobs.states import JobState
 
 REVISION = 2
-"""Of these tables. A release that changes them raises it and adds only what old code can ignore."""
+"""Revision of these tables. A release that changes them raises it and adds only what old code can ignore."""
 
 metadata = sa.MetaData()
 _id = sa.String(64)
@@ -24,7 +24,7 @@ Record = TypeVar("Record")
 
 
 def _columns_of(record: type, *, index: tuple[str, ...] = ()) -> list[sa.Column[Any]]:
-    """A column for each field of a record, null where that may be None; `id` is the primary key."""
+    """Return a column per field of a record, nullable if the field is optional; `id` is the primary key."""
     columns: list[sa.Column[Any]] = []
     readers = _READERS[record] = {}
     for name, hint in get_type_hints(record).items():
@@ -33,20 +33,20 @@ def _columns_of(record: type, *, index: tuple[str, ...] = ()) -> list[sa.Column[
         has_null = NoneType in others
         columns.append(sa.Column(name, column_type, primary_key=name == "id", nullable=has_null, index=name in index))
         is_tuple = get_origin(kind) is tuple
-        is_other = kind is JobState or is_dataclass(get_args(kind)[0] if is_tuple else kind)  # than the column gives
+        is_other = kind is JobState or is_dataclass(get_args(kind)[0] if is_tuple else kind)  # differs from the column
         readers[name] = TypeAdapter(hint).validate_python if is_other else tuple if is_tuple else None
-    return [column for column in columns if column.name != "stages"]  # a job's, in a table of their own
+    return [column for column in columns if column.name != "stages"]  # stages have their own table
 
 
 def record_of(record: type[Record], row: sa.Row[Any], **more: object) -> Record:
-    """The record of a row, with `more` that is in other tables; columns that no field has are left out."""
+    """Build the record of a row, with fields `more` from other tables; columns without a field are ignored."""
     readers = _READERS[record]
     columns = [(name, readers[name], value) for name, value in row._asdict().items() if name in readers]
     return record(**{name: value if read is None else read(value) for name, read, value in columns}, **more)
 
 
 schema_revision = sa.Table("schema_revision", sa.MetaData(), sa.Column("number", sa.Integer, primary_key=True))
-"""Of the database; not among the tables that are saved and restored."""
+"""Revision of the database; this table is not backed up."""
 
 api_keys = sa.Table(
     "api_keys", metadata, *_columns_of(records.KeyRecord, index=("owner",)), sa.UniqueConstraint("digest")
@@ -57,7 +57,7 @@ assets = sa.Table(
     metadata,
     *_columns_of(records.AssetRecord, index=("owner", "expires_at")),
     sa.Column("bytes", sa.BigInteger, nullable=False),
-    sa.Column("live_fingerprint", _hash, unique=True),  # null once deleted, so that the same bytes may come again
+    sa.Column("live_fingerprint", _hash, unique=True),  # null once deleted, so that the same bytes can come again
 )
 
 jobs = sa.Table(
@@ -66,8 +66,8 @@ jobs = sa.Table(
     *_columns_of(records.JobRecord, index=("asset_id", "created_at", "finished_at")),
     sa.Column("lease_owner", sa.String(128)),
     sa.Column("lease_until", sa.Double),
-    sa.Column("lost_stages", sa.JSON, nullable=False),  # the stage that each lost attempt died in
-    sa.Column("client_key", sa.String(160), unique=True),  # what the client named this request
+    sa.Column("lost_stages", sa.JSON, nullable=False),  # per lost attempt, the stage in which it died
+    sa.Column("client_key", sa.String(160), unique=True),  # idempotency key of the request
     sa.Column("body_sha256", _hash),
     sa.ForeignKeyConstraint(["asset_id"], ["assets.id"]),
     sa.Index("ix_jobs_state_lease", "state", "lease_until"),
@@ -112,7 +112,7 @@ stage_cache = sa.Table(
     sa.Column("files", sa.JSON, nullable=False),
     sa.Column("used_at", sa.Double, nullable=False, index=True),
     sa.Column("owner", _id, nullable=False, server_default=""),
-    sa.Column("bytes", sa.BigInteger, nullable=False, server_default="0"),  # of files that no job offers
+    sa.Column("bytes", sa.BigInteger, nullable=False, server_default="0"),  # size of files that no job offers
 )
 
 outbox = sa.Table(
@@ -161,17 +161,17 @@ usage = sa.Table(
     "usage",
     metadata,
     sa.Column("owner", _id, primary_key=True),
-    sa.Column("month", sa.String(7), primary_key=True),  # 2026-11, UTC
+    sa.Column("month", sa.String(7), primary_key=True),  # such as 2026-11, in UTC
     sa.Column("attempts", sa.Integer, nullable=False),
     sa.Column("processor_s", sa.Double, nullable=False),
     sa.Column("gpu_s", sa.Double, nullable=False),
 )
 
-_LOCK = 7_305_112  # any fixed number: PostgreSQL's advisory lock while one process makes the tables
+_LOCK = 7_305_112  # arbitrary key of the advisory lock in PostgreSQL while one process creates the tables
 
 
 def make_tables(engine: sa.Engine) -> None:
-    """Make the tables where there are none. Safe to call from many processes at once.
+    """Create the tables if there are none. Safe to call from many processes at once.
 
     Tables of a later revision are accepted: a rolling update has old and new processes at once, and revisions only add
     (tables, and columns that are nullable or have a server default).

@@ -1,1 +1,1 @@
-"""The life of a job: its rows, a worker's changes, the housekeeper's, its log."""
+"""Life cycle of a job: its rows, the changes by workers and by the housekeeper, statistics."""

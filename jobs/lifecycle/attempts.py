@@ -1,6 +1,6 @@
 """A worker's changes to the job that it runs.
 
-Every write names the attempt: where another one began, or the job ended, FencedError is raised and nothing is written.
+Every write names the attempt: if another one began, or the job ended, FencedError is raised and nothing is written.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
     """Claim an attempt by compare-and-set, if it is still due and unclaimed."""
     now = store.clock()
     with store.writing() as connection:
-        free = t.jobs.c.lease_owner.is_(None) | (t.jobs.c.lease_owner == owner)  # ours: the first answer was lost
+        free = t.jobs.c.lease_owner.is_(None) | (t.jobs.c.lease_owner == owner)  # owner: its first answer was lost
         waiting = (
             (t.jobs.c.id == job_id)
             & (t.jobs.c.attempt == attempt)
@@ -57,7 +57,7 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
 
 @patient
 def canceling(store: Store, claimed: Claim) -> bool:
-    """Whether cancellation of this job was requested."""
+    """Return whether cancellation of this job was requested."""
     with store.reading() as connection:
         state = connection.execute(sa.select(t.jobs.c.state).where(_ours(claimed))).scalar_one_or_none()
     if state is None:
@@ -67,7 +67,7 @@ def canceling(store: Store, claimed: Claim) -> bool:
 
 @patient
 def is_in_the_way(store: Store, claimed: Claim) -> bool:
-    """Whether this job is of low priority and another one has waited for a worker, so long that all are busy."""
+    """Return whether this job has low priority and another has waited so long that all workers must be busy."""
     if claimed.job.priority != "low":
         return False
     busy_s = 1.0
@@ -95,7 +95,7 @@ def report_progress(
 ) -> None:
     """Store the progress of a stage, a share in [0, 1].
 
-    A stage that continues an earlier attempt tells how long it has worked in all: it counts as begun that long ago.
+    A stage that continues an earlier attempt passes its total work time; its start is moved back accordingly.
     """
     values: dict[str, object] = {"progress": min(max(progress, 0.0), 1.0)}
     if worked_s is not None:
@@ -125,7 +125,7 @@ def publish_stage(
         row_of = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage)
         current = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
         if current.state == "succeeded":
-            return  # asked again, because the answer to the first commit was lost
+            return  # repeated, because the answer to the first commit was lost
         _replace_artifacts(connection, claimed, stage, files, whole_stage=True, now=now, retention_s=retention_s)
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
@@ -139,9 +139,9 @@ def publish_stage(
 
 @patient
 def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
-    """Publish files of a stage that goes on or has failed; later ones of the same name take their place.
+    """Publish files of a stage that is running or has failed; later files replace those of the same name.
 
-    The stage is not finished by it, and the files are not cached.
+    This neither finishes the stage nor caches the files.
     """
     with store.writing() as connection:
         _touch(connection, claimed)
@@ -151,7 +151,7 @@ def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile,
 
 @patient
 def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
-    """Cached files of the same stage with the same inputs."""
+    """Return the cached files of this key; None if there are none."""
     with store.reading() as connection:
         files = connection.execute(
             sa.select(t.stage_cache.c.files).where(t.stage_cache.c.key == key)
@@ -161,7 +161,7 @@ def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
 
 @patient
 def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
-    """Mark bytes as about to be referenced, so that retention leaves them for an hour."""
+    """Mark bytes as about to be referenced, so that retention spares them for an hour."""
     with store.writing() as connection:
         upsert(connection, t.blobs, {"sha256": sha256, "bytes": num_bytes, "touched_at": store.clock()})
 
@@ -180,13 +180,13 @@ def fail(store: Store, claimed: Claim, *, code: str, message: str) -> JobState:
 
 @patient
 def finish_cancel(store: Store, claimed: Claim) -> None:
-    """End the attempt because it was asked to stop."""
+    """End the attempt as canceled."""
     _end(store, claimed, JobState.CANCELED)
 
 
 @patient
 def hand_back(store: Store, claimed: Claim) -> None:
-    """Release the attempt for another worker, without counting a lost one."""
+    """Release the job for another worker, without counting the attempt as lost."""
     with store.writing() as connection:
         if _touch(connection, claimed) == JobState.CANCELING:
             end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
@@ -197,7 +197,7 @@ def hand_back(store: Store, claimed: Claim) -> None:
 
 @patient
 def add_usage(store: Store, claimed: Claim, *, processor_s: float, gpu_s: float) -> None:
-    """Add what an attempt took to its job and to its owner's month, however it ended."""
+    """Add an attempt's resource use to its job and to its owner's month, however it ended."""
     month = datetime.fromtimestamp(store.clock(), UTC).strftime("%Y-%m")
     with store.writing() as connection:
         spent = {"processor_s": t.jobs.c.processor_s + processor_s, "gpu_s": t.jobs.c.gpu_s + gpu_s}
@@ -208,7 +208,7 @@ def add_usage(store: Store, claimed: Claim, *, processor_s: float, gpu_s: float)
 
 @patient
 def report_alive(store: Store, job_id: str) -> None:
-    """Take back one counted loss: the worker of a reaped attempt is alive and was only paused, so nothing crashed."""
+    """Remove one counted loss: the worker of the reaped attempt was only paused and has not crashed."""
     with store.writing() as connection:
         this = (t.jobs.c.id == job_id) & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
         row = connection.execute(sa.select(t.jobs.c.lost_stages).where(this).with_for_update()).one_or_none()
@@ -224,9 +224,9 @@ def begin_next_attempt(
     now: float,
     lost_stages: Sequence[str | None] | None = None,
 ) -> None:
-    """Raise the fence and put the message for the next attempt into the outbox.
+    """Increment the attempt, which fences off the old one, and put the message for the next into the outbox.
 
-    `lost_stages` are those in which workers were lost, this one among them; without any, it was handed back.
+    `lost_stages` are the stages in which workers were lost, including this one; None means a hand-back.
     """
     changes: dict[str, object] = {} if lost_stages is None else {"lost_stages": lost_stages}
     changes |= {"attempt": attempt + 1, "lease_owner": None, "lease_until": None, "version": t.jobs.c.version + 1}
@@ -247,9 +247,9 @@ def _replace_artifacts(
     now: float,
     retention_s: float,
 ) -> None:
-    """Offer files in place of those of the same names, of a `whole_stage` in place of all that it offered.
+    """Replace files of the same names; with `whole_stage`, replace all files that the stage offered.
 
-    A file that is there already stays: clients know its id.
+    An unchanged file keeps its id, since clients may have it.
     """
     of_job = t.artifacts.c.job_id == claimed.job.id
     there = connection.execute(sa.select(t.artifacts).where(of_job)).all()
@@ -288,7 +288,7 @@ def _running_attempt(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[
 
 
 def _touch(connection: sa.Connection, claimed: Claim) -> JobState:
-    """Raise the job's version, and return its state."""
+    """Increment the job's version and return its state."""
     change = t.jobs.update().where(_ours(claimed)).values(version=t.jobs.c.version + 1)
     state = connection.execute(change.returning(t.jobs.c.state)).scalar_one_or_none()
     if state is None:

@@ -15,13 +15,13 @@ from jobs.states import CPU, GPU, JobState, queues_of
 from jobs.store import Store
 
 TOMBSTONE_S = 90 * 86400.0
-"""So long it is known that there was a job or an upload of some id: 410, not 404."""
+"""Time for which the id of a deleted job or upload is remembered [s]: status 410, not 404."""
 
 WORKER_LEASES = "worker:"
-"""What the name of every worker's own lease begins with."""
+"""Prefix of the name of every worker's lease."""
 
 REROUTE_S = 60.0
-"""So long a job waits for a worker of its queue before one of another queue may take it: workers start again."""
+"""Time that a job waits for a worker of its own queue before the other queue may take it [s]: workers restart."""
 
 HOUSEKEEPER_LEASE = "housekeeper"
 
@@ -29,7 +29,7 @@ RUN_JOB = "dynamictree.run_job"
 
 
 class RunJob(NamedTuple):
-    """The message that crosses the queue: one attempt of a job. Everything else is read from the store."""
+    """Message to a worker: one attempt of a job. Workers read everything else from the store."""
 
     job_id: str
     attempt: int
@@ -37,12 +37,12 @@ class RunJob(NamedTuple):
 
     @property
     def args(self) -> tuple[str, int]:
-        """The task's arguments."""
+        """Return the arguments of the Celery task."""
         return self[:2]
 
 
 def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:
-    """Take or renew a named lease, so that one process acts; return whether it is ours."""
+    """Acquire or renew a named lease, so that only one process acts; return whether `owner` has it."""
     now = store.clock()
     free = (t.leases.c.owner == owner) | (t.leases.c.until <= now)
     with store.writing() as connection:
@@ -50,30 +50,30 @@ def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:
 
 
 def release_lease(store: Store, name: str, *, owner: str) -> None:
-    """Give a named lease up at once."""
+    """Release a named lease at once."""
     with store.writing() as connection:
         connection.execute(t.leases.delete().where((t.leases.c.name == name) & (t.leases.c.owner == owner)))
 
 
 def living(store: Store, prefix: str) -> list[str]:
-    """Names of leases with this prefix that someone holds now."""
+    """Return the names of current leases with this prefix."""
     active = t.leases.c.name.startswith(prefix, autoescape=True) & (t.leases.c.until > store.clock())
     with store.reading() as connection:
         return list(connection.execute(sa.select(t.leases.c.name).where(active)).scalars())
 
 
 def worker_lease(queue: str, owner: str) -> str:
-    """Name of the lease by which a worker of a queue says that it is there."""
+    """Return the name of the lease by which a worker of a queue reports its presence."""
     return f"{WORKER_LEASES}{queue}:{owner}"
 
 
 def is_served(store: Store, queue: str) -> bool:
-    """Whether a worker of a queue is there."""
+    """Return whether a queue has a worker."""
     return bool(living(store, worker_lease(queue, "")))
 
 
 def reroute(store: Store) -> int:
-    """Move jobs that wait in a queue without workers to the other one, if it has some; return how many."""
+    """Move jobs from a queue without workers to the other one, if that has some; return their number."""
     served = {queue: is_served(store, queue) for queue in (CPU, GPU)}
     if sum(served.values()) != 1:
         return 0
@@ -94,7 +94,7 @@ def reroute(store: Store) -> int:
 
 
 def unsent(store: Store, *, window: int) -> list[RunJob]:
-    """Messages to send now: at most `window` unclaimed ones per queue, owners in turn.
+    """Return the messages to send now: at most `window` unclaimed ones per queue, owners in turn.
 
     The queue in Redis is first in, first out; fairness comes from keeping it short. The next message is that of the
     owner with the fewest jobs running or sent; among equals, the oldest.
@@ -124,7 +124,7 @@ def unsent(store: Store, *, window: int) -> list[RunJob]:
 
 
 def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[RunJob]:
-    """Messages sent before a time that no worker has claimed: lost, or still in the queue."""
+    """Return messages that were sent before a time and not claimed by a worker: lost, or still in the queue."""
     query = (
         sa.select(t.outbox.c.job_id, t.outbox.c.attempt, t.jobs.c.queue)
         .join(t.jobs, t.jobs.c.id == t.outbox.c.job_id)
@@ -164,7 +164,7 @@ def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attem
     stale = sa.select(t.jobs).where((t.jobs.c.id == job_id) & _is_stale(now)).with_for_update()
     row = connection.execute(stale).one_or_none()
     if row is None:
-        return None  # renewed or ended in the meantime
+        return None  # the lease was renewed or the job has ended in the meantime
     if row.state == JobState.CANCELING:
         end(connection, job_id, JobState.CANCELED, now=now)
         return JobState.CANCELED
@@ -188,7 +188,7 @@ def _loss(lost: list[str | None]) -> tuple[str, str]:
 
 
 def overdue(store: Store) -> list[str]:
-    """Jobs that have not ended and were to be canceled by now."""
+    """Return the ids of unfinished jobs whose `cancel_at` has passed."""
     late = t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING]) & (t.jobs.c.cancel_at < store.clock())
     with store.reading() as connection:
         return list(connection.execute(sa.select(t.jobs.c.id).where(late)).scalars())

@@ -1,4 +1,4 @@
-"""Jobs within a transaction: rows to records, state transitions, and the events that these are."""
+"""Jobs within a transaction: conversion of rows to records, state transitions, and their events."""
 
 import json
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ def move(connection: sa.Connection, job_id: str, target: JobState, **values: obj
 
 
 def bury(connection: sa.Connection, which: sa.ColumnElement[bool], *, now: float) -> None:
-    """Delete the chosen jobs, and all rows that hang on them; their ids are known as gone for a while."""
+    """Delete the chosen jobs and their dependent rows; store tombstones for their ids."""
     tombs = sa.select(t.jobs.c.id, t.jobs.c.owner, sa.literal("job"), sa.literal(now)).where(which)
     connection.execute(t.tombstones.insert().from_select(["id", "owner", "kind", "gone_at"], tombs))
     connection.execute(t.jobs.delete().where(which))
@@ -96,7 +96,7 @@ def announce(connection: sa.Connection, job_id: str, event: str, *, now: float) 
 
 
 def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
-    """One job with its stages, as this transaction sees it."""
+    """Read one job with its stages within this transaction."""
     row = connection.execute(_JOB, {"id": job_id}).one_or_none()
     if row is None:
         raise NotFoundError(f"there is no job {job_id}")
@@ -104,10 +104,10 @@ def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
 
 
 def same_job(connection: sa.Connection, client_key: ClientKey) -> str:
-    """The id of the job that a client's key means.
+    """Return the id of the job that was created with this client key.
 
     Raises:
-        ReusedKeyError: its request had another body.
+        ReusedKeyError: that job's request had another body.
     """
     query = sa.select(t.jobs.c.id, t.jobs.c.body_sha256).where(t.jobs.c.client_key == client_key.key)
     row = connection.execute(query).one()
@@ -117,5 +117,5 @@ def same_job(connection: sa.Connection, client_key: ClientKey) -> str:
 
 
 def job_of(row: sa.Row[Any], stages: Sequence[sa.Row[Any]]) -> JobRecord:
-    """A row of the table of jobs, with those of its stages."""
+    """Build a job's record from its row and those of its stages."""
     return t.record_of(JobRecord, row, stages=tuple(t.record_of(StageRecord, stage) for stage in stages))

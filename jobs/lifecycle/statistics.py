@@ -1,4 +1,4 @@
-"""State of the whole service over all owners, and what recent stages and jobs took."""
+"""State of the whole service over all owners, and durations of recent stages and jobs."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ class QueueLength:
     """Jobs of one queue that have not ended."""
 
     name: str
-    jobs: int  # that wait
-    oldest_s: float  # how long the oldest waits
+    jobs: int  # number of waiting jobs
+    oldest_s: float  # time that the oldest has waited
     running: int
 
 
@@ -24,7 +24,7 @@ class QueueLength:
 class Census:
     """Counts of the whole service."""
 
-    jobs: dict[str, int]  # by state, of those with a record
+    jobs: dict[str, int]  # number of jobs with a record, by state
     queues: tuple[QueueLength, ...]
     workers: int
     has_housekeeper: bool
@@ -33,7 +33,7 @@ class Census:
 
 
 def census(connection: sa.Connection, now: float) -> Census:
-    """Count everything."""
+    """Count the jobs of the whole service."""
     by_state = sa.select(t.jobs.c.state, sa.func.count().label("number")).group_by(t.jobs.c.state)
     waits = t.jobs.c.state == JobState.QUEUED
     lengths = (
@@ -68,13 +68,13 @@ def census(connection: sa.Connection, now: float) -> Census:
 
 
 def stage_seconds(store: Store, stage: JobType) -> list[float]:
-    """Recent durations of a stage, cached runs excluded [s]."""
+    """Return recent durations of a stage, without cached runs [s]."""
     ran = (t.stages.c.name == stage) & (t.stages.c.state == "succeeded") & t.stages.c.cached.is_(False)
     return _recent_seconds(store, t.stages, ran)
 
 
 def run_seconds(store: Store) -> list[float]:
-    """Recent run times of jobs, from start to end [s]."""
+    """Return recent run times of jobs, from start to end [s]."""
     return _recent_seconds(store, t.jobs, (t.jobs.c.state == JobState.SUCCEEDED) & t.jobs.c.started_at.is_not(None))
 
 

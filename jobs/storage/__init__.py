@@ -1,1 +1,1 @@
-"""Bytes and what refers to them: artifacts, assets, uploads, backups."""
+"""Stored bytes and the records that refer to them: artifacts, assets, uploads, backups."""

@@ -18,11 +18,11 @@ from jobs.storage.object_storage import REQUEST_PATIENCE_S, open_objects, presig
 
 CHUNK_BYTES = 1024 * 1024
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""What the system says where a file may not grow."""
+"""Error numbers of the system if a file cannot grow."""
 
 
 def is_full(error: OSError) -> bool:
-    """Whether the system refused to let a file grow."""
+    """Return whether the error means that a file cannot grow."""
     return error.errno in FULL
 
 
@@ -39,11 +39,11 @@ def _reporting_full_disk() -> Iterator[None]:
 
 
 class FolderArtifacts:
-    """Storage of files by their sha256 in a folder: they are written beside, synced and renamed.
+    """Storage of files by sha256 in a folder; a file is written under a temporary name, synced and renamed.
 
     Raises:
-        FileNotFoundError: there are no bytes of this hash.
-        StorageFullError: there is no room.
+        FileNotFoundError: no bytes with this hash are stored.
+        StorageFullError: the disk is full.
     """
 
     def __init__(self, root: Path) -> None:
@@ -52,7 +52,7 @@ class FolderArtifacts:
 
     @_reporting_full_disk()
     def put(self, path: Path, digest: str) -> None:
-        """Store a file's bytes; does nothing if they are stored already."""
+        """Store a file's bytes, unless they are stored already."""
         target = self._path(digest)
         if target.exists():
             return
@@ -67,7 +67,7 @@ class FolderArtifacts:
         _sync(target.parent)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """Bytes from `start` up to `stop`, in chunks."""
+        """Iterate over the bytes from `start` to `stop` in chunks."""
         with self._path(digest).open("rb") as stream:
             stream.seek(start)
             left = (os.fstat(stream.fileno()).st_size if stop is None else stop) - start
@@ -76,14 +76,14 @@ class FolderArtifacts:
                 yield chunk
 
     def fetch(self, digest: str, path: Path) -> None:
-        """Make the bytes readable at a path: a link, no copy."""
+        """Make the bytes readable at a path, by a symbolic link."""
         if not self.exists(digest):
             raise FileNotFoundError(f"no bytes with sha256 {digest}")
         path.unlink(missing_ok=True)
         path.symlink_to(self._path(digest))
 
     def exists(self, digest: str) -> bool:
-        """Whether the bytes are stored."""
+        """Return whether the bytes are stored."""
         return self._path(digest).exists()
 
     def delete(self, digest: str) -> None:
@@ -91,11 +91,11 @@ class FolderArtifacts:
         self._path(digest).unlink(missing_ok=True)
 
     def link(self, digest: str) -> str | None:
-        """None: a folder has no address."""
+        """Return None, since a folder has no URL."""
         return None
 
     def free_bytes(self) -> int | None:
-        """Room left on the folder's disk [bytes]."""
+        """Return the free space of the folder's disk [bytes]."""
         return shutil.disk_usage(self.root).free
 
     def _path(self, digest: str) -> Path:
@@ -103,7 +103,7 @@ class FolderArtifacts:
 
 
 def _link_or_copy(path: Path, beside: Path) -> None:
-    """Whoever puts a file writes it no more, so on the same disk a second name for it will do."""
+    """Hard-link a file if both paths are on one disk, else copy it; the file is not written to after a put."""
     try:
         beside.hardlink_to(path.resolve())
     except OSError as error:
@@ -122,10 +122,10 @@ def _sync(path: Path) -> None:
 
 
 class ObjectArtifacts:
-    """The same in object storage behind obstore: S3, GCS, Azure, memory. A put is atomic there, small or multipart.
+    """Storage of files by sha256 in object storage (S3, GCS, Azure, memory). A put is atomic, also a multipart one.
 
     Raises:
-        StorageAwayError: it does not answer, or not as it is asked.
+        StorageAwayError: the storage does not respond or refuses the request.
     """
 
     def __init__(self, objects: ObjectStore) -> None:
@@ -137,7 +137,7 @@ class ObjectArtifacts:
         obstore.put(self.objects, _key(digest), path)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """Bytes from `start` up to `stop`, in chunks."""
+        """Iterate over the bytes from `start` to `stop` in chunks."""
         with reporting_refusals():
             end = obstore.head(self.objects, _key(digest))["size"] if stop is None else stop
             if end <= start:
@@ -147,13 +147,13 @@ class ObjectArtifacts:
                 yield bytes(chunk)
 
     def fetch(self, digest: str, path: Path) -> None:
-        """Make the bytes readable at a path: a download."""
+        """Make the bytes readable at a path, by a download."""
         with _reporting_full_disk(), path.open("wb") as target:
             target.writelines(self.read(digest))
 
     @reporting_refusals()
     def exists(self, digest: str) -> bool:
-        """Whether the bytes are stored."""
+        """Return whether the bytes are stored."""
         try:
             obstore.head(self.objects, _key(digest))
         except FileNotFoundError:
@@ -166,11 +166,11 @@ class ObjectArtifacts:
         obstore.delete(self.objects, _key(digest))
 
     def link(self, digest: str) -> str | None:
-        """Address of the bytes in the storage."""
+        """Return a presigned URL of the bytes in the storage."""
         return presigned(self.objects, "GET", _key(digest))
 
     def free_bytes(self) -> int | None:
-        """No bound is known; asks for an object, so that a storage that is away is noticed."""
+        """Return None, since no limit is known; query an object to detect an unavailable storage."""
         self.exists("0" * 64)
         return None
 
@@ -181,7 +181,7 @@ ArtifactStore = FolderArtifacts | ObjectArtifacts
 def open_artifacts(
     url: str, *, patience_s: float = REQUEST_PATIENCE_S, credentials: Mapping[str, str] | None = None
 ) -> ArtifactStore:
-    """The store that a URL names: `file:///folder`, or object storage, which `open_objects` opens."""
+    """Open the store of a URL: `file:///folder`, or object storage as in `open_objects`."""
     parts = urlsplit(url)
     if parts.scheme == "file":
         return FolderArtifacts(Path(unquote(parts.path)))
@@ -189,7 +189,7 @@ def open_artifacts(
 
 
 def hash_file(path: Path) -> tuple[str, int]:
-    """A file's sha256 and size [bytes]."""
+    """Return a file's sha256 and size [bytes]."""
     with path.open("rb") as stream:
         return file_digest(stream, "sha256").hexdigest(), stream.tell()
 
@@ -197,7 +197,7 @@ def hash_file(path: Path) -> tuple[str, int]:
 def hash_stored(
     artifacts: ArtifactStore, digest: str, on_chunk: Callable[[bytes], object] = lambda chunk: None
 ) -> str | None:
-    """The sha256 of bytes as they are stored now, which `on_chunk` gets in pieces; None where there are none."""
+    """Compute the sha256 of stored bytes and pass them to `on_chunk`; None if they do not exist."""
     checksum = sha256()
     try:
         for chunk in artifacts.read(digest):

@@ -58,7 +58,7 @@ def read_asset(store: Store, asset_id: str) -> AssetRecord:
 
 
 def asset_summaries(store: Store, asset_ids: Collection[str]) -> dict[str, dict[str, Any]]:
-    """What was found in assets, deleted or not, by id; none of those whose record is removed."""
+    """Return the summaries of assets by id, including deleted ones whose record still exists."""
     these = t.assets.c.id.in_(asset_ids) & store.mine(t.assets)
     with store.reading() as connection:
         rows = connection.execute(sa.select(t.assets.c.id, t.assets.c.summary).where(these)) if asset_ids else ()

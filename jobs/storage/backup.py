@@ -1,6 +1,6 @@
-"""Back up the job store and its bytes into a folder, restore them into an empty state; compare bytes with hashes.
+"""Back up the job store and its bytes into a folder, restore them into an empty state, verify hashes.
 
-The folder holds `database.jsonl.gz` (a header, then one line per row, of one moment) and `blobs/ab/abcd…` by sha256. A
+The folder has `database.jsonl.gz` (a header, then one line per row, in one snapshot) and `blobs/ab/abcd…` by sha256. A
 later backup into the same folder copies only new bytes. Rows are read in one transaction; the housekeeper deletes no
 bytes while a backup holds its lease. SQLite and PostgreSQL restore into one another.
 """
@@ -27,25 +27,25 @@ LEASE_S = 600.0
 FORMAT = 2
 DATABASE, BLOBS = "database.jsonl.gz", "blobs"
 NOT_SAVED = frozenset({"leases"})
-"""Who holds what now, which says nothing to another day's processes."""
+"""Tables that are not backed up: leases mean nothing to later processes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BackupReport:
-    """Numbers of saved or restored rows and files."""
+    """Number of saved or restored rows and files."""
 
     rows: int
     blobs: int
     bytes: int
-    copied: int  # of the blobs, those that were not there before
-    damaged: tuple[str, ...] = ()  # sha256 of bytes that are missing or have another hash
+    copied: int  # number of new blobs
+    damaged: tuple[str, ...] = ()  # sha256 of blobs that are missing or damaged
 
 
 def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupReport:
     """Save every row, and all bytes that a row refers to.
 
     Raises:
-        ConflictError: another backup runs.
+        ConflictError: another backup is running.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     owner = new_id()
@@ -65,7 +65,7 @@ def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
                     continue
                 copied += 1
             total += target.stat().st_size
-        (folder / f"{DATABASE}.part").replace(folder / DATABASE)  # the rows last: they refer to the bytes
+        (folder / f"{DATABASE}.part").replace(folder / DATABASE)  # rows last, since they refer to the bytes
     finally:
         release_lease(store, BACKUP_LEASE, owner=owner)
     saved = len(digests) - len(damaged)
@@ -73,11 +73,11 @@ def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
 
 
 def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupReport:
-    """Fill an empty store with a backup. Jobs that ran are begun anew; uploads that were not whole are left out.
+    """Fill an empty store with a backup. Running jobs start again; incomplete uploads are left out.
 
     Raises:
         ConflictError: the store is not empty.
-        BackupError: the backup cannot be read, or some of its bytes have another hash: nothing was written.
+        BackupError: the backup cannot be read, or some of its bytes are damaged; nothing was written.
     """
     saved = list(_read_rows(folder / DATABASE))
     with store.reading() as connection:
@@ -95,10 +95,10 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
         connection.execute(t.tallies.delete())
         for table in t.metadata.sorted_tables:
             mine = [row for name, row in saved if name == table.name and _is_restored(name, row)]
-            rows = [{name: row[name] for name in row.keys() & table.c.keys()} for row in mine]  # less columns that went
+            rows = [{name: row[name] for name in row.keys() & table.c.keys()} for row in mine]  # drop removed columns
             if rows:
                 connection.execute(table.insert(), rows)
-        connection.execute(t.outbox.update().values(sent_at=None))  # the queue of that day is gone
+        connection.execute(t.outbox.update().values(sent_at=None))  # the queue was not backed up
     return BackupReport(rows=len(saved), blobs=len(blobs), bytes=size, copied=len(blobs))
 
 
@@ -157,7 +157,7 @@ def _blob(folder: Path, digest: str) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class ScrubReport:
-    """What was read."""
+    """Result of a scrub."""
 
     blobs: int
     bytes: int
@@ -166,7 +166,7 @@ class ScrubReport:
 
 
 def scrub(store: Store, artifacts: ArtifactStore) -> ScrubReport:
-    """Read every blob that a row refers to."""
+    """Read every blob that a row refers to and compare it with its hash."""
     with store.reading() as connection:
         digests = referenced(connection, store.clock())
     sizes: list[int] = []
@@ -177,6 +177,6 @@ def scrub(store: Store, artifacts: ArtifactStore) -> ScrubReport:
             absent.add(digest)
         elif stored != digest:
             different.append(digest)
-    with store.reading() as connection:  # what it does not name any more, retention has deleted meanwhile
+    with store.reading() as connection:  # retention has meanwhile deleted blobs that no row refers to any more
         missing = tuple(digest for digest in referenced(connection, store.clock()) if digest in absent)
     return ScrubReport(blobs=len(digests), bytes=sum(sizes), missing=missing, different=tuple(different))

@@ -1,4 +1,4 @@
-"""Room for the state folder: that of its disk, or of a volume that is allowed less than its disk has."""
+"""Free space for the state folder: that of its disk, or of a volume with a smaller limit."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from jobs.settings import Settings
 
 
 def free_bytes(settings: Settings) -> int:
-    """What may still be written below `state_dir` [bytes]."""
+    """Return the free space for `state_dir` [bytes]."""
     settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     free = shutil.disk_usage(settings.scratch_dir).free
     if settings.state_size_bytes is not None:
@@ -23,7 +23,7 @@ def free_bytes(settings: Settings) -> int:
 
 @cached(TLRUCache(maxsize=4, ttu=lambda _, walk, now: now + max(1.0, 100 * walk[1])), lock=Lock())
 def used(folder: Path) -> tuple[int, float]:
-    """What the files of a folder take [bytes], one with two names once; and how long that took [s], 1 % of a core."""
+    """Return a folder's disk usage [bytes], hard links counted once, and the time of the measurement [s]."""
     began, sizes = monotonic(), dict[int, int]()
     for parent, _, names in os.walk(folder):
         for name in names:

@@ -12,12 +12,12 @@ from jobs.store import Store
 
 
 def erase_owner(store: Store, artifacts: ArtifactStore, parts: PartStore, owner: str) -> dict[str, int]:
-    """Delete all rows of an owner, then the bytes that no other owner's rows refer to; return how many of each kind.
+    """Delete all rows of an owner, then the bytes to which no other rows refer; return the number per kind.
 
-    Keys are revoked first. Queued jobs are canceled; ones that run must end before.
+    Keys are revoked first. Queued jobs are canceled; running ones must end before.
 
     Raises:
-        ConflictError: a job of theirs runs; it was asked to stop.
+        ConflictError: a job of the owner is running; its cancellation was requested.
     """
     theirs = store.for_owner(owner)
     now = store.clock()
@@ -50,7 +50,7 @@ def _stop_jobs(theirs: Store, owner: str) -> None:
 
 
 def _digests(connection: sa.Connection, owner: str) -> set[str]:
-    """The sha256 of all bytes that an owner's rows refer to."""
+    """Return the sha256 of all bytes that an owner's rows refer to."""
     digests: set[str] = set()
     for row in connection.execute(sa.select(t.assets.c.parts, t.assets.c.prepared).where(t.assets.c.owner == owner)):
         digests |= {part["sha256"] for part in row.parts}
@@ -61,7 +61,7 @@ def _digests(connection: sa.Connection, owner: str) -> set[str]:
 
 
 def _delete_rows(connection: sa.Connection, owner: str) -> dict[str, int]:
-    """Rows that hang on a job or an endpoint go with it; tombstones too, so that ids of theirs mean nothing."""
+    """Delete an owner's rows, with those that depend on jobs and endpoints, and the tombstones; return counts."""
     counted = {}
     tables = {"webhooks": t.webhook_endpoints, "jobs": t.jobs, "assets": t.assets, "uploads": t.uploads}
     for name, table in (tables | {"keys": t.api_keys}).items():
@@ -72,9 +72,9 @@ def _delete_rows(connection: sa.Connection, owner: str) -> dict[str, int]:
 
 
 def _forget_cached(connection: sa.Connection, digests: set[str]) -> set[str]:
-    """Delete cached stages that gave or used any of these files; give all files that they name.
+    """Delete cached stages that made or used any of these files; return all files that they name.
 
-    An entry of another owner is only computed again.
+    If an entry of another owner is deleted, its result is just computed again.
     """
     forgotten: set[str] = set()
     for row in connection.execute(sa.select(t.stage_cache.c.key, t.stage_cache.c.files)).all():

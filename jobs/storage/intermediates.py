@@ -1,6 +1,6 @@
-"""Results that a stage computes on its way and that other jobs and the API use again: stored as stages are, by key.
+"""Intermediate results of a stage that other jobs and the API reuse; like stages, they are stored by key.
 
-An entry names the files that it was computed from as `source`: it is forgotten with them, and does not retain them.
+An entry names its input files as `source`: it is deleted with them, and does not retain them.
 """
 
 import json
@@ -19,20 +19,20 @@ from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM, STAGE_VERSION
 from jobs.store import Store
 
 RESULT_SOURCES = {"rig": (SPECTRUM, MESH_BUNDLE)}
-"""The files that each result is computed from."""
+"""Input files of each result."""
 
 
 def result_key(name: str, job: JobRecord, sources: Iterable[str], *params: object) -> str:
-    """sha256 over all that decides a result or a stage: the hashes of its sources, parameters, owner and code.
+    """Return the sha256 of all inputs of a result or stage: hashes of its sources, parameters, owner and code.
 
-    The owner, since a hit would tell one owner what another has sent.
+    The owner is included, since a cache hit would reveal to one owner what another has uploaded.
     """
     meaning = [name, STAGE_VERSION, version("dynamictree"), list(sources), *params, job.owner]
     return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()
 
 
 def find_stored(store: Store, artifacts: ArtifactStore, key: str) -> tuple[OutputFile, ...] | None:
-    """Files that any job made from the same inputs, of a stage or the one of a result, if all their bytes are there."""
+    """Find the files of a stage or result that any job made from the same inputs; None if bytes are missing."""
     files = cached_stage(store, key)
     for file in files or ():
         touch_blob(store, file.sha256, file.bytes)
@@ -43,7 +43,7 @@ def find_stored(store: Store, artifacts: ArtifactStore, key: str) -> tuple[Outpu
 def remember_intermediate(
     store: Store, key: str, name: str, file: OutputFile, sources: Iterable[OutputFile], *, owner: str = ""
 ) -> None:
-    """Remember a result of an owner's job, and that it is used now."""
+    """Cache a result of an owner's job, or note that it was used now."""
     files = [asdict(file), *({"name": each.name, "sha256": each.sha256, "source": True} for each in sources)]
     with store.writing() as connection:
         entry = {"key": key, "stage": name, "files": files, "owner": owner, "bytes": file.bytes}

@@ -19,10 +19,10 @@ LINK_S = 3600.0
 def open_objects(
     url: str, *, patience_s: float = REQUEST_PATIENCE_S, credentials: Mapping[str, str] | None = None
 ) -> ObjectStore:
-    """The storage that a URL names, by any scheme of obstore (`s3://bucket/prefix`).
+    """Open the storage of a URL, with any scheme of obstore (`s3://bucket/prefix`).
 
-    One that is away, or answers 503, is asked again for `patience_s`. `credentials` are of S3, by obstore's names;
-    without them it looks into AWS's own variables.
+    If it is unavailable or returns 503, requests are retried for `patience_s`. `credentials` are those of S3, by
+    obstore's names; without them it reads AWS's variables.
     """
     scheme = urlsplit(url).scheme
     if scheme == "memory":
@@ -40,10 +40,10 @@ def open_objects(
 
 @contextmanager
 def reporting_refusals() -> Iterator[None]:
-    """Report what a storage refuses as StorageAwayError.
+    """Context manager that turns a refusal of the storage into StorageAwayError.
 
     Raises:
-        StorageAwayError: it does not answer, or not as it is asked.
+        StorageAwayError: the storage does not respond or refuses the request.
     """
     try:
         yield
@@ -54,5 +54,5 @@ def reporting_refusals() -> Iterator[None]:
 
 @reporting_refusals()
 def presigned(objects: ObjectStore, method: Literal["GET", "PUT"], key: str) -> str:
-    """Address by which whoever has it may get or put one object, for `LINK_S`; not every storage has such."""
+    """Return a URL that allows a GET or PUT of one object for `LINK_S`; not every storage supports it."""
     return obstore.sign(objects, method, key, timedelta(seconds=LINK_S))  # type: ignore[arg-type]

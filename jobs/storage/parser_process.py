@@ -1,4 +1,4 @@
-"""Call the process that reads uploaded files (`worker.parse`): its request and its answer."""
+"""Call the process that reads uploaded files (`worker.parse`): its request and its response."""
 
 import asyncio
 import atexit
@@ -20,17 +20,17 @@ from jobs.states import AssetKind
 logger = logging.getLogger(__name__)
 
 SERVER = ("-P", "-m", "worker.parse_server")
-"""-P: neither the current folder nor that of a script is searched for modules."""
+"""Command line of the server. -P: no modules are imported from the current folder."""
 
 FOLDER = "/"
-"""The child's current folder; nobody's files lie beside it."""
+"""Current folder of the child, which holds no files of users."""
 
 END_S = 5.0
-"""For the server to end what it reads."""
+"""Time for the server to end its children [s]."""
 
 MAX_ANSWER_BYTES = 64 * 1024
 INHERITED = ("PATH", "LANG", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "TMPDIR")
-"""Of the environment. The child gets no credentials, no home, and no PYTHONPATH (it may name a user folder)."""
+"""Environment variables of the child: no credentials, no home, and no PYTHONPATH (it may name a user folder)."""
 
 
 class ParseRequest(BaseModel):
@@ -38,18 +38,18 @@ class ParseRequest(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: AssetKind  # its bytes decide whether a model is a mesh or a cloud
+    kind: AssetKind  # the content decides whether a model is a mesh or a cloud
     num_models: int = 1
     names: tuple[str, ...]
     paths: tuple[Path, ...]
-    prepared: Path  # where the mesh or cloud goes, in metres and +Z up
+    prepared: Path  # output file for the mesh or cloud, in metres and +Z up
     reading: Mapping[str, str | float | None] = {}  # fields of `Reading`
     memory_bytes: int
     cpu_s: int
 
 
 class ParseAnswer(BaseModel):
-    """Answer of the child: a summary, or why the files cannot be used; a fault of ours with its traceback."""
+    """Response of the child: a summary, or why the files cannot be used; our own errors with their traceback."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -57,7 +57,7 @@ class ParseAnswer(BaseModel):
     summary: Mapping[str, str | float | int | list[float] | list[dict[str, str | int | float]] | None] | None = None
     code: str | None = None
     message: str = ""
-    lacks: tuple[str, ...] = ()  # of what confines the child
+    lacks: tuple[str, ...] = ()  # confinements that this machine does not support
 
 
 @cache
@@ -66,7 +66,7 @@ def _warn_of(lacks: tuple[str, ...]) -> None:
 
 
 def child_environment() -> dict[str, str]:
-    """Environment variables of the child process."""
+    """Return the environment variables of the child process."""
     inherited = {name: value for name, value in os.environ.items() if name in INHERITED or name.startswith("LC_")}
     return inherited | {"HOME": FOLDER, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -76,7 +76,7 @@ class NoServerError(Exception):
 
 
 class _Server:
-    """The process that forks for each upload (`worker.parse_server`): starts when first needed, ends with this one."""
+    """The process that forks per upload (`worker.parse_server`). It starts on demand and ends with this process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -84,20 +84,20 @@ class _Server:
         self._control: socket.socket | None = None
 
     def start(self) -> None:
-        """Start it, unless it runs."""
+        """Start the server, unless it is running."""
         with self._lock:
             self._control = self._control or self._started()
 
     def read(self, connection: socket.socket) -> None:
-        """Have an upload read: its request and answer go over the connection."""
+        """Let the server read an upload; request and response use the connection."""
         with self._lock:
             try:
                 socket.send_fds(self._control or self._started(), [b"u"], [connection.fileno()])
-            except OSError:  # it has ended
+            except OSError:  # the server has ended
                 socket.send_fds(self._started(), [b"u"], [connection.fileno()])
 
     def end(self) -> None:
-        """End it, and with it all that it has read."""
+        """End the server and its forks."""
         if self._process is not None and self._control is not None:
             self._control.close()
             try:
@@ -107,7 +107,7 @@ class _Server:
                 self._process.wait()
 
     def _started(self) -> socket.socket:
-        """Its control socket, once it runs anew."""
+        """Start the server again and return its control socket."""
         self.end()
         self._control, theirs = socket.socketpair()
         with theirs:
@@ -128,10 +128,10 @@ atexit.register(_server.end)
 
 
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
-    """Have the files read. Whatever happens to the process that does it, there is an answer, and it ends."""
+    """Parse files in the child process. It always ends, and there is always a response."""
     try:
         content = await _content(request)
-        if content == b"":  # not even an exit code: the server has ended
+        if content == b"":  # no exit code: the server has ended
             request.prepared.unlink(missing_ok=True)
             content = await _content(request)
     except NoServerError as error:
@@ -143,7 +143,7 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
     except ValidationError:
         return _no_answer(int(status) if status.removeprefix(b"-").isdigit() else None, settings)
     if answer.lacks:
-        _warn_of(answer.lacks)  # once
+        _warn_of(answer.lacks)  # logged once
     if answer.code == "internal-error":
         logger.error("the parser failed:\n%s", answer.message)
         return ParseAnswer(code=answer.code, message="The cause was logged.")
@@ -151,10 +151,10 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
 
 
 async def _content(request: ParseRequest) -> bytes | None:
-    """What was written for a request: the answer, and in a line of its own the exit code; None where time was up.
+    """Return the output for a request: the response, then a line with the exit code; None after a timeout.
 
     Raises:
-        NoServerError: there is no process to read it.
+        NoServerError: the server cannot be started.
     """
     ours, theirs = socket.socketpair()
     with theirs:

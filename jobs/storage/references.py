@@ -1,4 +1,4 @@
-"""Which stored bytes a row refers to, and deletion of those that none does. Computed by the database."""
+"""References from rows to stored bytes, computed by the database, and deletion of unreferenced bytes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,18 +9,18 @@ from jobs.database import tables as t
 from jobs.store import Store
 
 BLOB_GRACE_S = 3600.0
-"""Bytes are put before the row that refers to them; nothing takes an hour between the two."""
+"""Age of unreferenced bytes before deletion [s]: they are stored before their row, never an hour before."""
 
 
 def referenced(connection: sa.Connection, now: float) -> list[str]:
-    """Hashes of all bytes that a row refers to, in order."""
+    """Return the sorted hashes of all bytes that a row refers to."""
     used = _references(connection, now).subquery()
     query = sa.select(used.c.sha256).distinct().where(used.c.sha256.is_not(None)).order_by(used.c.sha256)
     return list(connection.execute(query).scalars())
 
 
 def unreferenced_blobs(store: Store, *, limit: int) -> list[str]:
-    """Hashes of bytes that nothing refers to any more."""
+    """Return the hashes of bytes that no row refers to any more."""
     now = store.clock()
     aged = sa.select(t.blobs.c.sha256).where(t.blobs.c.touched_at < now - BLOB_GRACE_S)
     with store.reading() as connection:
@@ -29,7 +29,7 @@ def unreferenced_blobs(store: Store, *, limit: int) -> list[str]:
 
 
 def _references(connection: sa.Connection, now: float) -> sa.CompoundSelect[Any]:
-    """The hash of each reference to bytes; null where an asset has no prepared file."""
+    """Select the hash of every reference to bytes; null if an asset has no prepared file."""
     each = sa.func.json_each if connection.dialect.name == "sqlite" else sa.func.json_array_elements
 
     def listed(column: sa.Column[Any]) -> sa.Select[Any]:
@@ -51,4 +51,4 @@ def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> Non
     with store.writing() as connection:
         aged = (t.blobs.c.sha256 == sha256) & (t.blobs.c.touched_at < store.clock() - BLOB_GRACE_S)
         if connection.execute(t.blobs.delete().where(aged)).rowcount:
-            delete(sha256)  # before the commit: who touches them now waits for it, and then puts them anew
+            delete(sha256)  # a concurrent `touch_blob` waits for the commit; then its caller stores them again

@@ -1,4 +1,4 @@
-"""Bytes of incomplete uploads, in a folder or in object storage. Bytes once written are never lost."""
+"""Bytes of incomplete uploads, in a folder or in object storage. Written bytes are never lost."""
 
 import fcntl
 import os
@@ -14,7 +14,7 @@ from jobs.storage.object_storage import open_objects, presigned, reporting_refus
 
 PREFIX = "uploads"
 SYNC_BYTES = 64 * 1024**2
-"""A file is synced whenever so much was written, so that the last sync is short and dirty pages are few."""
+"""Bytes between two syncs of a file, so that the last sync is short and dirty pages are few."""
 
 OBJECT_BYTES = 16 * 1024**2
 """Size of the objects that an upload is stored in."""
@@ -23,27 +23,27 @@ CHUNK_BYTES = 4 * 1024**2
 
 
 class FolderParts:
-    """Storage of incomplete uploads in a folder, one file each; its length is the truth."""
+    """Storage of incomplete uploads in a folder, one file per upload; its length is the number of bytes received."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
 
     def size(self, upload_id: str) -> int:
-        """How many bytes are there, from the first one without a gap."""
+        """Return the number of bytes received."""
         path = self.root / upload_id
         return path.stat().st_size if path.exists() else 0
 
     def writer(self, upload_id: str, offset: int) -> "FileWriter":
-        """Continue at a byte offset."""
+        """Open the upload for appending at a byte offset."""
         return FileWriter(self.root / upload_id, offset)
 
     def link(self, upload_id: str, offset: int) -> str | None:
-        """None: a folder has no address."""
+        """Return None, since a folder has no URL."""
         return None
 
     def fetch(self, upload_id: str, path: Path) -> None:
-        """Make the upload readable at a path: a link, no copy."""
+        """Make the upload readable at a path, by a hard link."""
         path.hardlink_to(self.root / upload_id)
 
     def delete(self, upload_id: str) -> None:
@@ -52,10 +52,10 @@ class FolderParts:
 
 
 class FileWriter:
-    """Appends to a file, and is the only one that does.
+    """Exclusive writer that appends to a file.
 
     Raises:
-        BlockingIOError: someone else does.
+        BlockingIOError: another writer has the file.
     """
 
     def __init__(self, path: Path, offset: int) -> None:
@@ -69,7 +69,7 @@ class FileWriter:
         os.lseek(self._descriptor, offset, os.SEEK_SET)
 
     def write(self, chunks: Sequence[bytes]) -> None:
-        """Append."""
+        """Append chunks."""
         for chunk in chunks:
             view = memoryview(chunk)
             while view:
@@ -80,7 +80,7 @@ class FileWriter:
             self._unsynced = 0
 
     def keep(self) -> None:
-        """Sync and close."""
+        """Sync and close the file."""
         try:
             os.fdatasync(self._descriptor)
         finally:
@@ -88,29 +88,29 @@ class FileWriter:
 
 
 class ObjectParts:
-    """The same in objects named by the offset of their first byte; a put is atomic, so there is no half one.
+    """Storage of incomplete uploads as objects, each named by the offset of its first byte. A put is atomic.
 
     Raises:
-        StorageAwayError: the storage does not answer, or not as it is asked.
+        StorageAwayError: the storage does not respond or refuses the request.
     """
 
     def __init__(self, objects: ObjectStore) -> None:
         self.objects = objects
 
     def size(self, upload_id: str) -> int:
-        """How many bytes are there without a gap."""
+        """Return the number of bytes received without a gap."""
         return sum(size for _, size in self._parts(upload_id))
 
     def writer(self, upload_id: str, offset: int) -> "ObjectWriter":
-        """Continue at a byte offset."""
+        """Open the upload for appending at a byte offset."""
         return ObjectWriter(self.objects, upload_id, offset)
 
     def link(self, upload_id: str, offset: int) -> str | None:
-        """Address to put the bytes from `offset` on to."""
+        """Return a presigned URL to PUT the bytes from `offset` on."""
         return presigned(self.objects, "PUT", _key(upload_id, offset))
 
     def fetch(self, upload_id: str, path: Path) -> None:
-        """Make the upload readable at a path: a download."""
+        """Make the upload readable at a path, by a download."""
         with path.open("xb") as target, reporting_refusals():
             for key, _ in self._parts(upload_id):
                 for chunk in obstore.get(self.objects, key).stream(min_chunk_size=CHUNK_BYTES):
@@ -140,10 +140,10 @@ class ObjectParts:
 
 
 class ObjectWriter:
-    """Puts an object whenever enough has come, and never over another one.
+    """Writer that puts an object whenever it has enough bytes, and never overwrites one.
 
-    Two replicas may write the same upload, where a client repeats a request that still runs. Whoever puts the object of
-    an offset first owns these bytes; the other one is refused, and its client asks for the offset again.
+    Two replicas may write the same upload if a client repeats a request that is still running. The first to put the
+    object of an offset wins; the other one is refused, and its client queries the offset again.
 
     Raises:
         BlockingIOError: another writer has put the object of this offset.
@@ -156,14 +156,14 @@ class ObjectWriter:
         self._waiting = bytearray()
 
     def write(self, chunks: Sequence[bytes]) -> None:
-        """Append."""
+        """Append chunks."""
         for chunk in chunks:
             self._waiting += chunk
         if len(self._waiting) >= OBJECT_BYTES:
             self._put()
 
     def keep(self) -> None:
-        """Put the rest."""
+        """Put the remaining bytes."""
         if self._waiting:
             self._put()
 
@@ -188,7 +188,7 @@ PartWriter = FileWriter | ObjectWriter
 
 
 def open_parts(artifacts_url: str, *, credentials: Mapping[str, str] | None = None) -> PartStore:
-    """The store beside the artefacts: their folder, or their bucket, which `open_objects` opens."""
+    """Open the store of upload parts beside the artefacts: in their folder, or in their bucket."""
     parts = urlsplit(artifacts_url)
     if parts.scheme == "file":
         return FolderParts(Path(unquote(parts.path)) / PREFIX)

@@ -13,16 +13,16 @@ from jobs.records import UploadRecord, UploadState
 from jobs.store import Store
 
 MAX_OPEN = 1000
-"""Uploads of one owner that may have begun at once: one set of photos with masks and cameras has 640 files."""
+"""Limit of unfinished uploads per owner: one set of photos with masks and cameras has 640 files."""
 
 
 def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = None) -> UploadRecord:
-    """Store a new upload; the announcement of its length counts as bytes.
+    """Store a new upload; its announced length counts towards the quota.
 
-    Of too many uploads that have begun, the oldest one without a byte is removed.
+    If too many uploads are unfinished, the oldest one without a byte is removed.
 
     Raises:
-        BytesQuotaError: with it the owner has more than `max_bytes`, or too many uploads have begun.
+        BytesQuotaError: the owner would have more than `max_bytes`, or too many uploads are unfinished.
     """
     upload = replace(upload, owner=store.owner or "")
     with store.writing() as connection:
@@ -42,7 +42,7 @@ def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = No
 
 
 def require_bytes_in(connection: sa.Connection, store: Store, wanted: int, allowed: int) -> None:
-    """Refuse bytes beyond an owner's quota, as a transaction sees it.
+    """Refuse bytes beyond an owner's quota, within a transaction.
 
     Raises:
         BytesQuotaError: with `wanted` more bytes the owner has more than `allowed`.
@@ -68,7 +68,7 @@ def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] 
     """Change an upload, if it is still in one of the states `was`.
 
     Raises:
-        ConflictError: it has gone on.
+        ConflictError: the upload is in another state.
     """
     with store.writing() as connection:
         before = _read(connection, store, upload_id)
@@ -102,7 +102,7 @@ def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -
 
 
 def announced_bytes(store: Store) -> list[int]:
-    """What is still to come of uploads that have begun, a sum for each owner [bytes]."""
+    """Return the bytes that unfinished uploads still announce, one sum per owner [bytes]."""
     begun = (t.uploads.c.state == "receiving") & (t.uploads.c.expires_at >= store.clock())
     left = sa.select(sa.func.sum(t.uploads.c.length - t.uploads.c.received)).where(begun).group_by(t.uploads.c.owner)
     with store.reading() as connection:
@@ -110,7 +110,7 @@ def announced_bytes(store: Store) -> list[int]:
 
 
 def expired_uploads(store: Store, *, limit: int) -> list[str]:
-    """Uploads past their time."""
+    """Return the ids of expired uploads."""
     with store.reading() as connection:
         old = sa.select(t.uploads.c.id).where(t.uploads.c.expires_at < store.clock()).limit(limit)
         return list(connection.execute(old).scalars())
