@@ -1,1 +1,1 @@
-"""The computing side: Celery tasks, the stages of a job, the housekeeper."""
+"""Worker: Celery tasks, the stages of a job, the housekeeper."""

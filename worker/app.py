@@ -1,4 +1,4 @@
-"""The Celery application. Messages carry (job_id, attempt) only; the store is the truth.
+"""The Celery application. Messages carry only (job_id, attempt); all state is in the store.
 
 Started with `celery -A worker.app worker`.
 """
@@ -12,13 +12,13 @@ from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 
 stopping = multiprocessing.Event()
-"""Set in every process of this worker when it was asked to stop; made before the pool forks."""
+"""Set in every process of this worker when it was asked to stop; created before the pool forks."""
 
 TOUCH_S = 5.0
 
 
 class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
-    """Touch the setting `worker_alive_file` every few seconds, so that a health check starts no Python of its own."""
+    """Touch the setting `worker_alive_file` every few seconds, so that a health check does not have to start Python."""
 
     requires = frozenset({"celery.worker.components:Timer"})
 
@@ -30,13 +30,13 @@ class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
             parent.timer.call_repeatedly(TOUCH_S, self._path.touch)
 
     def stop(self, parent: WorkController) -> None:
-        """Remove the file."""
+        """Delete the file."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
 
 def make_app(settings: Settings) -> Celery:
-    """Build the application. Why each setting is as it is: docs/decisions/service.md."""
+    """Build the application. docs/decisions/service.md gives the reason for each setting."""
     app = Celery("dynamictree", broker=settings.broker_url, include=["worker.tasks"])
     app.conf.update(
         task_ignore_result=True,
@@ -53,7 +53,7 @@ def make_app(settings: Settings) -> Celery:
             "unacked_restore_interval": settings.restore_interval_s,
             "unacked_restore_throttle": 1,
             "socket_keepalive": True,
-            "queue_order_strategy": "priority",  # the queues in the order of -Q: high before normal before low
+            "queue_order_strategy": "priority",  # order of the queues in -Q: high, normal, low
             "health_check_interval": 30,
         },
         broker_connection_retry_on_startup=True,

@@ -1,4 +1,4 @@
-"""Run one attempt of a job: stage after stage, each from the cache where its inputs are the same."""
+"""Run one attempt of a job: its stages in order, each from the cache if its inputs are the same."""
 
 import logging
 import shutil
@@ -43,7 +43,7 @@ PARAMS: dict[JobType, tuple[type[Request], ...]] = {
     "diffuse": (SpectrumParams,),
     "animate": (ExportParams, CloudParams),
 }
-"""The files and parameters that change what a stage makes."""
+"""Files and parameters that determine the output of each stage."""
 
 OCTETS = "application/octet-stream"
 
@@ -60,7 +60,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
         for stage in job.stages:
             watch.check()
             attempt.take(attempt.outputs_of(stage.name))
-            return_freed_memory()  # the network leaves 400 MB, which the fit of turns would come on top of
+            return_freed_memory()  # the network leaves 400 MB; the fit of turns would add to them
         if job.destination is not None:
             attempt.deliver(job.destination)
     finally:
@@ -68,7 +68,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
 
 
 def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
-    """sha256 of all inputs of a stage: files, parameters, seed, model and code."""
+    """Return the sha256 of all inputs of a stage: files, parameters, seed, model and code."""
     params = [model.part_of(job.params).model_dump(mode="json") for model in PARAMS[stage]]
     model = [job.seed, job.preset, model_sha256(job.preset)] if stage == "diffuse" else []
     return result_key(stage, job, [hashes[name] for name in INPUTS[stage]], *params, *model)
@@ -76,10 +76,10 @@ def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
 
 @cache
 def model_sha256(preset: str) -> str:
-    """Hash of a model's weights.
+    """Return the hash of a model's weights.
 
     Raises:
-        CheckpointError: this worker has none.
+        CheckpointError: this worker does not have the weights.
     """
     path = list_weights().get(preset)
     if path is None:
@@ -91,25 +91,25 @@ def model_sha256(preset: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One attempt of a job: what its stages have so far."""
+    """One attempt of a job: the files and hashes available to its stages."""
 
     runtime: Runtime
     watch: Watch
     folder: Path
     asset: AssetRecord
-    files: dict[str, Path] = field(default_factory=dict)  # on this machine, by the names that stages know
-    sources: dict[str, OutputFile] = field(default_factory=dict)  # the same, and the photos: what results are made of
-    hashes: dict[str, str] = field(default_factory=dict)  # what a stage's key is made of
-    photos: list[Path] = field(default_factory=list)  # with cameras and masks, under their own names, as sent
+    files: dict[str, Path] = field(default_factory=dict)  # local paths, by the names that stages use
+    sources: dict[str, OutputFile] = field(default_factory=dict)  # stored files and photos, as sources of results
+    hashes: dict[str, str] = field(default_factory=dict)  # inputs of the stages' keys
+    photos: list[Path] = field(default_factory=list)  # photos, cameras and masks, under the names as sent
 
     @property
     def job(self) -> JobRecord:
-        """The job."""
+        """Return the job of the attempt."""
         return self.watch.claimed.job
 
     def fetch(self) -> None:
-        """Get the asset: the mesh or cloud that the parser wrote, or the photos."""
-        from worker.stages import photo_name  # numba and the formats come in with the first job
+        """Fetch the asset: the mesh or cloud that the parser wrote, or the photos."""
+        from worker.stages import photo_name  # imports numba and the formats, at the first job
 
         asset = self.asset
         self.hashes.update(dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint))
@@ -127,7 +127,7 @@ class Attempt:
             self.photos.append(path)
 
     def take(self, files: Iterable[OutputFile]) -> None:
-        """Get files for the stages to come."""
+        """Fetch files for the following stages."""
         for file in files:
             path = self.files[file.name] = self.folder / "inputs" / file.name
             self.runtime.artifacts.fetch(file.sha256, path)
@@ -135,7 +135,7 @@ class Attempt:
             self.sources[file.name] = file
 
     def outputs_of(self, stage: JobType) -> tuple[OutputFile, ...]:
-        """The files of a stage: an earlier attempt's, cached ones, or made now."""
+        """Return the files of a stage: those of an earlier attempt, cached ones, or new ones."""
         if any(other.name == stage and other.state == "succeeded" for other in self.job.stages):
             published = [file for file in self.runtime.store.artifacts_of(self.job.id) if file.stage == stage]
             return tuple(
@@ -153,10 +153,10 @@ class Attempt:
         return files
 
     def deliver(self, destination: str) -> None:
-        """Copy all that the job offers to an address in a bucket.
+        """Copy all artifacts of the job to a URL in a bucket.
 
         Raises:
-            StorageAwayError: it does not take them.
+            StorageAwayError: the bucket does not accept them.
         """
         settings = self.runtime.settings
         bucket = open_objects(destination, patience_s=settings.patience_s, credentials=settings.s3_credentials)
@@ -192,12 +192,12 @@ class Attempt:
             raise
 
     def _offer(self, stage: JobType, *files: OutputFile) -> None:
-        """Publish files of a stage that goes on or has failed."""
+        """Publish files of a stage that is running or has failed."""
         retention_s = self.runtime.settings.artifact_retention_s
         offer(self.runtime.store, self.watch.claimed, stage, files, retention_s=retention_s)
 
     def recall(self, stage: JobType, folder: Path, name: str, make: Callable[[Path], None]) -> Path:
-        """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
+        """Return the file of a result that does not depend on the formats, from an earlier job or newly computed."""
         path = folder / f".{name}"
         learned = name == "reconstruction"
         if learned:
@@ -207,7 +207,7 @@ class Attempt:
         choice = (LearningParams if learned else CloudParams).part_of(self.job.params).model_dump(mode="json")
         key = result_key(name, self.job, [file.sha256 for file in used], choice)
         file = self._remembered(key, path)
-        if file is None and learned:  # one job at a time learns a scene; those that waited find what the first one did
+        if file is None and learned:  # one job at a time learns a scene; those that waited reuse its result
             working_on = half_done_folder(self.runtime.settings, self.job)
             with alone_in(working_on, partial(self.watch.report, stage, 0.0)) as waited:
                 file = self._remembered(key, path) if waited else None
@@ -217,7 +217,7 @@ class Attempt:
         return path
 
     def _remembered(self, key: str, path: Path) -> OutputFile | None:
-        """An earlier job's result, fetched to a path."""
+        """Fetch an earlier job's result to a path; return None if there is none."""
         files = find_stored(self.runtime.store, self.runtime.artifacts, key)
         if files:
             self.runtime.artifacts.fetch(files[0].sha256, path)
@@ -229,7 +229,7 @@ class Attempt:
 
     def _stored(self, path: Path, facts: Facts | None = None) -> OutputFile:
         """Store a file's bytes."""
-        from dynamictree.export.table import media_type  # with the stages, not at start
+        from dynamictree.export.table import media_type  # imported with the stages, not at the start
 
         digest, size = hash_file(path)
         touch_blob(self.runtime.store, digest, size)

@@ -15,7 +15,7 @@ from worker.runtime import Runtime
 
 
 class HandedBack(Exception):
-    """The worker was asked to stop, or has something better to do; the next attempt is to begin later."""
+    """The worker was asked to stop, or a more urgent job waits; the next attempt begins later."""
 
 
 class Watch:
@@ -40,9 +40,9 @@ class Watch:
         """Raise if the attempt should stop.
 
         Raises:
-            Cancelled: someone asked the job to stop.
-            FencedError: the attempt is no longer ours.
-            HandedBack: this worker is to stop, or this job gives way.
+            Cancelled: cancellation of the job was requested.
+            FencedError: another attempt owns the job.
+            HandedBack: this worker must stop, or this job yields to another.
         """
         if canceling(self.resources.store, self.claimed):
             raise Cancelled(f"job {self.claimed.job.id} was asked to stop")
@@ -52,13 +52,13 @@ class Watch:
             raise HandedBack(f"job {self.claimed.job.id} has low priority and gives way to one that waits")
 
     def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:
-        """Check whether to go on, and report how much of a stage is done; the disk and the report not too often.
+        """Check whether to continue, and report a stage's progress; disk check and report are rate-limited.
 
-        Work of earlier attempts counts in `worked_s`, the seconds that the stage took so far.
+        `worked_s` is the time that the stage took so far, with that of earlier attempts.
 
         Raises:
-            Cancelled, FencedError, HandedBack: as `check`.
-            StorageFullError: what the stage writes has taken half of the disk's reserve.
+            Cancelled, FencedError, HandedBack: as in `check`.
+            StorageFullError: files of the stage have used half of the disk's reserve.
         """
         self.check()
         now = time.monotonic()
@@ -72,7 +72,7 @@ def require_free_disk(settings: Settings) -> None:
     """Raise if less than half of `min_free_bytes` is free, which the database needs.
 
     Raises:
-        StorageFullError: it is.
+        StorageFullError: less is free.
     """
     free = free_bytes(settings)
     if free < settings.min_free_bytes // 2:

@@ -1,8 +1,8 @@
 """Sandbox for a process: no network, no other programs, no other files. Linux; no privilege needed.
 
-Landlock (kernel 5.13) leaves it Python, its libraries and one folder; seccomp (kernel 3.17) leaves it no socket, no
-`exec`, no io_uring, no look into other processes. A process that needs one program may run that one, which is
-confined alike. The log names what of it a machine has not.
+Landlock (kernel 5.13) leaves it Python, its libraries and one folder; seccomp (kernel 3.17) forbids sockets, `exec`,
+io_uring and access to other processes. A process that needs one program may run that one, which is confined alike. The
+log names the mechanisms that a machine lacks.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 PACKAGES = ("dynamictree", "jobs", "worker")
-"""What the parser runs of this project."""
+"""Packages of this project that the parser imports."""
 
 Hold = Literal["landlock", "seccomp"]
 
@@ -26,8 +26,8 @@ _PR_SET_SECCOMP = 22
 _FILTER = 2
 _ALLOW, _DENY = 0x7FFF_0000, 0x0005_0000 | errno.EPERM
 _LOAD, _JUMP_EQUAL, _JUMP_AT_LEAST, _RETURN = 0x20, 0x15, 0x35, 0x06
-_NUMBER_AT, _MACHINE_AT = 0, 4  # in struct seccomp_data
-_X32 = 0x4000_0000  # the other numbering of x86_64
+_NUMBER_AT, _MACHINE_AT = 0, 4  # offsets in struct seccomp_data
+_X32 = 0x4000_0000  # bit of the second system call numbering of x86_64
 
 _MACHINES = {"x86_64": 0xC000_003E, "aarch64": 0xC000_00B7}
 _DENIED = {
@@ -64,23 +64,23 @@ _DENIED = {
     "io_uring_enter": (426, 426),
     "io_uring_register": (427, 427),
 }
-"""System calls and their numbers on each of `_MACHINES`."""
+"""Denied system calls and their numbers on each of `_MACHINES`."""
 
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _PATH_BENEATH = 1
 _READ_FILE, _READ_DIR, _EXECUTE = 1 << 2, 1 << 3, 1 << 0
-_FILE_BITS = _EXECUTE | 1 << 1 | _READ_FILE | 1 << 14  # the only ones that a rule for a file may have
-_ACCESS_BITS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # how many kinds of access each version of Landlock knows
+_FILE_BITS = _EXECUTE | 1 << 1 | _READ_FILE | 1 << 14  # the only rights that a rule for a file may have
+_ACCESS_BITS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # number of access rights per version of Landlock
 
 
 def confine(writable: Path, readable: Sequence[Path] = (), *, program: Path | None = None) -> tuple[Hold, ...]:
     """Confine this process permanently; return the mechanisms in effect.
 
     It may write below `writable`, and read `readable` and what Python and its libraries need. It may run `program`, a
-    static executable; where the kernel has no Landlock, with it any other that it can read.
+    static executable; without Landlock in the kernel, any other executable that it can read too.
 
     Raises:
-        OSError: the kernel offers a hold and then refuses it.
+        OSError: the kernel offers a mechanism and then refuses it.
     """
     if sys.platform != "linux" or platform.machine() not in _MACHINES:
         return ()
@@ -101,14 +101,14 @@ def _filter_calls(libc: ctypes.CDLL, allowed: Collection[str]) -> bool:
     if libc.prctl(_PR_SET_SECCOMP, _FILTER, ctypes.create_string_buffer(header, len(header)), 0, 0) == 0:
         return True
     if ctypes.get_errno() == errno.EINVAL:
-        return False  # a kernel without it
+        return False  # the kernel has no seccomp
     raise OSError(ctypes.get_errno(), "seccomp")
 
 
 def _program(machine: str, allowed: Collection[str] = ()) -> bytes:
-    """Instructions of the filter: another machine's calls and the denied ones fail with EPERM."""
+    """Return the filter's instructions: calls of other architectures and denied ones fail with EPERM."""
     denied = [numbers[list(_MACHINES).index(machine)] for name, numbers in _DENIED.items() if name not in allowed]
-    end = len(denied) + 2  # instructions from the first comparison to the denial
+    end = len(denied) + 2  # number of instructions from the first comparison to the denial
 
     def instruction(code: int, yes: int, no: int, value: int) -> bytes:
         return struct.pack("HBBI", code, yes, no, value)
@@ -127,9 +127,9 @@ def _program(machine: str, allowed: Collection[str] = ()) -> bytes:
 def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path], program: Path | None) -> bool:
     version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 1:
-        return False  # a kernel without it, or it is switched off
+        return False  # the kernel has no Landlock, or it is switched off
     every = (1 << _ACCESS_BITS.get(version, 16)) - 1
-    # from version 4 on no TCP, from 6 on no abstract sockets and no signals to others
+    # version 4 and later forbid TCP; version 6 also abstract sockets and signals to other processes
     attributes = struct.pack("QQQ", every, 3 if version >= 4 else 0, 3 if version >= 6 else 0)
     size = 24 if version >= 6 else 16 if version >= 4 else 8
     rules = _call(libc.syscall, _CREATE_RULESET, ctypes.create_string_buffer(attributes, 24), ctypes.c_size_t(size), 0)
@@ -144,9 +144,9 @@ def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path],
 
 
 def _readable() -> Sequence[Path]:
-    """Python, its libraries, our packages and what the C library reads: each by name, no folder that somebody works in.
+    """Return the readable paths: Python, its libraries, our packages, files of the C library; no user's folder.
 
-    Entries of `sys.path` are not among them: one may be the current folder, or the checkout with its state and secrets.
+    Entries of `sys.path` are left out: one may be the current folder, or the checkout with its state and secrets.
     """
     system = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/sys/devices/system", "/dev/null", "/dev/urandom")
     kernel = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm/overcommit_memory")

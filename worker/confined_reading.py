@@ -1,7 +1,7 @@
 """Read a job's photos or film in a confined child process, as `worker.parse` reads uploads.
 
-`python -m worker.confined_reading`: the request on stdin; on stdout a line of JSON per step, then one with the result.
-The worker itself decodes only what the child has written anew. For a film the child may run ffmpeg and nothing else.
+`python -m worker.confined_reading`: request on stdin; on stdout a line of JSON per step, then one with the result.
+The worker itself decodes only what the child has re-encoded. For a film the child may run ffmpeg and nothing else.
 """
 
 import os
@@ -27,7 +27,7 @@ from worker.confine import confine
 
 CHILD = "worker.confined_reading"
 ERRORS = {error.code: error for error in (FormatError, InputError)}
-"""What the child may say of the files, by its code."""
+"""Exceptions that the child may report, by code."""
 
 
 class Request(BaseModel):
@@ -39,11 +39,11 @@ class Request(BaseModel):
     photos: tuple[PhotoFile, ...] = ()
     root: Path | None = None
     film: Path | None = None
-    wanted: int | tuple[Stretch, ...] = 0  # frames to choose, or where they lie
+    wanted: int | tuple[Stretch, ...] = 0  # number of frames to choose, or their stretches
 
 
 class Answer(BaseModel):
-    """A step, the result, or why the files cannot be used."""
+    """Output of the child: a step, the result, or why the files cannot be used."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
@@ -58,10 +58,10 @@ class Answer(BaseModel):
 def read_confined(
     photos: Sequence[PhotoFile], root: Path | None, folder: Path, on_photo: OnPhoto
 ) -> tuple[Given, list[Photo]]:
-    """`read_photos` in a confined child. An exception of `on_photo` ends the child and passes through.
+    """Run `read_photos` in a confined child. An exception of `on_photo` ends the child and passes through.
 
     Raises:
-        InputError: as `read_photos`, or the child died of a file.
+        InputError: as `read_photos`, or the child crashed on a file.
     """
     answer = _ask(Request(photos=tuple(photos), root=root, folder=folder), on_photo)
     assert answer.photos is not None
@@ -71,10 +71,10 @@ def read_confined(
 def write_confined_frames(
     video: Path, folder: Path, wanted: int | Sequence[Stretch], on_work: Callable[[], None]
 ) -> list[Path]:
-    """`write_sharp_frames` in a confined child. An exception of `on_work` ends the child and passes through.
+    """Run `write_sharp_frames` in a confined child. An exception of `on_work` ends the child and passes through.
 
     Raises:
-        InputError: as `write_sharp_frames`, or the child died of the film.
+        InputError: as `write_sharp_frames`, or the child crashed on the film.
     """
     film = video.resolve()
     frames = wanted if isinstance(wanted, int) else tuple(wanted)
@@ -87,9 +87,9 @@ def write_confined_frames(
 
 
 def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
-    """Run the child on a request; end it, and the programs that it runs, whatever ends this call."""
-    most_bytes = 16 * 2**20  # of a line
-    ends_within_s = 10.0  # once its output is closed
+    """Run the child on a request; at the end of this call, end the child and the programs that it runs."""
+    most_bytes = 16 * 2**20  # size of a line
+    ends_within_s = 10.0  # time to exit after its output is closed
     request.folder.mkdir(parents=True, exist_ok=True)
     with subprocess.Popen(
         [sys.executable, "-P", "-m", CHILD],
@@ -102,7 +102,7 @@ def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
         assert child.stdin is not None
         assert child.stdout is not None
         try:
-            with suppress(BrokenPipeError):  # it died before it read the request
+            with suppress(BrokenPipeError):  # the child died before it read the request
                 child.stdin.write(request.model_dump_json().encode())
                 child.stdin.close()
             while line := child.stdout.readline(most_bytes):
@@ -120,10 +120,10 @@ def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
 
 
 def main() -> None:
-    """In the child: give up all but the files named, then read them."""
+    """In the child: drop access to all but the named files, then read them."""
     request = Request.model_validate_json(sys.stdin.buffer.read())
     answer_to = os.dup(1)
-    os.dup2(2, 1)  # what a library prints is no answer
+    os.dup2(2, 1)  # output of libraries must not mix with the response
     with os.fdopen(answer_to, "w") as stream:
 
         def tell(answer: Answer) -> None:
@@ -148,7 +148,7 @@ def _photos(request: Request, tell: Callable[[Answer], None]) -> Answer:
 
 
 def _frames(request: Request, film: Path, tell: Callable[[Answer], None]) -> Answer:
-    memory_bytes = 6 * 2**30  # of each process: decoding 4K takes below one
+    memory_bytes = 6 * 2**30  # limit per process; decoding 4K takes less than 1 GiB
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     confine(request.folder, [film], program=Path(ffmpeg_program()).resolve())
     tempfile.tempdir = str(request.folder)

@@ -1,4 +1,4 @@
-"""Delivers webhooks: a thread of the housekeeper. A lease keeps two of them from one delivery."""
+"""Deliver webhooks in a thread of the housekeeper. A lease prevents duplicate deliveries."""
 
 import asyncio
 import logging
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 LOOK_S = 0.5
 AT_ONCE = 32
 PER_OWNER = 4
-"""An owner whose receivers are slow delays nobody else: deliveries of others have the other places."""
+"""Attempts per owner at once, so that an owner with slow receivers does not delay others."""
 
 LEASE_MARGIN_S = 15.0
 MAX_ANSWER_BYTES = 64 * 1024
@@ -30,14 +30,14 @@ MAX_DETAIL = 200
 
 
 class Courier:
-    """Looks for deliveries whose time has come, and makes one attempt at each."""
+    """Finds due deliveries and makes one attempt at each."""
 
     def __init__(self, store: Store, settings: Settings, *, outbound: Outbound | None = None) -> None:
         self.store = store
         self.settings = settings
         self.outbound = outbound or Outbound(private_hosts=settings.outbound_hosts)
-        self.looked_at = time.monotonic()  # for whoever watches this thread
-        self.running: dict[asyncio.Task[None], str] = {}  # attempts, with the owner of each
+        self.looked_at = time.monotonic()  # lets the housekeeper detect that this thread hangs
+        self.running: dict[asyncio.Task[None], str] = {}  # owner of each running attempt
 
     def run(self, stopped: threading.Event) -> None:
         """Deliver until stopped."""
@@ -56,7 +56,7 @@ class Courier:
             await asyncio.gather(*self.running, return_exceptions=True)
 
     async def start_due(self) -> int:
-        """Begin an attempt at every delivery that is due and has a place; return their number."""
+        """Start an attempt at every due delivery while places are free; return their number."""
         lease_s = self.settings.webhook_timeout_s + LEASE_MARGIN_S
         busy = Counter(self.running.values())
         room = AT_ONCE - len(self.running)

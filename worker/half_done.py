@@ -1,7 +1,7 @@
-"""Half-done reconstructions in scratch: a retry, another job on the same photos, or the next attempt goes on there.
+"""Half-done reconstructions in scratch, which a retry, another job on the same photos or the next attempt resumes.
 
-A folder belongs to an asset, which is the same files of one owner, and to the number of frames taken of a film. It
-stays when a job fails, is canceled or is killed, and goes when the scene is learned, with its asset, or after a day.
+There is one folder per asset (the same files of one owner) and number of frames from a film. It stays when a job
+fails, is canceled or is killed. It is deleted when the scene is learned, with its asset, or after a day.
 """
 
 import fcntl
@@ -19,26 +19,26 @@ from jobs.records import JobRecord
 from jobs.settings import Settings
 from jobs.storage.stage_files import HALF_DONE
 
-_CAMERAS = "views.json"  # what `dynamictree.reconstruct` writes once cameras are found
+_CAMERAS = "views.json"  # written by `dynamictree.reconstruct` once cameras are found
 _LOOK_S = 0.5
 
 
 def half_done_folder(settings: Settings, job: JobRecord) -> Path:
-    """Where the work on a job's photos lies on this machine."""
+    """Return the folder for the work on a job's photos on this machine."""
     frames = LearningParams.part_of(job.params).video_frames or PHOTOS_OF_VIDEO
     return settings.scratch_dir / f"{HALF_DONE}{job.asset_id}-{frames}"
 
 
 @contextmanager
 def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
-    """Work in a folder alone; gives whether another job was there meanwhile, whose result may be stored now.
+    """Context manager to lock a folder; yields whether another job used it meanwhile and may have stored its result.
 
-    Without an error the folder is deleted at the end. It stays on every error but one of the photos themselves, met
-    before cameras were found.
+    The folder is deleted at the end, unless an error occurs. After an error it stays, except if the photos caused the
+    error before cameras were found.
 
     Args:
-        folder: as `half_done_folder`; made if it does not exist.
-        wait: called while another job is at work there; what it raises passes through.
+        folder: from `half_done_folder`; created if it does not exist.
+        wait: called repeatedly while another job uses the folder; its exceptions pass through.
     """
     folder.mkdir(parents=True, exist_ok=True)
     waited = False
@@ -58,7 +58,7 @@ def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
 
 
 def discard(folder: Path) -> None:
-    """Delete a folder, unless a job is at work there."""
+    """Delete a folder, unless a job is using it."""
     lock = _taken(folder)
     if lock is not None:
         with lock:
@@ -66,7 +66,7 @@ def discard(folder: Path) -> None:
 
 
 def _delete(folder: Path) -> None:
-    """Delete a locked folder, then the lock: whoever waits for it takes a new one."""
+    """Delete a locked folder, then the lock file; a waiting process creates a new one."""
     shutil.rmtree(folder, ignore_errors=True)
     _lock_of(folder).unlink(missing_ok=True)
 
@@ -76,12 +76,12 @@ def _lock_of(folder: Path) -> Path:
 
 
 def _taken(folder: Path) -> IO[str] | None:
-    """The folder's lock, or None while another has it."""
+    """Acquire the folder's lock; return None while another process has it."""
     path = _lock_of(folder)
     lock = path.open("w")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if path.exists() and os.path.samestat(path.stat(), os.fstat(lock.fileno())):  # not deleted meanwhile
+        if path.exists() and os.path.samestat(path.stat(), os.fstat(lock.fileno())):  # it was not deleted meanwhile
             return lock
     except BlockingIOError:
         pass

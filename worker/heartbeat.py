@@ -1,7 +1,7 @@
-"""Renew a lease from a separate process, because a kernel may hold the interpreter's lock for a minute.
+"""Renew a lease from a separate process, because a numerical kernel may hold the GIL for a minute.
 
-`python -m worker.heartbeat`, started by `Heartbeat`. The first line on stdin says who and how often, each further one
-which attempt to renew. It stops at the end of stdin: the worker is gone, however it ended.
+`python -m worker.heartbeat`, started by `Heartbeat`. The first line on stdin names the owner and the interval, each
+further line the attempt to renew. It stops at the end of stdin: then the worker has ended, for any reason.
 """
 
 import json
@@ -31,11 +31,11 @@ logger = logging.getLogger(__name__)
 
 READY = b"beats\n"
 PRESENCE_S = 5.0
-"""How often a worker says that it is there; it is missed after three times as long."""
+"""Interval at which a worker reports its presence [s]; it counts as gone after three intervals."""
 
 
 class Heartbeat:
-    """The worker's side of the heartbeat."""
+    """Heartbeat process, as controlled by the worker."""
 
     def __init__(self, settings: Settings, owner: str) -> None:
         self._first: dict[str, str | int | float] = {
@@ -51,12 +51,12 @@ class Heartbeat:
 
     @property
     def pid(self) -> int:
-        """Id of the heartbeat process."""
+        """Return the id of the heartbeat process."""
         return self._process.pid
 
     def wait(self) -> None:
         """Wait until the heartbeat process runs; restart it if it has died. Call it before taking a lease."""
-        with self._waiting:  # it says so once; of two threads that read, one would wait for ever
+        with self._waiting:  # READY comes once; if two threads read, one would wait forever
             while (died := self._process.poll() is not None) or not self._beats:
                 if died:
                     self.leave()
@@ -99,7 +99,7 @@ def _write(process: subprocess.Popen[bytes], message: dict[str, str | int | floa
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether a process was stopped by a signal or a debugger; false where the system does not tell."""
+    """Return whether a process was stopped by a signal or a debugger; False if the system does not report it."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
@@ -108,9 +108,9 @@ def is_stopped(pid: int) -> bool:
 
 
 def _said(say: Callable[[], object]) -> bool:
-    """Write to the store, unless the worker is stopped; return whether the lease is still its own.
+    """Write to the store, unless the worker is stopped; return whether the lease is still valid.
 
-    Where the database is away the lease runs on for a while; if it stays away, the reaper decides.
+    If the database is unavailable, the lease continues for a while; then the reaper decides.
     """
     try:
         if not is_stopped(os.getppid()):

@@ -1,4 +1,4 @@
-"""Periodic duties: send messages, reap expired leases, remove what is old.
+"""Periodic duties: send messages, reap expired leases, delete expired data.
 
 `python -m worker.housekeeper`. Many may run; the one that holds the lease acts.
 """
@@ -46,32 +46,32 @@ Thing = TypeVar("Thing")
 
 SCRATCH_AGE_S = 86400.0
 SENT_AHEAD = 2
-"""Messages in the queue beyond one per worker, so that none waits for the housekeeper."""
+"""Messages in the queue beyond one per worker, so that no worker waits for the housekeeper."""
 
 FORGET_S = 0.5
-"""How long a turn removes bytes, so that messages and the lease wait no longer; the next turn goes on at once."""
+"""Longest time that one turn deletes bytes [s], since messages and the lease wait; the next turn follows at once."""
 
 FORGET_AT_ONCE = 1000
-"""Of what the database says is to be removed, so much is asked for in one query."""
+"""Number of items to delete that one query returns."""
 
 MAX_FAILURES = 5
-"""Removals that may fail in one turn; then the storage is taken to be away."""
+"""Deletions that may fail in one turn before the storage counts as unavailable."""
 
 COURIER_SILENCE_S = 120.0
-"""A courier that has not looked for deliveries for so long hangs."""
+"""Time without a look for deliveries after which the courier counts as hung [s]."""
 
 RESERVE_BYTES = 64 * 1024**2
-"""Enough for SQLite's log and Redis's file through many turns of retention."""
+"""Size of the reserve; enough for SQLite's log and Redis's file during many turns of retention."""
 
 REDIS_TIMEOUT_S = 2.0
 AWAY_PAUSE_S = 1.0
 AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageAwayError, OSError)
-"""What may be away for a while. The duty is done at its next turn."""
+"""Errors of services that may be unavailable for a while. The duty is retried at its next turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Housekeeper:
-    """Periodic duties with their connections."""
+    """Periodic duties and their connections."""
 
     settings: Settings
     store: Store
@@ -79,7 +79,7 @@ class Housekeeper:
     parts: PartStore
     queue: Celery
     redis: redis.Redis
-    unreferenced: deque[str] = field(default_factory=deque)  # bytes to remove
+    unreferenced: deque[str] = field(default_factory=deque)  # hashes of bytes to delete
 
     def send(self) -> None:
         """Send messages of waiting jobs, up to the window that workers will soon take."""
@@ -97,28 +97,28 @@ class Housekeeper:
                 self._send(message)
 
     def reap(self) -> None:
-        """Take jobs from dead workers, and cancel jobs past their time."""
+        """Reclaim jobs of dead workers, and cancel overdue jobs."""
         for job_id, state in maintenance.reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
         for job_id in maintenance.overdue(self.store):
-            with suppress(ConflictError):  # it has ended meanwhile
+            with suppress(ConflictError):  # the job has ended meanwhile
                 self.store.cancel(job_id)
         if self.settings.queue == AUTO:
             maintenance.reroute(self.store)
 
     def forget(self) -> float | None:
-        """Delete expired records, and bytes without references; return 0 where the time did not suffice."""
+        """Delete expired records and unreferenced bytes; return 0 if the time was too short, else None."""
         settings, until = self.settings, time.monotonic() + FORGET_S
         maintenance.forget_expired(self.store, settings)
         finished = _each(expired_uploads(self.store, limit=FORGET_AT_ONCE), self._forget_upload, until)
-        if finished and not living(self.store, BACKUP_LEASE):  # it copies bytes of rows that may have gone meanwhile
+        if finished and not living(self.store, BACKUP_LEASE):  # a backup needs bytes of rows that may be gone by now
             finished = self._forget_blobs(until)
         if finished and settings.scratch_dir.is_dir():
             finished = _each(settings.scratch_dir.iterdir(), self._forget_scratch, until)
         return None if finished else 0.0
 
     def _forget_blobs(self, until: float) -> bool:
-        """Go on with the bytes that an earlier turn found: to look takes a second where there are 200,000 blobs."""
+        """Delete unreferenced bytes, first those that an earlier turn found: the query takes 1 s for 200,000 blobs."""
         looked = not self.unreferenced
         if looked:
             self.unreferenced.extend(unreferenced_blobs(self.store, limit=FORGET_AT_ONCE))
@@ -132,7 +132,7 @@ class Housekeeper:
         delete_upload(self.store, upload_id)
 
     def _forget_scratch(self, left: Path) -> None:
-        """Delete what was left a day ago; half-done work also where its asset is gone or the disk is full."""
+        """Delete scratch files after a day, and half-done work also if its asset is deleted or the disk is full."""
         old = time.time() - left.stat().st_mtime > SCRATCH_AGE_S
         if left.name.startswith(HALF_DONE) and left.is_dir():
             if old or free_bytes(self.settings) < self.settings.min_free_bytes or not self._has_asset(left):
@@ -155,7 +155,7 @@ class Housekeeper:
 
 
 def _each(things: Iterable[Thing], remove: Callable[[Thing], None], until: float) -> bool:
-    """Remove items one by one until a time; a failure does not stop the others. Return whether all were tried."""
+    """Delete items one by one until a deadline; a failure does not stop the others. Return whether all were tried."""
     failed = 0
     for thing in things:
         if time.monotonic() >= until:
@@ -165,7 +165,7 @@ def _each(things: Iterable[Thing], remove: Callable[[Thing], None], until: float
         except (StorageAwayError, OSError) as error:
             logger.warning("%s cannot be removed now: %s", thing, error)
             failed += 1
-            if failed == MAX_FAILURES:  # the storage is away
+            if failed == MAX_FAILURES:  # the storage is unavailable
                 raise
     return True
 
@@ -175,7 +175,7 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
     from worker.app import make_app
 
     queue = make_app(settings)
-    # a Redis that is away must not keep the other duties waiting, nor the lease
+    # an unavailable Redis must not delay the other duties or the lease
     once = {"max_retries": 1, "interval_start": 0, "interval_step": 0, "interval_max": 0}
     queue.conf.broker_transport_options |= once | {"socket_timeout": REDIS_TIMEOUT_S}
     return Housekeeper(
@@ -191,17 +191,17 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
 
 
 class PauseDetector:
-    """Detects that this process was paused or the clock set: leases may have expired without a crash."""
+    """Detects that this process was paused or the clock was set: leases may have expired without a crash."""
 
     def __init__(
         self, *, longest_s: float, wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
     ) -> None:
         self.longest_s = longest_s
-        self._clocks = (wall, steady)  # a suspended machine's steady clock stands still; the wall clock goes on
+        self._clocks = (wall, steady)  # the steady clock of a suspended machine stops; the wall clock continues
         self._last = (wall(), steady())
 
     def noticed(self) -> bool:
-        """Whether either clock moved by more than `longest_s`, or back, since the last call."""
+        """Return whether either clock moved by more than `longest_s`, or back, since the last call."""
         now = (self._clocks[0](), self._clocks[1]())
         moved = [after - before for after, before in zip(now, self._last, strict=True)]
         self._last = now
@@ -211,7 +211,7 @@ class PauseDetector:
 
 
 class DiskReserve:
-    """A file that is deleted where the disk is full, so that the database can write and retention can free space."""
+    """A file that is deleted when the disk is full, so that the database can write and retention can free space."""
 
     def __init__(self, folder: Path, reserve_bytes: int = RESERVE_BYTES) -> None:
         self.path = folder / "disk-reserve"
@@ -234,7 +234,7 @@ class DiskReserve:
 
 @dataclass(kw_only=True)
 class Turn:
-    """A duty and its next due time. It may return the seconds to its next turn, where these are not the usual."""
+    """A duty and its next due time. The duty may return the seconds to its next turn in place of the usual interval."""
 
     duty: Callable[[], float | None]
     every_s: float
@@ -252,7 +252,7 @@ class Turn:
 
 
 def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bool] = lambda: True) -> None:
-    """Do every duty in its turn, while the lease is ours, until stopped or something else no longer works."""
+    """Run every duty when due, while this process has the lease, until `stopped` is set or `works` returns False."""
     settings, owner = keeper.settings, f"{socket.gethostname()}:{os.getpid()}"
     reaping = Turn(duty=keeper.reap, every_s=settings.reaper_interval_s)
     turns = (
@@ -267,17 +267,17 @@ def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bo
     reserve = Turn(duty=DiskReserve(settings.state_dir.resolve()).balance, every_s=1.0)
     while works() and not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
-        reserve.take(now)  # before the lease, which a full disk would refuse
+        reserve.take(now)  # comes before the lease, which cannot be written to a full disk
         if now >= renew_at:
             if settings.worker_alive_file is not None:
                 settings.worker_alive_file.touch()
             ours = _done(lambda: hold_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner, lease_s=lease_s))
             renew_at = now + lease_s / 3
             if not ours:
-                reaping.due = now + 2 * settings.heartbeat_s  # where the store was away, leases could not be renewed
+                reaping.due = now + 2 * settings.heartbeat_s  # leases could not be renewed without the store
         if ours:
             for turn in turns:
-                if pauses.noticed():  # workers slept as well; they renew with their next heartbeat
+                if pauses.noticed():  # workers were paused too; they renew with their next heartbeat
                     reaping.due = time.monotonic() + 2 * settings.heartbeat_s
                 turn.take(time.monotonic())
     _done(lambda: maintenance.release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
@@ -308,7 +308,7 @@ def main() -> None:
 
 
 def run_all(keeper: Housekeeper, courier: Courier, stopped: threading.Event) -> int:
-    """Run housekeeper and courier until stopped; return 1 where the courier died or hangs, so that both start again."""
+    """Run housekeeper and courier until stopped; return 1 if the courier died or hangs, so that both restart."""
     thread = threading.Thread(target=courier.run, args=(stopped,), name="courier", daemon=True)
     thread.start()
 
@@ -317,7 +317,7 @@ def run_all(keeper: Housekeeper, courier: Courier, stopped: threading.Event) -> 
 
     try:
         run(keeper, stopped, works=works)
-    finally:  # whatever ended it, the courier must not keep the process
+    finally:  # the courier must not keep the process alive after an error
         intended = stopped.is_set()
         stopped.set()
     if intended:

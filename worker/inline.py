@@ -1,4 +1,4 @@
-"""Run jobs one after another without Redis, until stdin ends: what `service.testing` starts.
+"""Run jobs one after another without Redis, until stdin ends; started by `service.testing`.
 
 `python -m worker.inline`.
 """
@@ -14,7 +14,7 @@ LOOK_S = 0.1
 
 
 def main() -> None:
-    """Take each job that waits, until stdin ends."""
+    """Run each waiting job, until stdin ends."""
     resources = runtime()
     set_up_logging(resources.settings)
     while not select.select([0], [], [], LOOK_S)[0]:

@@ -1,4 +1,4 @@
-"""Bound the memory of the process that runs jobs, so that a job that needs too much fails and its worker lives on."""
+"""Bound the memory of the process that runs jobs, so that a job that needs too much fails and its worker survives."""
 
 import os
 import resource
@@ -6,15 +6,15 @@ from pathlib import Path
 
 from jobs.settings import Settings
 
-CGROUP_LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # of version 2, of version 1
+CGROUP_LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # cgroup version 2, version 1
 
 
 def limit_memory(settings: Settings) -> int:
     """Limit this process's writable memory [bytes], and that of each program that it starts.
 
-    An allocation beyond it raises MemoryError, which ends the job with `out-of-memory`.
+    An allocation beyond the limit raises MemoryError, which ends the job with `out-of-memory`.
     """
-    share = 0.8  # the rest is Celery's own process, the heartbeat and files in /tmp
+    share = 0.8  # the rest is for Celery's own process, the heartbeat and files in /tmp
     allowed = settings.job_memory_bytes or int(share * available_bytes())
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     allowed = allowed if hard == resource.RLIM_INFINITY else min(allowed, hard)
@@ -23,7 +23,7 @@ def limit_memory(settings: Settings) -> int:
 
 
 def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
-    """Memory of the machine, or of the container where that is less."""
+    """Return the memory of the machine, or of the container if that is less [bytes]."""
     available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     for name in CGROUP_LIMITS:
         path = cgroup / name
@@ -33,5 +33,5 @@ def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an allocation failed; PyTorch raises RuntimeError for it."""
+    """Return whether an allocation failed; PyTorch raises RuntimeError for it."""
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)

@@ -1,7 +1,7 @@
-"""A process that reads one upload, forked by `worker.parse_server`: request on stdin, answer on stdout.
+"""Process that reads one upload, forked by `worker.parse_server`: request on stdin, response on stdout.
 
-It gives up what it does not need (memory, time, open files, the network, other programs and files) before it looks at
-the first byte.
+It drops what it does not need (memory, time, open files, the network, other programs and files) before it reads the
+first byte.
 """
 
 import os
@@ -37,11 +37,11 @@ CAMERA_SUFFIXES = (".json", ".npy", ".txt", ".bin")
 
 
 def main() -> None:
-    """Read the request, read the files, write the answer."""
+    """Read the request and the files, and write the response."""
     request = ParseRequest.model_validate_json(sys.stdin.buffer.read())
     _limit(request)
     answer_to = os.dup(1)
-    os.dup2(2, 1)  # what a library prints is no answer
+    os.dup2(2, 1)  # output of libraries must not mix with the response
     film = request.kind == "photos" and request.names[0].lower().endswith(FILM_SUFFIXES)
     holds: tuple[Hold, ...] = get_args(Hold)
     try:
@@ -50,8 +50,8 @@ def main() -> None:
         answer = _film(request) if film else _photos(request) if request.kind == "photos" else _model(request)
     except DynamicTreeError as error:
         answer = ParseAnswer(code=error.code, message=str(error))
-    except Exception as error:  # noqa: BLE001 (a fault of ours is the answer too)
-        # a library that has no room cannot be mapped; one that is not there is a fault of the installation
+    except Exception as error:  # noqa: BLE001 (our own errors are reported too)
+        # an ImportError means a library without memory to map it; a missing one is an error of the installation
         if isinstance(error, MemoryError | RecursionError | ImportError) and not isinstance(error, ModuleNotFoundError):
             detail = f"reading the file failed with {type(error).__name__}"
             allowed = f"{request.memory_bytes:,} bytes of memory are allowed"
@@ -71,7 +71,7 @@ def _limit(request: ParseRequest) -> None:
 
 
 def _model(request: ParseRequest) -> ParseAnswer:
-    """A mesh, a cloud, or both."""
+    """Read a mesh, a cloud, or both."""
     files = dict(zip(request.names, request.paths, strict=True))
     models = {}
     for name in request.names[: request.num_models]:
@@ -119,11 +119,11 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
 
 
 def _photos(request: ParseRequest) -> ParseAnswer:
-    Image.MAX_IMAGE_PIXELS = None  # counted here, from the header
+    Image.MAX_IMAGE_PIXELS = None  # checked below, from the header
     sizes, number = set(), 0
     for name, path in zip(request.names, request.paths, strict=True):
         if PurePosixPath(name).suffix.lower() in CAMERA_SUFFIXES:
-            continue  # read with the photos, by the job
+            continue  # the job reads it with the photos
         number += PurePosixPath(name).parent.name != MASKS
         try:
             with open_photo(path, name) as image:
@@ -144,7 +144,7 @@ def _photos(request: ParseRequest) -> ParseAnswer:
 
 
 def _film(request: ParseRequest) -> ParseAnswer:
-    """A walk around a tree: its picture alone is copied, and a job chooses sharp frames of it."""
+    """Read a film of a walk around a tree: only its video track is copied; a job chooses sharp frames."""
     tempfile.tempdir = str(request.prepared.parent)
     facts = film_facts(request.paths[0], request.names[0])
     facts.require_usable(request.names[0])

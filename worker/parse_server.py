@@ -1,8 +1,8 @@
 """Server that reads uploads: `python -m worker.parse_server`, its control socket on stdin.
 
-Python and the readers' libraries take ten times as long to load as a small tree takes to read. So they are loaded once,
-and each upload is read by a fork, which gives up what it does not need (`worker.parse`). The server itself sees no byte
-of an upload: it gets a connection, and tells by what exit code the fork ended.
+Loading Python and the readers' libraries takes ten times as long as reading a small tree. So they are loaded once, and
+each upload is read by a fork, which drops what it does not need (`worker.parse`). The server itself sees no byte of an
+upload: it receives a connection, and reports the exit code of the fork.
 """
 
 import ctypes
@@ -20,7 +20,7 @@ from typing import NoReturn
 from worker import parse
 
 LIBRARIES = ("PIL.Image", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.spatial")
-"""Those that readers load when first needed."""
+"""Libraries that readers would otherwise import on demand."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -32,7 +32,7 @@ class _Server:
     forks: dict[int, socket.socket] = field(default_factory=dict)  # connections by process id
 
     def run(self) -> None:
-        """Fork for each connection that the control socket brings, until its other end is closed."""
+        """Fork for each connection received from the control socket, until its other end is closed."""
         poll = select.poll()
         poll.register(self.control, select.POLLIN)
         poll.register(self.woken, select.POLLIN)
@@ -42,11 +42,11 @@ class _Server:
                     _, passed, _, _ = socket.recv_fds(self.control, 1, 1)
                     if not passed:
                         return
-                    poll.register(self._fork(*passed), 0)  # 0: only when nobody waits for the answer any more
+                    poll.register(self._fork(*passed), 0)  # 0: reports only that the client has closed the connection
                 elif descriptor == self.woken.fileno():
                     self.woken.recv(4096)
                     for connection in self._ended():
-                        with suppress(KeyError):  # nobody waits any more
+                        with suppress(KeyError):  # the client has left
                             poll.unregister(connection)
                         connection.close()
                 else:
@@ -54,7 +54,7 @@ class _Server:
                     self.end(descriptor)
 
     def end(self, descriptor: int | None = None) -> None:
-        """End the fork of a connection, or all, and the programs that they run."""
+        """End the fork of a connection, or all forks, and the programs that they run."""
         for pid, connection in self.forks.items():
             if descriptor in (None, connection.fileno()):
                 with suppress(ProcessLookupError):
@@ -65,7 +65,7 @@ class _Server:
         if not pid:
             _read_upload(connection)
         with suppress(PermissionError, ProcessLookupError):
-            os.setpgid(pid, pid)  # before anyone may want it ended
+            os.setpgid(pid, pid)  # sets the group before anyone can end it
         self.forks[pid] = socket.socket(fileno=connection)
         return self.forks[pid]
 
@@ -75,14 +75,14 @@ class _Server:
             ended_pid, status = os.waitpid(pid, os.WNOHANG)
             if ended_pid:
                 connection = self.forks.pop(pid)
-                with suppress(OSError):  # nobody waits
+                with suppress(OSError):  # the client has left
                     connection.send(b"\n%d" % os.waitstatus_to_exitcode(status), socket.MSG_DONTWAIT)
                 ended.append(connection)
         return ended
 
 
 def main() -> None:
-    """Load, then serve until the control socket is closed."""
+    """Load the libraries, then serve until the control socket is closed."""
     woken, wake = socket.socketpair()
     wake.setblocking(False)
     signal.set_wakeup_fd(wake.fileno(), warn_on_full_buffer=False)
@@ -98,7 +98,7 @@ def main() -> None:
 
 
 def _read_upload(connection: int) -> NoReturn:
-    """In a fork: read the request of a connection, answer it, and end."""
+    """In a fork: read the request of a connection, respond, and exit."""
     code = 1
     try:
         signal.set_wakeup_fd(-1)
@@ -111,7 +111,7 @@ def _read_upload(connection: int) -> NoReturn:
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         parse.main()
         code = 0
-    finally:  # whatever was raised, the server's loop is not run here
+    finally:  # the fork must not run the server's loop after an exception
         os._exit(code)
 
 

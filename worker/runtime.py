@@ -23,7 +23,7 @@ class Runtime:
 
 
 def open_runtime(settings: Settings) -> Runtime:
-    """Open connections and register this worker. Call it after the fork: connections do not survive one."""
+    """Open connections and register this worker. Call it after the fork: connections do not survive it."""
     owner = f"{socket.gethostname()}:{os.getpid()}"
     store = Store.open(settings.resolved_database_url)
     store.patience_s = settings.patience_s

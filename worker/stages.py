@@ -32,10 +32,10 @@ T = TypeVar("T")
 
 
 class Report(Protocol):
-    """Reports how far a stage is."""
+    """Callback for the progress of a stage."""
 
     def __call__(self, progress: float, worked_s: float | None = None) -> None:
-        """Report the share done in [0, 1], and the seconds that took, with earlier attempts that it continues."""
+        """Report the progress in [0, 1] and the time spent so far [s], with that of earlier attempts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,22 +43,22 @@ class StageInput:
     """Input of a stage."""
 
     job: JobRecord
-    folder: Path  # its own, empty
-    resume_dir: Path  # of photos: what jobs on them have half done on this machine
-    files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
-    source_sha256: str  # of the file that holds the shape; empty for photos
-    photos: tuple[Path, ...]  # with the cameras and masks that came with them
-    recall: Recall  # gives results that other jobs may have computed; of photos, alone in `resume_dir`
-    publish: Callable[[Path], None]  # makes a file an artifact before the stage has ended
+    folder: Path  # empty folder for the stage's files
+    resume_dir: Path  # half-done work on the photos on this machine
+    files: dict[str, Path]  # files of earlier stages; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
+    source_sha256: str  # hash of the file with the shape; empty for photos
+    photos: tuple[Path, ...]  # photos, and the cameras and masks that came with them
+    recall: Recall  # returns results that other jobs may have computed; for photos, it locks `resume_dir`
+    publish: Callable[[Path], None]  # publishes a file as an artifact before the stage has ended
     report: Report  # raises when the stage should stop
-    facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
+    facts: dict[str, Facts] = field(default_factory=dict)  # output: facts about each file, by its name
 
 
 def reconstruct(given: StageInput) -> Iterable[Path]:
     """Reconstruct a mesh from photos or a cloud."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
-    from dynamictree.reconstruct import Callbacks  # not at start: it is long
+    from dynamictree.reconstruct import Callbacks  # slow import, only on demand
     from dynamictree.reconstruct.from_request import reconstruct_capture
     from worker.confined_reading import read_confined, write_confined_frames
 
@@ -84,7 +84,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
 
 
 def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
-    """The mesh that came with a cloud, or one of the part that moves."""
+    """Write the mesh that came with a cloud, or one of the cloud's moving part."""
     given.report(0.0)
     capture = _capture(given)
     assert capture is not None
@@ -137,7 +137,7 @@ def animate(given: StageInput) -> Iterable[Path]:
 
 
 def _still(preview: Path) -> Path:
-    """Cut the first of the frames at a preview's foot out, for lists of jobs."""
+    """Crop the first of the frames at the bottom of a preview, for lists of jobs."""
     still = preview.with_name(STILL)
     with Image.open(preview) as sheet:
         sheet.crop((0, sheet.height - STRIP_PX[1], STRIP_PX[0], sheet.height)).save(still)
@@ -159,9 +159,9 @@ def _written(product: T, write: Callable[[T, BinaryIO], None], path: Path) -> Pa
 
 
 def photo_name(index: int, name: str) -> str:
-    """A relative path for a file that came with photos: its own name, by which cameras and masks mean it.
+    """Return a relative path for a file that came with photos: its own name, by which cameras and masks refer to it.
 
-    What was sent by one name twice lies in folders of its own.
+    Files that were sent under the same name get separate folders.
     """
     parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part not in ("/", ".", "..")]
     safe = [re.sub(r"[^\w.() -]", "_", part)[-100:] for part in parts[-6:]]
@@ -170,7 +170,7 @@ def photo_name(index: int, name: str) -> str:
 
 
 def _choice(given: StageInput) -> CloudParams:
-    """The parts that move. The box of photos has been cut out, scaled and moved: it means nothing in that frame."""
+    """Return the choice of moving parts, without the box of photos, which is not in the frame of the scaled mesh."""
     choice = CloudParams.part_of(given.job.params)
     return choice.model_copy(update={"box_m": None}) if given.photos else choice
 
@@ -185,10 +185,10 @@ def _capture(given: StageInput) -> Capture | None:
 
 
 def _mesh(given: StageInput, *, with_source: bool = False) -> TriangleMesh:
-    """The mesh that moves; one that was made of a cloud or photos has its still faces already."""
+    """Read the moving mesh; one made from a cloud or photos already has its still faces."""
     with given.files[MESH_BUNDLE].open("rb") as stream:
         mesh = read_mesh_bundle(stream, with_source=with_source)
-    if CLOUD_BUNDLE in given.files:  # made of the chosen tree
+    if CLOUD_BUNDLE in given.files:  # the mesh was made of the chosen tree only
         return mesh
     params = CloudParams.part_of(given.job.params)
     chosen = with_choice(mesh, params)

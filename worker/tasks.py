@@ -1,4 +1,4 @@
-"""The one Celery task. Errors go into the store as (code, message), never across the queue."""
+"""The one Celery task. Errors are stored as (code, message) and never cross the queue."""
 
 import logging
 import resource
@@ -31,22 +31,22 @@ from worker.runtime import Runtime, close_runtime, runtime
 logger = logging.getLogger(__name__)
 
 TYPED = (GoneError, StorageAwayError, StorageFullError)
-"""Of the job store's errors, those that say why a job failed."""
+"""Errors of the job store that explain why a job failed."""
 
 
 class JobTask(Task):  # type: ignore[misc]
     """Task base class that records how a failed attempt ended."""
 
-    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *TYPED)  # expected; logged without a traceback
+    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *TYPED)  # expected errors: logged without traceback
 
     def after_return(self, *_: object) -> None:
-        """Called by Celery in the process that ran the task, however it ended."""
+        """Return freed memory; Celery calls this in the task's process, however the task ended."""
         return_freed_memory()
 
     def on_failure(
         self, exc: BaseException, task_id: str, args: tuple[str, int], kwargs: dict[str, object], einfo: object
     ) -> None:
-        """Called by Celery in the process that ran the task."""
+        """Record the failure; Celery calls this in the task's process."""
         resources = runtime()
         job_id, attempt = args
         with log_ids(job_id=job_id, attempt=attempt):
@@ -59,10 +59,10 @@ class JobTask(Task):  # type: ignore[misc]
 
 
 def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> None:
-    """Record the consequence of an exception for the job.
+    """Record how an exception ends the attempt.
 
     Raises:
-        FencedError: the attempt is no longer ours.
+        FencedError: another attempt owns the job.
     """
     store = resources.store
     match error:
@@ -93,7 +93,7 @@ def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> Non
 
 @app.task(base=JobTask, name=RUN_JOB)  # type: ignore[untyped-decorator]
 def run_job(job_id: str, attempt: int) -> None:
-    """Run one attempt of a job, unless another worker does, or did."""
+    """Run one attempt of a job, unless another worker runs it or has run it."""
     resources = runtime()
     resources.heartbeat.wait()
     claimed = claim(resources.store, job_id, attempt, owner=resources.owner, lease_s=resources.settings.lease_s)
@@ -109,7 +109,7 @@ def run_job(job_id: str, attempt: int) -> None:
 
 @contextmanager
 def metered(resources: Runtime, claimed: Claim) -> Iterator[None]:
-    """Context manager that adds up what the attempt takes: processor time with that of its programs, and GPU time."""
+    """Context manager that records the attempt's CPU time, with that of its child programs, and its GPU time."""
     began, processor_s = time.monotonic(), _processor_s()
     try:
         yield
@@ -132,13 +132,13 @@ def _arrive(**_: object) -> None:
 
 
 def _warm_up() -> None:
-    """Move a small tree, so that the first job waits for no library, model or kernel."""
-    runtime().heartbeat.wait()  # first be there, then be quick
+    """Animate a small tree, so that the first job does not wait for a library, model or kernel to load."""
+    runtime().heartbeat.wait()  # report presence before the slow imports
     import worker.stages  # noqa: F401
     from dynamictree import method
     from dynamictree.warm_up import pole
 
-    with suppress(CheckpointError):  # the job that needs the model reports it
+    with suppress(CheckpointError):  # the job that needs the model reports the error
         list(method.animate(pole(), num_frames=1))
     logger.info("the default model is loaded")
 
