@@ -7,34 +7,34 @@ from jaxtyping import Float, Float32, Int32
 
 from lab.dataset.species import Level, Shape, Species
 
-MIN_RADIUS_M = 0.002  # a tip, and the thinnest twig: below it a tube is no surface that a scan would show
-CLEARANCE = 0.02  # of the tree's height: branches lie on the ground and do not grow into it
-CHILD_TO_PARENT_RADIUS = 0.8  # a child's first ring stays inside its parent's tube
+MIN_RADIUS_M = 0.002  # radius of tips and of the thinnest twig; scans do not show thinner tubes
+CLEARANCE = 0.02  # share of the tree's height; branches stay above the ground by it
+CHILD_TO_PARENT_RADIUS = 0.8  # largest ratio, so that a child's first ring stays inside its parent's tube
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stems:
     """All stems of one branching level: one row per stem, R segments between P = R + 1 rings.
 
-    A stem that split off another of its level shares that one's rings before `first`.
+    A stem that splits off another stem of its level shares that stem's rings before `first`.
     """
 
     points: Float32[np.ndarray, "M P 3"]  # ring centres [m]
     radii: Float32[np.ndarray, "M P"]  # [m]
-    first: Int32[np.ndarray, " M"]  # first ring of its own
-    parent: Int32[np.ndarray, " M"]  # row one level up, or, where first > 0, of this level; -1 is the ground
-    parent_ring: Float32[np.ndarray, " M"]  # place on the parent, in rings
-    length_m: Float32[np.ndarray, " M"]  # of its own part
+    first: Int32[np.ndarray, " M"]  # the stem's first own ring
+    parent: Int32[np.ndarray, " M"]  # row one level up, or of this level if first > 0; -1 is the ground
+    parent_ring: Float32[np.ndarray, " M"]  # position on the parent [rings]
+    length_m: Float32[np.ndarray, " M"]  # length of the stem's own part
     sides: int
 
     @property
     def segments(self) -> int:
-        """R."""
+        """Return the number of segments, R."""
         return len(self.radii[0]) - 1
 
 
 def shape_ratio(shape: Shape, place: Float32[np.ndarray, " M"]) -> Float32[np.ndarray, " M"]:
-    """Relative length of a branch; `place` runs from 1 at the crown's base to 0 at its top. Weber-Penn table."""
+    """Return the relative length of a branch; `place` is 1 at the crown's base and 0 at its top. Weber-Penn table."""
     flame = np.where(place <= 0.7, place / 0.7, (1 - place) / 0.3)
     ratio = {
         "conical": 0.05 + 0.95 * place,
@@ -68,7 +68,7 @@ def unit(vectors: Float[np.ndarray, "... 3"]) -> Float32[np.ndarray, "... 3"]:
 
 
 def across(directions: Float[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
-    """Unit vector perpendicular to each direction, horizontal where possible."""
+    """Return a unit vector perpendicular to each direction, horizontal where possible."""
     steep = np.abs(directions[:, 2:]) > 0.999
     reference = np.where(steep, np.array([[1, 0, 0]], np.float32), np.array([[0, 0, 1]], np.float32))
     return unit(np.cross(reference, directions))
@@ -101,7 +101,7 @@ def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
 
 
 def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.Generator) -> Stems:
-    """Grow the stems of level `depth` on those of the level before."""
+    """Grow the stems of level `depth` on those of the previous level."""
     level = species.levels[depth]
     row, ring = _places(species, depth, parents, rng)
     segment = np.minimum(ring.astype(np.int32), parents.segments - 1)
@@ -137,10 +137,10 @@ def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.G
 def _places(
     species: Species, depth: int, parents: Stems, rng: np.random.Generator
 ) -> tuple[Int32[np.ndarray, " M"], Float32[np.ndarray, " M"]]:
-    """Which parent each child sits on, and where, in rings; evenly spread, in ascending order."""
+    """Return each child's parent, and its position there in rings; evenly spread, in ascending order."""
     count = species.levels[depth].count
     lowest = species.base_size if depth == 1 else 0.15
-    own = 1 - np.maximum(parents.first / parents.segments, lowest)  # share of the stem that may bear children
+    own = 1 - np.maximum(parents.first / parents.segments, lowest)  # share of the stem that can bear children
     wanted = count * own / (1 - lowest)
     if depth == 1:  # forks of the trunk share its branches
         wanted = wanted / np.sqrt(len(wanted))
@@ -151,7 +151,7 @@ def _places(
         numbers[0] = 1
     row = np.repeat(np.arange(len(numbers), dtype=np.int32), numbers)
     within = np.arange(len(row)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
-    step = (within + rng.uniform(0.2, 0.8, len(row))) / numbers[row]  # 0 to 1 along the bearing part
+    step = (within + rng.uniform(0.2, 0.8, len(row))) / numbers[row]  # position along the bearing part, 0 to 1
     ring = (1 - own[row] * (1 - step)) * parents.segments
     return row, np.minimum(ring, parents.segments - 0.02).astype(np.float32)
 
@@ -181,7 +181,7 @@ def _down_angle(
     if level.down_var >= 0:
         return (level.down + level.down_var * rng.uniform(-1, 1, len(relative))).astype(np.float32)
     lowest = species.base_size if depth == 1 else 0.0
-    up = np.clip((relative - lowest) / (1 - lowest), 0, 1)  # a conifer's top branches rise, its low ones hang
+    up = np.clip((relative - lowest) / (1 - lowest), 0, 1)  # a conifer's upper branches rise, its lower ones hang
     return (level.down + level.down_var * (2 * up - 1) + rng.uniform(-5, 5, len(relative))).astype(np.float32)
 
 
@@ -197,7 +197,7 @@ def _grow(
     flare: float = 0.0,
     base_splits: tuple[float, float] = (0.0, 0.0),
 ) -> Stems:
-    """Walk all stems up ring by ring; a split adds a row that goes on from the ring it left."""
+    """Grow all stems ring by ring; a split adds a row that continues from the ring of the split."""
     segments = level.segments
     height_m = float(base[:, 2].max() + length.max())
     points = np.zeros((len(base), segments + 1, 3), np.float32)
@@ -238,7 +238,7 @@ def _grow(
 
 
 def _whole(expected: float, count: int, rng: np.random.Generator) -> Int32[np.ndarray, " M"]:
-    """Draw integers whose mean is `expected`."""
+    """Draw integers with mean `expected`."""
     return np.floor(expected + rng.uniform(0, 1, count)).astype(np.int32)
 
 
@@ -248,7 +248,7 @@ def _fork(
     angle: float,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "M 3"], Float32[np.ndarray, "C 3"]]:
-    """Spread the source and its clones apart by `angle` degrees, on sides drawn at random."""
+    """Spread the source and its clones apart by `angle` degrees, to random sides."""
     numbers = np.bincount(clones, minlength=len(direction))
     side = turned(across(direction), direction, rng.uniform(0, 2 * np.pi, len(direction)).astype(np.float32))
     half = np.deg2rad(angle) * rng.uniform(0.4, 0.6, len(direction))
@@ -262,7 +262,7 @@ def _fork(
 def _bend(
     level: Level, direction: Float32[np.ndarray, "M 3"], ring: int, rng: np.random.Generator
 ) -> Float32[np.ndarray, "M 3"]:
-    """One segment's share of curvature, wander and tropism."""
+    """Bend directions by one segment's share of curvature, random deviation and tropism."""
     total = level.curve if level.curve_back is None or ring < level.segments / 2 else level.curve_back
     count = len(direction)
     level_axis = across(direction)

@@ -72,7 +72,7 @@ break off, one wind for the whole tree.
 
 
 def write_card(manifest: Mapping[str, Any]) -> str:
-    """The card of a manifest, in Markdown."""
+    """Return the card of a manifest, in Markdown."""
     verdicts = manifest["verdicts"]
     seen = max(verdicts.get("seen", 0), 1)
     rules = "\n".join(
@@ -105,7 +105,7 @@ def write_card(manifest: Mapping[str, Any]) -> str:
 
 
 def _spread(measure: str, manifest: Mapping[str, Any]) -> str:
-    """A measure's columns; empty for the rules of a person."""
+    """Format a measure's table columns; empty for a person's rules."""
     if measure not in manifest["measures"]:
         return "| | |"
     spread = manifest["measures"][measure]
@@ -113,7 +113,7 @@ def _spread(measure: str, manifest: Mapping[str, Any]) -> str:
 
 
 def _arguments(manifest: Mapping[str, Any]) -> str:
-    """The options of `generate` that decide the bytes."""
+    """Return the options of `generate` that determine the dataset's bytes."""
     arguments = [f"--trees {manifest['wanted']}", f"--first-seed {manifest['first_seed']}"]
     arguments += [f"--trees-per-shard {manifest['trees_per_shard']}"]
     arguments += [f"--resolution {size}" for size in manifest["resolutions"]]

@@ -1,4 +1,4 @@
-"""Foliage as closed lumps, one a stem, as low-poly models of trees have it."""
+"""Foliage as closed clumps, one per stem, as in low-poly models of trees."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -12,22 +12,22 @@ from lab.dataset.leaves import LOWEST_M
 from lab.dataset.species import Foliage
 from lab.dataset.tubes import Surface, own_rings
 
-PLACE = 0.75  # of the stem's length, where its clump is centred
-ROUGHNESS = 0.12  # relative deviation of the radius from vertex to vertex
+PLACE = 0.75  # position of the clump's centre [share of the stem's length]
+ROUGHNESS = 0.12  # relative standard deviation of the radius over vertices
 SIZE_SPREAD = 0.3
 
 
 def clumps(foliage: Foliage, height_m: float, stems: Sequence[Stems], rng: np.random.Generator) -> Surface:
-    """A clump on every stem of the last level and on the trunk. Each is rigid on one node of its stem.
+    """Grow a clump on every stem of the last level and on the trunk, each rigidly attached to one node of its stem.
 
     Args:
-        foliage: its `size` is a clump's radius over the height, its `aspect` the radius across over that along.
-        height_m: of the tree [m].
-        stems: by level.
-        rng: of this tree.
+        foliage: `size` is a clump's radius over the height, `aspect` its radius across over that along.
+        height_m: height of the tree [m].
+        stems: stems by level.
+        rng: random generator of this tree.
 
     Returns:
-        A surface whose nodes are counted over the stems of all levels.
+        A surface; its node indices run over the stems of all levels.
     """
     starts = np.cumsum([0, *(int(own_rings(level).sum()) for level in stems)])
     bearing = sorted({0, len(stems) - 1})
@@ -68,6 +68,6 @@ def _on_level(foliage: Foliage, height_m: float, stems: Stems, first_node: int, 
 
 @cache
 def _ball() -> tuple[Float32[np.ndarray, "B 3"], Int32[np.ndarray, "F 3"]]:
-    """Vertices and faces of a sphere of radius 1."""
+    """Return vertices and faces of a sphere of radius 1."""
     sphere = trimesh.creation.icosphere(subdivisions=2)
     return sphere.vertices.astype(np.float32), sphere.faces.astype(np.int32)

@@ -1,6 +1,6 @@
-"""Trees that mix the parameters of several species, so that a network cannot recognise a tree by its species.
+"""Mix the parameters of several species, so that a network cannot recognise a tree by its species.
 
-Only species for training are crossed; what is held out stays unseen.
+Only training species are crossed; held-out species stay unseen.
 """
 
 import math
@@ -12,33 +12,33 @@ from lab.dataset.species import SPECIES, Foliage, LeafKind, Level, Species
 
 CROSSED = "crossed"
 DEPTHS = ((2, 0.25), (3, 0.6), (4, 0.15))
-"""Levels of branching, the trunk's included, and how often."""
+"""Numbers of branching levels, with the trunk's, and their probabilities."""
 BARE_SHARE = 0.15
-CLUMP_SHARE = 0.2  # of the trees are low-poly: foliage in closed clumps
-CLUMPS = (0.3, 40.0)  # branches with a clump each; below one, only the trunk has one
-CLUMP_SIZE = ((0.06, 0.25), (0.15, 0.35))  # radius over the tree's height; of one clump alone
+CLUMP_SHARE = 0.2  # share of low-poly trees, with foliage in closed clumps
+CLUMPS = (0.3, 40.0)  # number of branches with a clump; below 1, only the trunk has one
+CLUMP_SIZE = ((0.06, 0.25), (0.15, 0.35))  # radius over the tree's height; the second range is for a single clump
 CLUMP_ASPECT = (0.6, 1.4)
-STOUTNESS = (0.7, 3.0)  # of a trunk that bears clumps, over a species' own
+STOUTNESS = (0.7, 3.0)  # factor on the trunk's radius of a tree with clumps
 LEAF_SIZE, LEAF_ASPECT = (0.016, 0.08), (0.1, 1.0)
-"""Of the tree's height, and width over length; evenly in logarithms."""
+"""Length over the tree's height, and width over length; uniform in logarithms."""
 KINDS: tuple[LeafKind, ...] = ("leaf", "cluster", "needle")
 MAX_STEMS, MAX_LEAVES = 700, 4000
-"""On parents of full length; the dataset's species have 80 to 640 and to 1,700."""
+"""Number on parents of full length; the dataset's species have 80 to 640 stems and up to 1,700 leaves."""
 BARE_TRUNK, MAX_BRANCH = (0.05, 0.9), 0.9
-"""Of the trunk's length, and of the parent's."""
+"""Bare share of the trunk's length, and a branch's largest length over its parent's."""
 TRUNK_TAPER, BRANCH_TAPER = (0.25, 1.0), (0.6, 1.0)
-"""Share of the radius lost from base to tip: what tapers little bends at its base, and carries its tip further."""
+"""Share of the radius lost from base to tip; a stem with little taper bends at its base and moves its tip further."""
 RATIO_POWER = (0.9, 2.4)
-"""Exponent of a child's radius in its length over its parent's: from stout twigs to strands of a willow."""
+"""Range of the exponent of a child's relative radius in its relative length: from stout twigs to a willow's strands."""
 HANGING_SHARE = 0.15
-"""Of the trees have strands that hang, as willows do."""
+"""Share of trees with hanging strands, as willows have."""
 HANGING_TROPISM, STRAND_LENGTH, STRAND_SEGMENTS = (1.2, 3.5), (0.4, MAX_BRANCH), 7
 FLARE = (0.02, 0.8)
-"""Widening of the trunk at the ground: models of trees have any or none."""
+"""Widening of the trunk at the ground, which differs widely in models of trees."""
 
 
 def crossed_species(rng: np.random.Generator) -> Species:
-    """Mix species: the trunk of one, each level of branches of another, and other leaves; or make a low-poly tree."""
+    """Mix species: the trunk of one, branches and leaves of others; or create a low-poly tree."""
     parents = [species for species in SPECIES.values() if not species.held_out]
     frame = _one_of(parents, rng)
     if rng.random() < CLUMP_SHARE:
@@ -68,7 +68,7 @@ def crossed_species(rng: np.random.Generator) -> Species:
 
 
 def _clumped(frame: Species, rng: np.random.Generator) -> Species:
-    """A low-poly tree: a trunk, some branches or none, and closed clumps of foliage."""
+    """Create a low-poly tree: a trunk, few or no branches, and closed clumps of foliage."""
     levels = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))]
     count = _between(CLUMPS, rng)
     if count >= 1:
@@ -91,7 +91,7 @@ def _leaves(parents: list[Species], stems: float, num_levels: int, rng: np.rando
         return Foliage(kind="none")
     own = _one_of([species for species in parents if species.foliage.kind != "none"], rng).foliage
     aspect = _between(LEAF_ASPECT, rng)
-    more = (4.0 if num_levels == 2 else 1.0) / math.sqrt(aspect)  # long branches that bear leaves themselves
+    more = (4.0 if num_levels == 2 else 1.0) / math.sqrt(aspect)  # long branches that bear the leaves
     return replace(
         own,
         kind=KINDS[int(rng.integers(len(KINDS)))],

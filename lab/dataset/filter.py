@@ -30,7 +30,7 @@ class Measures:
     self_explosion: float
 
     def broken(self, limits: DatasetLimits) -> tuple[Rule, ...]:
-        """The rules that this motion breaks; a measure that is not finite breaks its rule."""
+        """Return the rules that this motion breaks; a non-finite measure breaks its rule."""
         checks: tuple[tuple[Rule, float, float], ...] = (
             ("high-frequency", self.high_frequency, limits.high_frequency),
             ("root-motion", self.root_motion, limits.root_motion),
@@ -41,7 +41,7 @@ class Measures:
 
 
 def measure(sample: Sample, limits: DatasetLimits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:
-    """Measure a sample: energies on its nodes at every frame, the rest on its vertices at every `frame_step`-th."""
+    """Measure a sample: energies at its nodes in all frames, the rest at its vertices in every `frame_step`-th."""
     step = sample.motion.frames(np.arange(0, len(sample.motion.shift), frame_step))
     displacement = step.displacement(sample.mesh.vertices, sample.node)
     return Measures(
@@ -53,7 +53,7 @@ def measure(sample: Sample, limits: DatasetLimits = DEFAULT_LIMITS, *, frame_ste
 
 
 def high_frequency_energy(displacement: Float32[np.ndarray, "T N 3"], *, fps: float, above_hz: float) -> float:
-    """Share of a motion's energy above `above_hz`, the mean left out; 0 for a still tree."""
+    """Return the share of a motion's energy above `above_hz`, without the mean; 0 for a still tree."""
     frames = len(displacement)
     series = displacement.reshape(frames, -1)
     turn = np.exp(-2j * np.pi * np.outer(np.arange(frames // 2 + 1), np.arange(frames)) / frames)
@@ -66,7 +66,7 @@ def high_frequency_energy(displacement: Float32[np.ndarray, "T N 3"], *, fps: fl
 
 
 def root_motion(vertices: Float32[np.ndarray, "N 3"], displacement: Float32[np.ndarray, "T N 3"]) -> float:
-    """Largest displacement of what stands on the ground, of the height."""
+    """Return the largest displacement of vertices on the ground [share of the height]."""
     low, height = vertices[:, 2].min(), np.ptp(vertices[:, 2])
     on_ground = vertices[:, 2] <= low + 1e-4 * height
     return float(np.linalg.norm(displacement[:, on_ground], axis=2).max() / height)
@@ -79,7 +79,7 @@ def edge_stretch(
     *,
     percentile: float = 99.9,
 ) -> float:
-    """How much edges grow or shrink, of their length: a percentile over edges and frames."""
+    """Return the relative change of edge lengths: a percentile over edges and frames."""
     first, second = edges_of(faces).T
     at_rest = vertices[first] - vertices[second]
     length = np.linalg.norm(at_rest, axis=1)

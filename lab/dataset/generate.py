@@ -1,8 +1,8 @@
 """Generate a dataset shard by shard. The content of a shard depends only on its number and the recipe.
 
-Shard i takes its trees from the seeds `first_seed + i · 4 · trees_per_shard` and up, those that the filter and the
-review let through. Beside each shard lies a record (JSON) with its sha256; a shard with a fitting record is not made
-again, so a run that was cut off goes on, and machines may share the work. The manifest is the records put together.
+Shard i takes the trees that pass filter and review from the seeds `first_seed + i · 4 · trees_per_shard` on. Beside
+each shard is a record (JSON) with its sha256. A shard with a matching record is not generated again, so interrupted
+runs resume and machines can share the work. The manifest combines the records.
 """
 
 import hashlib
@@ -27,19 +27,19 @@ from lab.dataset.review import Verdict
 from lab.dataset.sample import VERSION, Sample, make_sample
 from lab.dataset.shards import StoredTree, store, write_shard
 
-SEEDS_A_TREE = 4  # a shard gives up when so many times its trees were tried
-PAPER_TREES = 8786  # paper appendix A
+SEEDS_A_TREE = 4  # a shard fails after so many seeds per wanted tree
+PAPER_TREES = 8786  # number of trees in paper appendix A
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
     """Parameters that determine the content of a dataset."""
 
-    trees: int = PAPER_TREES  # accepted
+    trees: int = PAPER_TREES  # number of accepted trees
     first_seed: int = 0
     trees_per_shard: int = 25
     resolutions: tuple[int, ...] = (128,)
-    species: str | None = None  # only this one; by default drawn from the seeds
+    species: str | None = None  # the only species; by default drawn from the seeds
     limits: DatasetLimits = DEFAULT_LIMITS
     review: Mapping[int, Verdict] = field(default_factory=dict)
 
@@ -54,11 +54,11 @@ class Recipe:
         return range(start, start + SEEDS_A_TREE * self.trees_per_shard)
 
     def shard_trees(self, index: int) -> int:
-        """How many accepted trees a shard holds; the last may hold fewer."""
+        """Return the number of accepted trees in a shard; the last one may have fewer."""
         return min(self.trees_per_shard, self.trees - index * self.trees_per_shard)
 
     def of_shard(self, index: int) -> dict[str, object]:
-        """What decides the bytes of one shard, as JSON would give it back."""
+        """Return everything that determines the bytes of one shard, with the types of JSON."""
         seeds = self.shard_seeds(index)
         decided = {
             "version": VERSION,
@@ -72,7 +72,7 @@ class Recipe:
 
 
 def shard_name(index: int) -> str:
-    """File name without its ending."""
+    """Return a shard's file name without its suffix."""
     return f"4dtree-{index:05d}"
 
 
@@ -87,17 +87,17 @@ def generate(
     """Generate the missing shards, and write the manifest and the card.
 
     Args:
-        recipe: what to bake.
-        folder: made if it is not there.
-        workers: processes; the bytes do not depend on their number.
-        part: (i, n): only every n-th shard, from the i-th on; run once a machine.
-        on_shard: called with the number of trees done and wanted, of this part.
+        recipe: parameters of the dataset.
+        folder: output folder; created if it does not exist.
+        workers: number of processes; the bytes do not depend on it.
+        part: (i, n): only every n-th shard, from the i-th on; one part per machine.
+        on_shard: called with the numbers of finished and wanted trees of this part.
 
     Returns:
         The manifest.
 
     Raises:
-        InputError: a part that does not exist, or limits that let too few trees through.
+        InputError: the part does not exist, or too few trees pass the limits.
     """
     index, count = part
     if not 0 <= index < count:
@@ -124,7 +124,7 @@ def _baking(recipe: Recipe, missing: list[int], folder: Path, workers: int) -> I
             bake_shard(recipe, shard, folder)
             yield shard
         return
-    # fork would copy the threads' locks of numba and BLAS
+    # a fork would copy locks of the threads of numba and BLAS
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(max_workers=workers, mp_context=context, initializer=_end_with_parent) as pool:
         waiting = {pool.submit(bake_shard, recipe, shard, folder): shard for shard in missing}
@@ -188,7 +188,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
 
 
 def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
-    """Values of a tree that are stored in the record, so that `filter` need not generate the tree again."""
+    """Return the values of a tree for the record, so that `filter` does not generate the tree again."""
     return {
         "seed": sample.seed,
         "species": sample.species,
@@ -200,7 +200,7 @@ def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
 
 
 def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:
-    """Whether a shard lies in the folder, made by this recipe."""
+    """Return whether the folder has a shard generated by this recipe."""
     record, shard = folder / f"{shard_name(index)}.json", folder / f"{shard_name(index)}.safetensors"
     if not (record.exists() and shard.exists()):
         return False
@@ -209,7 +209,7 @@ def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:
 
 
 def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
-    """Put the records in the folder together; `complete` tells whether all shards are there."""
+    """Combine the records in the folder; `complete` states whether all shards exist."""
     baked = [index for index in range(recipe.num_shards) if is_baked(recipe, index, folder)]
     records = [json.loads((folder / f"{shard_name(index)}.json").read_bytes()) for index in baked]
     verdicts: Counter[str] = Counter()
@@ -245,7 +245,7 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
 
 
 def spread_of(measures: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Median, 99th percentile and largest value of each measure."""
+    """Return median, 99th percentile and largest value of each measure."""
     return {
         name: {
             label: float(np.percentile([one[name] for one in measures], at))

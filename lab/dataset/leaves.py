@@ -1,4 +1,4 @@
-"""Leaves and leaf clusters as cards that hang on stems. Weber and Penn 1995, section 4.6."""
+"""Leaves and leaf clusters as cards on stems. Weber and Penn 1995, section 4.6."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from lab.dataset.branching import Stems, across, turned, unit
 from lab.dataset.species import Foliage
 from lab.dataset.tubes import Surface
 
-LOWEST_M = 0.01  # leaves lie on the ground, and do not touch z = 0, where only the roots are
+LOWEST_M = 0.01  # lowest height of leaves, since only roots are at z = 0
 DOWN = np.array([[0, 0, -1]], np.float32)
 
 
@@ -17,17 +17,17 @@ DOWN = np.array([[0, 0, -1]], np.float32)
 class Leaves:
     """Leaf cards; each rotates about its base, which is fixed to a stem."""
 
-    base: Float32[np.ndarray, "Q 3"]  # [m], on the stem's axis
-    axis: Float32[np.ndarray, "Q 3"]  # unit, base to tip
+    base: Float32[np.ndarray, "Q 3"]  # position on the stem's axis [m]
+    axis: Float32[np.ndarray, "Q 3"]  # unit vector from base to tip
     normal: Float32[np.ndarray, "Q 3"]
     length_m: Float32[np.ndarray, " Q"]
-    level: int  # of the stems that bear them
+    level: int  # level of the stems that bear them
     row: Int32[np.ndarray, " Q"]
     ring: Float32[np.ndarray, " Q"]
 
 
 def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng: np.random.Generator) -> Leaves:
-    """Leaves along every stem of one level, in a spiral; a frond's leaflets in two rows."""
+    """Grow leaves along every stem of one level, in a spiral; a frond's leaflets in two rows."""
     own = 1 - np.maximum(stems.first / stems.segments, 0.15)
     longest = np.percentile(stems.length_m, 80)
     wanted = foliage.count * own / 0.85 * np.clip(0.3 + 0.7 * stems.length_m / longest, 0, 1.4)
@@ -45,12 +45,12 @@ def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng
     azimuth = azimuth + rng.normal(0, 0.15 if rows else 0.5, len(row))
     side = turned(across(along), along, azimuth.astype(np.float32))
     down = np.deg2rad(foliage.down * (1 + 0.25 * rng.uniform(-1, 1, len(row))))
-    down = np.where(step > 0.999, 0.25 * down, down)  # the last leaf goes on where the stem ends
+    down = np.where(step > 0.999, 0.25 * down, down)  # the last leaf continues the stem
     axis = unit(along * np.cos(down)[:, None] + side * np.sin(down)[:, None])
     axis = unit(axis + foliage.droop * rng.uniform(0.5, 1.5, (len(row), 1)) * DOWN)
     length = foliage.size * height_m * rng.uniform(0.7, 1.3, len(row))
-    axis[:, 2] = np.where(low[:, 2] + 1.2 * length * axis[:, 2] < 0, np.abs(axis[:, 2]), axis[:, 2])  # off the ground
-    flat = across(axis)  # level, so that the card faces up
+    axis[:, 2] = np.where(low[:, 2] + 1.2 * length * axis[:, 2] < 0, np.abs(axis[:, 2]), axis[:, 2])  # not below 0
+    flat = across(axis)  # horizontal, so that the card faces up
     normal = turned(np.cross(axis, flat).astype(np.float32), axis, rng.normal(0, 0.5, len(row)).astype(np.float32))
     if foliage.kind == "frond":
         length *= np.sin(np.pi * np.clip(0.12 + 0.8 * step, 0, 1))
@@ -65,7 +65,7 @@ def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng
     )
 
 
-CARD = {  # (along the axis, across, off the plane), in lengths and widths; folded along the midrib
+CARD = {  # (along the axis, across, off the plane) [lengths, widths]; folded along the midrib
     "leaf": np.array([[0, 0, 0], [0.45, 0.5, 0.06], [1, 0, 0], [0.45, -0.5, 0.06]], np.float32),
     "blade": np.array([[0, 0.35, 0], [0.6, 0.5, 0.03], [1, 0, -0.08], [0.6, -0.5, 0.03], [0, -0.35, 0]], np.float32),
     "spray": np.array(
@@ -75,7 +75,7 @@ CARD = {  # (along the axis, across, off the plane), in lengths and widths; fold
 
 
 def cards(leaves: Leaves, foliage: Foliage) -> Surface:
-    """The leaves' surface; node q is leaf q. A card of a cluster is a spray."""
+    """Return the leaves' surface; node q is leaf q. A cluster's card is a spray."""
     outline = CARD[{"leaf": "leaf", "frond": "blade"}.get(foliage.kind, "spray")]
     spokes = np.array([[0, corner, corner + 1] for corner in range(1, len(outline) - 1)], np.int32)
     side = np.cross(leaves.normal, leaves.axis)

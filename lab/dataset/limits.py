@@ -1,4 +1,4 @@
-"""What a tree's motion may measure to be taken into the dataset. Paper appendix A, step 2. Needs pydantic alone."""
+"""Limits on a tree's motion for the dataset. Paper appendix A, step 2. Imports only pydantic."""
 
 from pydantic import Field
 

@@ -1,4 +1,4 @@
-"""What each stem bears: foliage, branches, and how far to the side."""
+"""Load of each stem: foliage, branches, and their sideways offset."""
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -9,7 +9,7 @@ from lab.dataset.oscillator import WIDEST_LOAD, Load
 
 
 def loads_of(levels: tuple[Stems, ...], leaves: tuple[Leaves, ...], *, bare: bool) -> list[Load]:
-    """Loads by level. In a tree in leaf whose foliage is clumps, all stems bear as much as the trunk."""
+    """Return the loads by level. In a tree with clumps of foliage, all stems bear as much as the trunk."""
     wood = [np.pi * base_radius(stems).astype(np.float64) ** 2 * stems.length_m / 3 for stems in levels]
     foliage = [np.zeros(len(stems.points)) for stems in levels]
     weighted = [own[:, None] * middle_of(stems) for own, stems in zip(wood, levels, strict=True)]
@@ -46,13 +46,13 @@ def loads_of(levels: tuple[Stems, ...], leaves: tuple[Leaves, ...], *, bare: boo
 
 
 def base_radius(stems: Stems) -> Float32[np.ndarray, " M"]:
-    """Radius where a stem begins [m]."""
+    """Return the radius at a stem's base [m]."""
     radius: Float32[np.ndarray, " M"] = stems.radii[np.arange(len(stems.points)), stems.first]
     return radius
 
 
 def middle_of(stems: Stems) -> Float64[np.ndarray, "M 3"]:
-    """Mean of a stem's own rings [m]."""
+    """Return the mean position of a stem's own rings [m]."""
     own = np.arange(stems.segments + 1) >= stems.first[:, None]
     middle: Float64[np.ndarray, "M 3"] = (stems.points * own[:, :, None]).sum(axis=1) / own.sum(axis=1)[:, None]
     return middle

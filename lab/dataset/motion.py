@@ -1,4 +1,4 @@
-"""Rigid motion of each node, and the displacement and spectrum of vertices that follow from it."""
+"""Rigid motion of each node, and the resulting displacement and spectrum of vertices."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,20 @@ from dynamictree.spectrum import NUM_FREQUENCIES
 
 @dataclass(frozen=True, kw_only=True)
 class Sway:
-    """Every node's rigid motion at every frame; a vertex at offset o from its node moves by shift + (turn) o."""
+    """Rigid motion of every node at every frame; a vertex at offset o from its node moves by shift + (turn) o."""
 
     shift: Float32[np.ndarray, "T B 3"]  # [m]
-    turn: Float32[np.ndarray, "T B 3 3"]  # rotation less the identity
-    position: Float32[np.ndarray, "B 3"]  # of nodes at rest [m]
+    turn: Float32[np.ndarray, "T B 3 3"]  # rotation matrix minus the identity
+    position: Float32[np.ndarray, "B 3"]  # node positions at rest [m]
 
     def frames(self, chosen: Int[np.ndarray, " S"]) -> "Sway":
-        """Some of the frames."""
+        """Select some of the frames."""
         return Sway(shift=self.shift[chosen], turn=self.turn[chosen], position=self.position)
 
     def displacement(
         self, vertices: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]
     ) -> Float32[np.ndarray, "T N 3"]:
-        """Displacement of vertices, each with its node, at every frame [m]."""
+        """Return the displacement of vertices, given each vertex's node, at every frame [m]."""
         offset = vertices - self.position[node]
         frames = zip(self.shift, self.turn, strict=True)
         return np.stack([shift[node] + np.einsum("nxy,ny->nx", turn[node], offset) for shift, turn in frames])
@@ -33,7 +33,7 @@ class Sway:
 def node_spectrum(
     motion: Sway, num_frequencies: int = NUM_FREQUENCIES
 ) -> tuple[Complex64[np.ndarray, "K B 3"], Complex64[np.ndarray, "K B 3 3"]]:
-    """Transform of the nodes' motions: the first bins of shift and turn, in which a vertex's is linear."""
+    """Transform the nodes' motions: return the first bins of shift and turn. A vertex's spectrum is linear in them."""
     frames, nodes = motion.shift.shape[:2]
     turning = -2j * np.pi * np.arange(num_frequencies)[:, None] * np.arange(frames) / frames
     transform = (np.exp(turning) / frames).astype(np.complex64)
@@ -51,7 +51,7 @@ def vertex_spectrum(
     node: Int32[np.ndarray, " N"],
     num_frequencies: int = NUM_FREQUENCIES,
 ) -> Complex64[np.ndarray, "N K 3"]:
-    """Spectrum of every vertex [m]; that of its motion, without making the motion."""
+    """Return the spectrum of every vertex's motion [m], without computing the motion."""
     shift, turn = node_spectrum(motion, num_frequencies)
     offset = vertices - motion.position[node]
     spectrum = np.empty((len(vertices), num_frequencies, 3), np.complex64)

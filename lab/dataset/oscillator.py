@@ -1,14 +1,14 @@
 """Response of stems to turbulent air: natural frequency, damping, drag, and the periodic motion that follows.
 
-A stem is a damped oscillator per direction on its moving base. Its target is the angle at which the drag of the air
-that passes it would hold it,
+A stem is a damped oscillator per direction on its moving base. Its target is its static angle under the drag of the
+passing air,
 
     θ'' + 2 ζ ω θ' + ω² θ = ω² θ_w(U + u(t) - v) + u_b'' / L,
 
-u the turbulence at its place, v its own velocity, u_b the motion of its base. The drag goes with the relative speed
-squared, less what the stem folds (Vogel). Since it takes the relative speed, air damps a moving stem the more the
-stronger the wind. The periodic answer is found by alternating: drag in the time domain, dynamics in the frequency
-domain (harmonic balance); the drag's own damping is taken to the left side first, so that one repetition suffices.
+with turbulence u at its place, its velocity v, and its base's motion u_b. The drag grows with the square of the
+relative speed, reduced by reconfiguration (Vogel). Since it depends on the relative speed, stronger wind damps more.
+The periodic response alternates between drag in the time domain and dynamics in the frequency domain (harmonic
+balance). The drag's own damping is first moved to the left side, so that one repetition suffices.
 """
 
 from dataclasses import dataclass
@@ -22,50 +22,50 @@ from dynamictree.spectrum import FPS
 
 REFERENCE_SPEED_M_S = 5.0
 FOLDING_SPEED_M_S, VOGEL_EXPONENT = 4.0, -0.6
-"""Drag grows as U² in light air and as U^1.4 in a storm; measured Vogel exponents of trees are -0.5 to -0.8."""
-LEAN_RAD = np.deg2rad(1.5)  # whole bend of a stem of REFERENCE_SLENDERNESS at the reference speed
-REFERENCE_SLENDERNESS = 60.0  # L / r
+"""Drag grows as U² in weak wind and as U^1.4 in a storm; measured Vogel exponents of trees are -0.5 to -0.8."""
+LEAN_RAD = np.deg2rad(1.5)  # total bend of a stem of REFERENCE_SLENDERNESS at the reference speed
+REFERENCE_SLENDERNESS = 60.0  # length over radius
 LEAF_LEAN_RAD = np.deg2rad(6.0)
 LEAF_OWN_DAMPING = 0.5
-"""ζ of a leaf on its stalk, which is light and broad: the air stops it within a stroke."""
-MAX_LEAN_RAD = np.deg2rad(20.0)  # approached, never passed
+"""ζ of a leaf on its stalk: it is light and broad, so the air stops it within one swing."""
+MAX_LEAN_RAD = np.deg2rad(20.0)  # asymptotic limit
 TWIST_OVER_BEND = 14.0
-"""Turn of a stem about its axis over its bend, if its load sat a length to the side: 2 E I / (G J), E / G = 14."""
-WIDEST_LOAD = 0.1  # of the length: leaves hold a load that is further out
+"""Twist of a stem over its bend for a load one stem length to the side: 2 E I / (G J), E / G = 14."""
+WIDEST_LOAD = 0.1  # share of the length; leaves support a load that is further out
 STEM_DAMPING, BRANCH_DAMPING, LEAF_DAMPING = 0.02, 0.02, 0.08
-"""ζ of wood, of the branches that a stem bears (each a damper of its own), and of leaves in still air: a bare tree
-has 0.039, the same in leaf 2 times as much, as measured; the wind adds to it."""
-SLOWEST_RATIO, FASTEST_RATIO = 0.7, 1.5  # of a stem's frequency over that of one of REFERENCE_SLENDERNESS
+"""ζ of wood, of a stem's branches (each of them a damper), and of leaves in still air. As measured, a bare tree has
+0.039, and twice as much in leaf; wind adds to it."""
+SLOWEST_RATIO, FASTEST_RATIO = 0.7, 1.5  # limits of a stem's frequency over that at REFERENCE_SLENDERNESS
 BIN_SAMPLES = 8
-CENTRE_OF_DRAG = 0.7  # of a stem's length
+CENTRE_OF_DRAG = 0.7  # position [share of the stem's length]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Load:
-    """What each stem of a level bears."""
+    """Load of each stem of a level."""
 
-    foliage: Float32[np.ndarray, " M"]  # 0 bare, 1 as much for its cross-section as the trunk
-    branches: Float32[np.ndarray, " M"]  # share of its wood that is its branches'
-    offset: Float32[np.ndarray, "M 3"]  # from its axis to the middle of what it bears, over its length
+    foliage: Float32[np.ndarray, " M"]  # 0: bare; 1: as much per cross-section as the trunk
+    branches: Float32[np.ndarray, " M"]  # share of the wood that belongs to its branches
+    offset: Float32[np.ndarray, "M 3"]  # vector from the axis to the load's centre, over the length
 
 
 @dataclass(frozen=True, kw_only=True)
 class Oscillators:
-    """Stems that begin on one ring."""
+    """Stems that begin at the same ring."""
 
     omega: Float64[np.ndarray, " C"]  # [rad/s]
-    damping_ratio: Float64[np.ndarray, " C"]  # in still air
-    lean: Float64[np.ndarray, " C"]  # at the reference speed [rad]
+    damping_ratio: Float64[np.ndarray, " C"]  # ratio in still air
+    lean: Float64[np.ndarray, " C"]  # static angle at the reference speed [rad]
     length_m: Float64[np.ndarray, " C"]
 
     def respond(
         self, air: Float32[np.ndarray, "3 C T"], base: Float32[np.ndarray, "3 C T"]
     ) -> Float32[np.ndarray, "3 C T"]:
-        """Deflection of each stem [rad], in the direction in which its tip goes.
+        """Return the deflection of each stem [rad], in the direction of its tip's motion.
 
         Args:
             air: velocity of the air at each stem [m/s].
-            base: displacement of what it stands on [m].
+            base: displacement of its base [m].
         """
         omega = frequencies(air.shape[2])
         arm = (CENTRE_OF_DRAG * self.length_m)[:, None]
@@ -77,18 +77,18 @@ class Oscillators:
         transfer = of_bins(omega, self.omega, damping_ratio)
         pushed = (ratio**2 / self.length_m[:, None]) * base_hat
         target = rfft(self.static_angle(passing), axis=2)
-        rate = 1j * omega * transfer * (target + pushed)  # of the angle, by the linear drag
+        rate = 1j * omega * transfer * (target + pushed)  # rate of the angle under linear drag
         again = self.static_angle(passing - irfft(arm * rate, n=air.shape[2], axis=2))
         answer = transfer * (rfft(again, axis=2) + air_damping * rate + pushed)
         deflection: Float32[np.ndarray, "3 C T"] = irfft(answer, n=air.shape[2], axis=2).astype(np.float32)
         return deflection
 
     def static_angle(self, passing: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
-        """θ_w: the angle at which the drag of passing air would hold a stem [rad]."""
+        """Return θ_w, the static angle of a stem under the drag of the passing air [rad]."""
         return bounded(self.lean[:, None] * drag(passing))
 
     def _air_damping_s(self, passing: Float[np.ndarray, "3 C T"]) -> Float64[np.ndarray, " C"]:
-        """Mean slope of θ_w over the speed, times the arm [s]: between those along the wind and across it."""
+        """Return the slope of θ_w over the speed, averaged along and across the wind, times the arm [s]."""
         speed = np.maximum(np.sqrt((passing**2).sum(axis=0)).mean(axis=1), 1e-3)
         mean = self.lean * pressure(speed)
         slope = 0.5 * (1 + growth_exponent(speed)) * mean / speed / (1 + (mean / MAX_LEAN_RAD) ** 2)
@@ -102,9 +102,9 @@ def oscillators(
     load: Load,
     height_m: Float64[np.ndarray, " C"] | None = None,
 ) -> Oscillators:
-    """Oscillators of stems, each of a length, a radius, and a load.
+    """Build the oscillators of stems from lengths, radii and loads.
 
-    Trunks have the frequency of their height: of measured trees, the radius tells no more (docs/laws.md).
+    A trunk's frequency depends on its height: for measured trees, the radius adds no information (docs/laws.md).
     """
     length = length_m.astype(np.float64)
     own_hz = (
@@ -123,9 +123,9 @@ def oscillators(
 def stem_frequency_hz(
     length_m: Float32[np.ndarray, " M"], radius_m: Float32[np.ndarray, " M"], foliage: Float32[np.ndarray, " M"]
 ) -> Float64[np.ndarray, " M"]:
-    """Natural frequency: of real trees as high as it is long, faster if it is stout, and if it bears no leaves.
+    """Return the natural frequency of stems: that of real trees of this height, higher if stout or without leaves.
 
-    A beam's grows with r / L²; a stouter one bears more, so that half of the exponent is left.
+    A beam's frequency grows with r / L²; a stouter stem bears more, so half of the exponent remains.
     """
     length = length_m.astype(np.float64)
     stoutness = np.sqrt(REFERENCE_SLENDERNESS * radius_m / length)
@@ -136,54 +136,54 @@ def stem_frequency_hz(
 def in_leaf_hz(
     frequency_hz: Float64[np.ndarray, " M"], foliage: Float32[np.ndarray, " M"]
 ) -> Float64[np.ndarray, " M"]:
-    """Frequency with so much foliage, of that with half of it: measured trees were in leaf and bare."""
+    """Correct a frequency for the foliage; the law is for half of it, since measured trees were in leaf and bare."""
     return np.asarray(frequency_hz * LEAF_SLOWING ** (foliage.astype(np.float64) - 0.5))
 
 
 def simulated_law_hz(length_m: Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
-    """Frequency of a stem of REFERENCE_SLENDERNESS by its length: of real trees as high, of small ones 1 / √L.
+    """Return the frequency of a stem of REFERENCE_SLENDERNESS: that of real trees of this height; 1 / √L if small.
 
-    How fast small trees are is left to `modal.real_trees.quickening`.
+    `modal.real_trees.quickening` corrects the frequency of small trees.
     """
     return np.asarray(np.where(length_m < LEARNED_TO_M, learned_law_hz(length_m), height_law_hz(length_m)))
 
 
 def drag(passing: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
-    """Force of passing air over that of the reference speed."""
+    """Return the force of the passing air, relative to that at the reference speed."""
     speed = np.sqrt((passing * passing).sum(axis=0))
     return np.asarray(passing * (pressure(speed) / np.maximum(speed, 1e-6)))
 
 
 def pressure(speed_m_s: Float[np.ndarray, "*S"]) -> Float[np.ndarray, "*S"]:
-    """Size of the force by speed, 1 at the reference speed: speed squared times what folding leaves of it."""
+    """Return the size of the force by speed, 1 at the reference speed: speed squared, reduced by reconfiguration."""
     folded = (1 + (speed_m_s / FOLDING_SPEED_M_S) ** 2) / (1 + (REFERENCE_SPEED_M_S / FOLDING_SPEED_M_S) ** 2)
     return np.asarray((speed_m_s / REFERENCE_SPEED_M_S) ** 2 * folded ** (VOGEL_EXPONENT / 2))
 
 
 def growth_exponent(speed_m_s: Float[np.ndarray, "*S"]) -> Float[np.ndarray, "*S"]:
-    """D ln pressure / d ln speed."""
+    """Return d ln pressure / d ln speed."""
     fast = speed_m_s**2 / (speed_m_s**2 + FOLDING_SPEED_M_S**2)
     return np.asarray(2 + VOGEL_EXPONENT * fast)
 
 
 def bounded(angle: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
-    """Angles that stay below MAX_LEAN_RAD."""
+    """Limit angles smoothly to MAX_LEAN_RAD."""
     size = np.maximum(np.sqrt((angle * angle).sum(axis=0)), 1e-9) / MAX_LEAN_RAD
     return np.asarray(angle * (np.tanh(size) / size))
 
 
 def frequencies(num_frames: int) -> Float64[np.ndarray, " W"]:
-    """Of the bins of so many frames [rad/s]."""
+    """Return the angular frequencies of the bins for a number of frames [rad/s]."""
     return np.asarray(2 * np.pi * np.fft.rfftfreq(num_frames, d=1 / FPS))
 
 
 def of_bins(
     omega: Float64[np.ndarray, " W"], own: Float64[np.ndarray, " C"], damping_ratio: Float64[np.ndarray, " C"]
 ) -> Complex128[np.ndarray, "C W"]:
-    """Transfer of oscillators to each bin of a loop: its phase, and its root mean square over the width of the bin.
+    """Return the oscillators' transfer function at each bin of a loop: its phase, and its RMS over the bin's width.
 
-    Gusts of all frequencies drive a tree; a loop has only its bins. At the bin alone, a lightly damped stem that
-    happens to lie there would swing several times too far, and one between two bins not far enough.
+    Gusts of all frequencies drive a tree, but a loop has only its bins. With the value at the bin alone, a lightly
+    damped stem would swing several times too far if its frequency is near a bin, and too little between bins.
     """
     offsets = (np.arange(BIN_SAMPLES) + 0.5) / BIN_SAMPLES - 0.5
     power = np.zeros((len(own), len(omega)))
@@ -193,7 +193,7 @@ def of_bins(
     ratio = omega / own[:, None]
     centre = 1 / (1 - ratio**2 + 2j * damping_ratio[:, None] * ratio)
     transfer = np.sqrt(power / BIN_SAMPLES) * centre / np.abs(centre)
-    transfer[:, 0] = 1  # the lean
+    transfer[:, 0] = 1  # bin 0 is the static lean
     return np.asarray(transfer)
 
 
@@ -202,6 +202,6 @@ def filtered(
     omega: Float64[np.ndarray, " C"],
     damping: Float64[np.ndarray, " C"] | float,
 ) -> Float[np.ndarray, "C T"]:
-    """Answer of oscillators that stand still at their base."""
+    """Return the response of oscillators with a fixed base."""
     transfer = of_bins(frequencies(series.shape[1]), omega, np.broadcast_to(damping, omega.shape))
     return np.asarray(irfft(transfer * rfft(series, axis=1), n=series.shape[1], axis=1))

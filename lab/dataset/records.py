@@ -12,19 +12,19 @@ from lab.dataset.filter import Measures
 
 @dataclass(frozen=True, kw_only=True)
 class SeenTree:
-    """A tree that `generate` made and measured, accepted or rejected."""
+    """A tree that `generate` grew and measured, accepted or rejected."""
 
     seed: int
     species: str
-    broken: tuple[str, ...]  # rules, by the limits of the bake
+    broken: tuple[str, ...]  # broken rules, by the limits of the run
     measures: Measures
 
 
 def iter_seen(folder: Path) -> Iterator[SeenTree]:
-    """Every tree that was measured, shard by shard; those that a review rejected were not.
+    """Iterate over all measured trees, shard by shard; trees rejected in a review were not measured.
 
     Raises:
-        InputError: no shard lies in the folder.
+        InputError: the folder has no shard.
     """
     paths = sorted(folder.glob("4dtree-*.json"))
     if not paths:

@@ -1,4 +1,4 @@
-"""A person's verdicts on trees: lines of `SEED accept` or `SEED reject`. Paper appendix A, step 3."""
+"""Manual verdicts on trees: lines of `SEED accept` or `SEED reject`. Paper appendix A, step 3."""
 
 from collections.abc import Iterable, Mapping
 from typing import Literal, get_args
@@ -12,10 +12,10 @@ HEADER = "# SEED accept|reject, and what you like after it; `dynamictree dataset
 
 
 def read_review(stream: ByteReader) -> dict[int, Verdict]:
-    """Verdict by seed; what follows a # or the verdict is a note.
+    """Read the verdict of each seed; text after a # or the verdict is a note.
 
     Raises:
-        FormatError: a line that is no verdict; the message gives its number.
+        FormatError: a line is no verdict; the message gives its number.
     """
     verdicts: dict[int, Verdict] = {}
     try:
@@ -44,5 +44,5 @@ def write_review(
 
 
 def all_accepted(seeds: Iterable[int]) -> dict[int, Verdict]:
-    """The review that a sheet starts with."""
+    """Return the initial review of a sheet."""
     return dict.fromkeys(seeds, "accept")

@@ -5,14 +5,14 @@ from jaxtyping import Float32
 
 
 def turn_of(vector: Float32[np.ndarray, "3 ..."]) -> Float32[np.ndarray, "4 ..."]:
-    """Quaternion of a rotation vector [rad]."""
+    """Convert a rotation vector [rad] to a quaternion."""
     angle = np.sqrt((vector * vector).sum(axis=0))
     half = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle
     return np.concatenate([np.cos(angle / 2)[None], half * vector]).astype(np.float32)
 
 
 def product(first: Float32[np.ndarray, "4 ..."], second: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "4 ..."]:
-    """Hamilton's product: `second` is done first."""
+    """Return the Hamilton product: the rotation `second`, then `first`."""
     a, b, c, d = first
     w, x, y, z = second
     return np.stack(
@@ -26,7 +26,7 @@ def product(first: Float32[np.ndarray, "4 ..."], second: Float32[np.ndarray, "4 
 
 
 def to_matrix(quaternion: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "3 3 ..."]:
-    """Rotation matrix minus the identity."""
+    """Convert to a rotation matrix minus the identity."""
     w, x, y, z = quaternion
     rows = [
         [-2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -1,4 +1,4 @@
-"""One animated tree of the dataset, from its seed alone."""
+"""Generate one animated tree of the dataset from its seed."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,12 +17,12 @@ from lab.dataset.species import SPECIES, Species
 from lab.dataset.stem_skeleton import Skeleton, skeleton_of
 from lab.dataset.wind import sway
 
-VERSION = 5  # of the generator: a seed means the same motion as long as this stands
-GROWTH = 1  # a seed means the same tree and gusts as long as this stands
-SPEED_M_S = (1.0, 25.0)  # drawn evenly in the logarithm: from light air to a storm
+VERSION = 5  # version of the generator; raised when the motion of a seed changes
+GROWTH = 1  # raised when the tree or the gusts of a seed change
+SPEED_M_S = (1.0, 25.0)  # uniform in the logarithm, from light air to a storm
 GUST = (0.15, 0.45)
-HELD_OUT_WEIGHT = 1 / 3  # species that are only for evaluation come up more rarely
-VALIDATION_EVERY = 20  # seeds
+HELD_OUT_WEIGHT = 1 / 3  # relative probability of species that are only for evaluation
+VALIDATION_EVERY = 20  # every n-th seed
 
 Split = Literal["train", "validation", "unseen-species"]
 
@@ -37,13 +37,13 @@ class Sample:
     wind: Wind
     mesh: TriangleMesh
     part: Int8[np.ndarray, " N"]  # stem level, or `sapling.LEAF`
-    node: Int32[np.ndarray, " N"]  # whose motion a vertex follows
+    node: Int32[np.ndarray, " N"]  # node that each vertex follows
     skeleton: Skeleton
-    motion: Sway  # of the nodes, every frame
-    coefficients: Complex64[np.ndarray, "N K 3"]  # of every vertex [m]; zero is the tree without wind
+    motion: Sway  # motion of the nodes at every frame
+    coefficients: Complex64[np.ndarray, "N K 3"]  # spectrum of every vertex [m]; zero is the tree without wind
 
     def displacement(self) -> Float32[np.ndarray, "T N 3"]:
-        """Every vertex at every frame, with what lies beyond the K frequencies [m]."""
+        """Return the displacement of every vertex at every frame, also beyond the K frequencies [m]."""
         return self.motion.displacement(self.mesh.vertices, self.node)
 
 
@@ -54,10 +54,10 @@ def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = No
         seed: 0 or more.
         species: name in `SPECIES`, or CROSSED; by default drawn from the seed, among SPECIES.
         wind: by default drawn from the seed.
-        gusts: which of the motions of this tree in this wind; the dataset has the first.
+        gusts: index of the motion of this tree in this wind; the dataset has the first one.
 
     Raises:
-        InputError: no such species, or a negative seed.
+        InputError: the species is unknown, or the seed is negative.
     """
     chosen, own_wind, tree, rng = _drawn(seed, species, wind)
     for _ in range(gusts + 1):
@@ -77,14 +77,14 @@ def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = No
 
 
 def split_of(seed: int, species: Species) -> Split:
-    """Which part of the dataset a tree belongs to."""
+    """Return the split of the dataset that a tree belongs to."""
     if species.held_out:
         return "unseen-species"
     return "validation" if seed % VALIDATION_EVERY == 0 else "train"
 
 
 def is_training_seed(seed: int) -> bool:
-    """Whether the tree of a seed is for training; draws its species, which comes first, without growing the tree."""
+    """Return whether the tree of a seed is for training; draw only its species, without growing the tree."""
     rng = np.random.default_rng([GROWTH, seed])
     weights = np.array([HELD_OUT_WEIGHT if species.held_out else 1.0 for species in SPECIES.values()])
     drawn = list(SPECIES.values())[int(rng.choice(len(weights), p=weights / weights.sum()))]
@@ -92,7 +92,7 @@ def is_training_seed(seed: int) -> bool:
 
 
 def voxel_spectrum(sample: Sample, resolution: int = 128) -> tuple[SurfaceVoxels, SparseVoxelSpectrum]:
-    """The sample's motion on its voxel grid: in each voxel the mean of the surface inside."""
+    """Return the sample's motion on its voxel grid, averaged over the surface in each voxel."""
     voxels = voxelize(sample.mesh, resolution)
     weights = surface_average(sample.mesh, voxels.grid)  # [V, N]
     count, num_frequencies, _ = sample.coefficients.shape

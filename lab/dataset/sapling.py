@@ -13,28 +13,28 @@ from lab.dataset.species import Species
 from lab.dataset.tubes import Surface, own_rings, tubes
 
 LEAF = 9  # part label of leaves; wood has its level, 0 to 3
-THIN_SHARE = 0.3  # of the last level's leaf count, on the level above
+THIN_SHARE = 0.3  # leaf count of the level above, over the last level's
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tree:
     """A tree at rest. Nodes are the stems' own rings, level after level, then the leaves."""
 
-    species: Species  # as perturbed for this tree
-    stems: tuple[Stems, ...]  # by level
+    species: Species  # parameters as perturbed for this tree
+    stems: tuple[Stems, ...]  # stems by level
     leaves: tuple[Leaves, ...]
     mesh: TriangleMesh
     part: Int8[np.ndarray, " N"]
-    node: Int32[np.ndarray, " N"]  # whose motion a vertex follows
+    node: Int32[np.ndarray, " N"]  # node that each vertex follows
 
     @property
     def bare(self) -> bool:
-        """Whether it has no leaves."""
+        """Return whether the tree has no leaves."""
         return self.species.foliage.kind == "none"
 
 
 def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
-    """Grow one tree of a species, with this tree's own parameters."""
+    """Grow one tree of a species, with randomly perturbed parameters."""
     own = species.perturbed(rng)
     stems = [grow_trunks(own, rng)]
     for depth in range(1, len(own.levels)):
@@ -53,7 +53,7 @@ def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
 def _surface(
     species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, ...], on_stems: Surface | None = None
 ) -> Tree:
-    """Put the surfaces together; `on_stems` is foliage that follows the stems' own nodes."""
+    """Combine the surfaces; `on_stems` is foliage that follows the stems' own nodes."""
     surfaces = [tubes(level, on_ground=depth == 0) for depth, level in enumerate(stems)]
     labels = list(range(len(stems)))
     num_nodes = [int(own_rings(level).sum()) for level in stems]

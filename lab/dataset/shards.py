@@ -6,7 +6,7 @@ Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
     skeleton.position, .radius, .parent, .level, .stem, .stem_length_m
     r128.coords int16 [V, 3] · r128.normals float16 [V, 3] · r128.spectrum float16 [V, K, 3, 2] (re, im; m), and so on
 
-The one metadata entry `4dtree` is JSON: version, fps, num_frames, and of each tree seed, species, split, wind, grids.
+The only metadata entry, `4dtree`, is JSON: version, fps, num_frames, and per tree seed, species, split, wind, grids.
 """
 
 import hashlib
@@ -42,7 +42,7 @@ class StoredTree:
     grids: dict[int, tuple[tuple[float, float, float], float]]  # resolution: origin and voxel size [m]
 
     def voxels(self, resolution: int = 128) -> SurfaceVoxels:
-        """Occupied voxels with normals, at one of the stored resolutions."""
+        """Return the occupied voxels with normals, at one of the stored resolutions."""
         origin_m, voxel_size_m = self.grids[resolution]
         grid = VoxelGrid(
             coords=self.tensors[f"r{resolution}.coords"].astype(np.int32),
@@ -53,11 +53,11 @@ class StoredTree:
         return SurfaceVoxels(grid=grid, normals=self.tensors[f"r{resolution}.normals"].astype(np.float32))
 
     def mesh(self) -> TriangleMesh:
-        """Vertices and faces."""
+        """Return the mesh: vertices and faces."""
         return TriangleMesh(vertices=self.tensors["vertices"], faces=self.tensors["faces"])
 
     def spectrum(self, resolution: int = 128) -> SparseVoxelSpectrum:
-        """Spectrum of the motion, at one of the stored resolutions."""
+        """Return the spectrum of the motion, at one of the stored resolutions."""
         return SparseVoxelSpectrum(
             grid=self.voxels(resolution).grid,
             coefficients=unpacked(self.tensors[f"r{resolution}.spectrum"]),
@@ -67,13 +67,13 @@ class StoredTree:
         )
 
     def skeleton(self) -> Skeleton:
-        """Nodes and their parents."""
+        """Return the skeleton: nodes and their parents."""
         fields = ("position", "radius", "parent", "level", "stem", "stem_length_m")
         return Skeleton(**{name: self.tensors[f"skeleton.{name}"] for name in fields})
 
 
 def packed(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
-    """Complex to float16 (re, im)."""
+    """Convert complex values to float16 (re, im)."""
     pairs = np.ascontiguousarray(coefficients).view(np.float32).reshape(*coefficients.shape, 2)
     return pairs.astype(np.float16)
 
@@ -84,7 +84,7 @@ def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N 
 
 
 def store(sample: Sample, *, resolutions: tuple[int, ...]) -> StoredTree:
-    """Convert a sample to what a shard stores."""
+    """Convert a sample to the form that shards store."""
     tensors: dict[str, np.ndarray] = {
         "vertices": sample.mesh.vertices,
         "faces": sample.mesh.faces,
@@ -124,15 +124,15 @@ def write_shard(trees: list[StoredTree], stream: ByteWriter) -> None:
     tensors = {
         f"{tree.seed:07d}/{name}": np.ascontiguousarray(value) for tree in trees for name, value in tree.tensors.items()
     }
-    # one entry only: safetensors gives several in no fixed order
+    # a single entry, since safetensors writes several in random order
     stream.write(safetensors.numpy.save(tensors, metadata={METADATA: json.dumps(head, sort_keys=True)}))
 
 
 def iter_shard(path: str) -> Iterator[StoredTree]:
-    """Trees of a shard one by one, each read when its turn comes; the file is mapped, not read whole.
+    """Iterate over the trees of a shard; each is read lazily from the memory-mapped file.
 
     Raises:
-        FormatError: not a shard of this version.
+        FormatError: the file is not a shard of this version.
     """
     try:
         source = safetensors.safe_open(path, framework="numpy")
@@ -162,7 +162,7 @@ def iter_shard(path: str) -> Iterator[StoredTree]:
 
 
 def shards_sha256(paths: Sequence[str]) -> str:
-    """Hash of the heads of shards, in their order: seeds, winds and grids decide what is in them."""
+    """Hash the headers of shards in order: their seeds, winds and grids determine the content."""
     digest = hashlib.sha256()
     for path in paths:
         with safetensors.safe_open(path, framework="numpy") as shard:

@@ -11,13 +11,13 @@ from dynamictree.spectrum import displacement_at
 from lab.dataset.sample import Sample
 
 CELL_PX = 150
-STRIP = 6  # frames of the loop
+STRIP = 6  # number of frames of the loop
 TITLE_PX = 18
 PAPER, INK = (250, 249, 247), (60, 60, 64)
 
 
 def page(samples: Sequence[Sample]) -> UInt8[np.ndarray, "H W 3"]:
-    """A row a tree: at rest, the sway in colours (blue still, yellow most), frames of the loop, all in one scale."""
+    """Draw one row per tree at one scale: rest pose, sway as colours (blue: none, yellow: most), frames of the loop."""
     width, row = CELL_PX * (STRIP + 2), CELL_PX + TITLE_PX
     sheet = Image.new("RGB", (width, row * len(samples)), PAPER)
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(12)
@@ -33,7 +33,7 @@ def page(samples: Sequence[Sample]) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def strip_of(sample: Sample) -> UInt8[np.ndarray, "H W 3"]:
-    """One tree's pictures side by side."""
+    """Draw one tree's pictures side by side."""
     look = Look(width=CELL_PX, height=CELL_PX)
     renderer = Renderer(sample.mesh, look)
     camera = Camera.orbit(sample.mesh.vertices, aspect=1.0)

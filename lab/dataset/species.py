@@ -12,41 +12,41 @@ Shape = Literal[
 SHAPES: tuple[Shape, ...] = get_args(Shape)
 LeafKind = Literal["none", "leaf", "cluster", "needle", "frond", "clump"]
 
-KEY_SPREAD = 0.25  # key parameters (height apart): uniform within this share of the preset's value
-REST_SPREAD = 0.05  # every other number: normal with this relative deviation
+KEY_SPREAD = 0.25  # key parameters except height: uniform within this share of the preset's value
+REST_SPREAD = 0.05  # all other parameters: normal with this relative deviation
 
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
     """One level of branching: the trunk is level 0. Angles in degrees; a name ending in _var is a spread."""
 
-    length: float  # of the parent's length (level 0: of the tree's height)
+    length: float  # share of the parent's length (level 0: of the tree's height)
     length_var: float = 0.1
-    count: float = 1.0  # stems on a parent of full length (level 0: trunks)
-    segments: int = 6  # curveRes
-    sides: int = 5  # of the tube
-    curve: float = 0.0  # whole bend from base to tip, positive is down
-    curve_back: float | None = None  # bend of the upper half, where it differs
+    count: float = 1.0  # number of stems on a parent of full length (level 0: trunks)
+    segments: int = 6  # Weber and Penn's curveRes
+    sides: int = 5  # sides of the tube
+    curve: float = 0.0  # total bend from base to tip; positive is down
+    curve_back: float | None = None  # bend of the upper half, if different
     curve_var: float = 20.0
     down: float = 60.0  # angle from the parent's axis
-    down_var: float = 10.0  # negative: by place on the parent, from down - var at the base to down + var at the tip
-    rotate: float = 137.5  # about the parent, from one stem to the next
+    down_var: float = 10.0  # if negative: from down - var at the parent's base to down + var at its tip
+    rotate: float = 137.5  # angle about the parent from one stem to the next
     rotate_var: float = 15.0
-    splits: float = 0.0  # segSplits, a segment
+    splits: float = 0.0  # Weber and Penn's segSplits, per segment
     split_angle: float = 30.0
-    tropism: float = 0.0  # attractUp
+    tropism: float = 0.0  # Weber and Penn's attractUp
     taper: float = 0.95  # share of the radius lost from base to tip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Foliage:
-    """Leaves, as cards, on the last level (and, thinner, on the one above); or one closed clump a stem."""
+    """Leaves, as cards, on the last level and fewer on the one above; or one closed clump per stem."""
 
     kind: LeafKind = "leaf"
-    count: float = 8.0  # on a stem of full length; a stem has one clump
-    size: float = 0.035  # length of a card or radius of a clump, of the tree's height
+    count: float = 8.0  # number on a stem of full length; ignored for clumps
+    size: float = 0.035  # length of a card or radius of a clump [share of the tree's height]
     aspect: float = 0.6  # width over length
-    down: float = 50.0  # degrees from the stem
+    down: float = 50.0  # angle from the stem [deg]
     droop: float = 0.2  # bend towards the ground, 0 to 1
     color: tuple[float, float, float] = (0.18, 0.33, 0.08)  # linear RGB
 
@@ -59,17 +59,17 @@ class Species:
     height_m: tuple[float, float]  # uniform range
     levels: tuple[Level, ...]
     shape: Shape = "spherical"
-    base_size: float = 0.25  # bare share of the trunk
+    base_size: float = 0.25  # bare share of the trunk's length
     ratio: float = 0.018  # trunk radius over length
     ratio_power: float = 1.2
     flare: float = 0.5  # widening of the trunk at the ground
     base_splits: float = 0.0  # forks of the trunk at the end of its bare part
     foliage: Foliage = Foliage()
     bark: tuple[float, float, float] = (0.16, 0.11, 0.07)  # linear RGB
-    held_out: bool = False  # never trained on, so that evaluation can tell
+    held_out: bool = False  # excluded from training, for evaluation
 
     def perturbed(self, rng: np.random.Generator) -> "Species":
-        """One tree's own parameters: key ones drawn widely, the rest a little. Paper appendix A, step 1."""
+        """Draw one tree's parameters: key ones vary widely, the rest slightly. Paper appendix A, step 1."""
 
         def key(value: float) -> float:
             return float(value * rng.uniform(1 - KEY_SPREAD, 1 + KEY_SPREAD))

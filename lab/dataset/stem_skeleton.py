@@ -11,10 +11,10 @@ from lab.dataset.tubes import own_rings
 
 @dataclass(frozen=True, kw_only=True)
 class Skeleton:
-    """Nodes level after level, in the order of the tree's nodes without the leaves."""
+    """Nodes level by level, in the order of the tree's nodes without the leaves."""
 
     position: Float32[np.ndarray, "B 3"]  # [m]
-    radius: Float32[np.ndarray, " B"]  # of the tube [m]
+    radius: Float32[np.ndarray, " B"]  # radius of the tube [m]
     parent: Int32[np.ndarray, " B"]  # node towards the root; -1 on the ground
     level: Int8[np.ndarray, " B"]
     stem: Int32[np.ndarray, " B"]
@@ -22,7 +22,7 @@ class Skeleton:
 
 
 def skeleton_of(levels: tuple[Stems, ...]) -> Skeleton:
-    """Lay all levels' rings out as one list of nodes. A stem's first ring hangs on its parent's ring just below."""
+    """List the rings of all levels as nodes. The parent of a stem's first ring is its parent's ring just below."""
     parts: list[tuple[np.ndarray, ...]] = []
     above: Int32[np.ndarray, "M P"] = np.zeros((0, 0), np.int32)
     num_nodes = num_stems = 0

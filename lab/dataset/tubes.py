@@ -1,4 +1,4 @@
-"""Surface of the stems: one tube per stem, whose first ring lies inside the parent."""
+"""Surface of the stems: one tube per stem; its first ring is inside the parent."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ class Surface:
 
 
 def own_rings(stems: Stems) -> Bool[np.ndarray, "M P"]:
-    """Which rings of the table are a stem's own, and so are nodes, counted row by row."""
+    """Return which rings are a stem's own. Own rings are the nodes, counted row by row."""
     return np.arange(stems.segments + 1) >= stems.first[:, None]
 
 
 def ring_axes(stems: Stems) -> tuple[Float32[np.ndarray, "M P 3"], Float32[np.ndarray, "M P 3"]]:
-    """Two unit vectors that span each ring, carried along the stem without twist."""
+    """Return two unit vectors that span each ring, transported along the stem without twist."""
     segment = unit(np.diff(stems.points, axis=1))  # [M, R, 3]
     tangent = unit(np.concatenate([segment[:, :1], segment[:, 1:] + segment[:, :-1], segment[:, -1:]], axis=1))
     side = np.empty_like(tangent)
@@ -35,12 +35,12 @@ def ring_axes(stems: Stems) -> tuple[Float32[np.ndarray, "M P 3"], Float32[np.nd
 
 
 def tubes(stems: Stems, *, on_ground: bool = False) -> Surface:
-    """One closed-ended tube a stem; on the ground the first ring is level, so that the trunk stands on z = 0."""
+    """Build one closed tube per stem; if `on_ground`, the first ring is level, so that the trunk stands on z = 0."""
     own, sides = own_rings(stems), stems.sides
     side, other = ring_axes(stems)
     if on_ground:
         side[:, 0], other[:, 0] = [1, 0, 0], [0, 1, 0]
-        turn = np.arctan2(side[:, 1, 1], side[:, 1, 0])  # line the ground ring up with the next
+        turn = np.arctan2(side[:, 1, 1], side[:, 1, 0])  # aligns the ground ring with the next
         side[:, 0] = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
         other[:, 0] = np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=1)
     angle = 2 * np.pi * np.arange(sides, dtype=np.float32) / sides
@@ -57,7 +57,7 @@ def tubes(stems: Stems, *, on_ground: bool = False) -> Surface:
 
 
 def _walls(lower: Int64[np.ndarray, " B"], sides: int) -> Int64[np.ndarray, "F 3"]:
-    """Two triangles a side of each segment, from ring node `lower` to the next."""
+    """Return two triangles per side of each segment, from ring node `lower` to the next."""
     side = np.arange(sides)
     after = (side + 1) % sides
     a, b = lower[:, None] * sides + side, lower[:, None] * sides + after  # [B, S]
@@ -66,7 +66,7 @@ def _walls(lower: Int64[np.ndarray, " B"], sides: int) -> Int64[np.ndarray, "F 3
 
 
 def _fan(rings: Int64[np.ndarray, " M"], sides: int) -> Int64[np.ndarray, "F 3"]:
-    """Close the ring nodes given."""
+    """Return the triangles that close the given ring nodes."""
     spoke = np.stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)  # [S-2, 3]
     fans: Int64[np.ndarray, "M S 3"] = rings[:, None, None] * sides + spoke
     return fans.reshape(-1, 3)

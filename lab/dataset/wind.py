@@ -1,8 +1,8 @@
 """Wind simulation: each stem is an elastic rod on its moving parent; leaves are cards on springs that flutter.
 
-`oscillator` gives each stem's deflection in the air at its place. Here it becomes a chain of turns: every segment takes
-its share of the bend, Weber and Penn's (1 − z) / r, and of the twist, and children inherit. Turns are exact, so that
-nothing stretches.
+`oscillator` computes each stem's deflection in the air at its place. This module converts it to a chain of rotations:
+every segment takes its share of the bend, Weber and Penn's (1 − z) / r, and of the twist, and children inherit them.
+Rotations are exact, so that nothing stretches.
 """
 
 from dataclasses import dataclass
@@ -37,20 +37,20 @@ from lab.dataset.rotation import carried, product, to_matrix, turn_of
 from lab.dataset.sapling import Tree
 from lab.dataset.tubes import own_rings
 
-ABOVE_FLARE = 0.15  # of a trunk's length; Weber and Penn's flare ends at 1/8
+ABOVE_FLARE = 0.15  # share of the trunk's length; Weber and Penn's flare ends at 1/8
 TRUNK_BEND = 0.6
-"""Lean of a trunk, over that of a branch as slender: with the usual flare as much as by the radius at the ground."""
+"""Lean of a trunk over that of an equally slender branch; equals a lean by the radius at the ground (usual flare)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Pose:
     """Position and rotation of some stems at one ring; `_move` updates the arrays in place."""
 
-    place: Float32[np.ndarray, "3 M T"]  # of the ring's centre [m]
+    place: Float32[np.ndarray, "3 M T"]  # position of the ring's centre [m]
     turn: Float32[np.ndarray, "4 M T"]  # quaternion
 
     def of(self, rows: Int[np.ndarray, " C"]) -> "_Pose":
-        """The pose of some of the stems."""
+        """Select the pose of some of the stems."""
         return _Pose(place=self.place[:, rows], turn=self.turn[:, rows])
 
 
@@ -58,11 +58,11 @@ class _Pose:
 class _Moving:
     """Motion of all stems of one level."""
 
-    place: Float32[np.ndarray, "P 3 M T"]  # by ring
-    turn: Float32[np.ndarray, "R 4 M T"]  # by segment
+    place: Float32[np.ndarray, "P 3 M T"]  # positions by ring
+    turn: Float32[np.ndarray, "R 4 M T"]  # quaternions by segment
 
     def at(self, row: Int32[np.ndarray, " C"], ring: Float32[np.ndarray, " C"]) -> _Pose:
-        """The pose of points on stems, `ring` in rings: rigid on the segment they lie in."""
+        """Return the pose of points on stems, at position `ring` [rings]: rigid with their segment."""
         on = np.minimum(ring.astype(np.int32), len(self.turn) - 1)
         along = (ring - on).astype(np.float32)[:, None, None]
         low, high = self.place[on, :, row], self.place[on + 1, :, row]  # [C, 3, T]
@@ -85,7 +85,7 @@ def sway_stems(
     leaves: tuple[Leaves, ...] = (),
     times: int = 1,
 ) -> Sway:
-    """Move stems, level after level, and the leaves on them. Nodes are the stems' own rings, then the leaves."""
+    """Move stems, level by level, and their leaves. Nodes are the stems' own rings, then the leaves."""
     times_s = np.arange(times * NUM_FRAMES) / FPS
     bins_hz = np.arange(1, NUM_FREQUENCIES * times) * FPS / NUM_FRAMES / times
     height_m = float(max(stems.points[:, :, 2].max() for stems in levels))
@@ -106,9 +106,9 @@ def sway_stems(
 
 
 def released(tree: Tree, times: int = 16) -> Float64[np.ndarray, " T"]:
-    """Downwind displacement of the top of the longest trunk after one gust of a second in still air [m].
+    """Return the downwind displacement of the longest trunk's top after one gust of 1 s in still air [m].
 
-    In a loop of `times` T frames, in which the motion has come to rest before the next gust.
+    The loop has `times` T frames, in which the motion comes to rest before the next gust.
     """
     stems, load = tree.stems[0], loads_of(tree.stems, tree.leaves, bare=tree.bare)[0]
     moving = _move(stems, None, load, single_gust(np.arange(times * NUM_FRAMES) / FPS))
@@ -117,7 +117,7 @@ def released(tree: Tree, times: int = 16) -> Float64[np.ndarray, " T"]:
 
 
 def _move(stems: Stems, parent: _Moving | None, load: Load, air: Air) -> _Moving:
-    """Walk all stems of a level from ring to ring, turning each segment by what came before and its own bend."""
+    """Move all stems of a level ring by ring; rotate each segment by the rotation before it and its own bend."""
     radius = _bending_radius(stems, is_trunk=parent is None)
     share = _bending_share(stems, still_root=parent is None)
     pose = _upright(stems.points[:, 0], air.ticks.shape[1])
@@ -157,14 +157,14 @@ def _centre_of_drag(stems: Stems, rows: Int64[np.ndarray, " C"]) -> Float32[np.n
 
 
 def _upright(base: Float32[np.ndarray, "M 3"], num_frames: int) -> _Pose:
-    """Pose of all stems at rest."""
+    """Return the pose of all stems at rest."""
     turn = np.zeros((4, len(base), num_frames), np.float32)
     turn[0] = 1
     return _Pose(place=np.broadcast_to(base.T[:, :, None], (3, len(base), num_frames)).copy(), turn=turn)
 
 
 def _begin(stems: Stems, born: Int64[np.ndarray, " C"], pose: _Pose, parent: _Moving | None) -> _Pose:
-    """Pose at the base of stems: on the stem they split from, on the parent's segment, or on the ground (trunk)."""
+    """Return the pose at the base of stems: on the stem they split from, on the parent's segment, or on the ground."""
     source = stems.parent[born]
     if stems.first[born[0]] > 0:
         return pose.of(source)
@@ -188,7 +188,7 @@ def _step(
 
 
 def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"]:
-    """Radius to which a stem's length is compared [m]: at its base, or of a trunk above its flare, as foresters do."""
+    """Return the radius for a stem's slenderness [m]: at its base, or for a trunk above its flare, as foresters do."""
     base = base_radius(stems)
     if not is_trunk:
         return base
@@ -200,7 +200,7 @@ def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"
 
 
 def _bending_share(stems: Stems, *, still_root: bool) -> Float32[np.ndarray, "M R"]:
-    """Share of a stem's bend that each segment takes; 0 for the trunk's first segment, which is in the ground."""
+    """Return each segment's share of a stem's bend; 0 for the trunk's first segment, which is in the ground."""
     ring = np.arange(stems.segments)
     place = (ring - stems.first[:, None]) / (stems.segments + 1 - stems.first[:, None])
     share = np.where(ring >= stems.first[:, None], (1 - place) / stems.radii[:, :-1], 0)
@@ -211,7 +211,7 @@ def _bending_share(stems: Stems, *, still_root: bool) -> Float32[np.ndarray, "M 
 
 
 def _ring_motion(stems: Stems, moving: _Moving) -> Sway:
-    """Motion of a level's nodes: a ring takes the mean turn of the segments that meet in it."""
+    """Return the motion of a level's nodes; a ring's rotation is the mean over its adjacent segments."""
     turn = to_matrix(moving.turn.transpose(1, 0, 2, 3))  # [3, 3, R, M, T]
     at_ring = np.concatenate([turn[:, :, :1], (turn[:, :, 1:] + turn[:, :, :-1]) / 2, turn[:, :, -1:]], axis=2)
     forked = stems.first > 0
@@ -226,11 +226,11 @@ def _ring_motion(stems: Stems, moving: _Moving) -> Sway:
 
 
 def _leaf_motion(leaves: Leaves, bearer: _Moving, air: Air, rng: np.random.Generator) -> Sway:
-    """Motion of leaves: each hangs in the air that passes it, and flutters when that is fast enough."""
+    """Return the motion of leaves: each bends with the passing air, and flutters if the air is fast enough."""
     begin = bearer.at(leaves.row, leaves.ring)
     shift = begin.place - leaves.base.T[:, :, None]
     num_frames = shift.shape[2]
-    # a leaf is so much faster than what bears it that it follows at once
+    # a leaf responds so much faster than its stem that it follows at once
     bearer_velocity = irfft(1j * frequencies(num_frames) * rfft(shift, axis=2), n=num_frames, axis=2)
     passing = air.velocity(leaves.base) + _mean_wind(air) - bearer_velocity
     angle = bounded(LEAF_LEAN_RAD * drag(passing))
@@ -250,7 +250,7 @@ def _leaf_motion(leaves: Leaves, bearer: _Moving, air: Air, rng: np.random.Gener
 def _flutter(
     leaves: Leaves, speed_m_s: Float[np.ndarray, "Q T"], rng: np.random.Generator
 ) -> tuple[Float32[np.ndarray, "Q T"], Float32[np.ndarray, "Q T"]]:
-    """Turns of leaves across and about their axes [rad]."""
+    """Return the rotations of leaves across and about their axes [rad]."""
     count, num_frames = speed_m_s.shape
     hat = unit_turns(leaves.row, np.fft.rfftfreq(num_frames, d=1 / FPS), rng)
     unit = irfft(hat, n=num_frames, axis=2, norm="forward")  # [Q, 2, T]
