@@ -1,1 +1,1 @@
-"""How the model is made and judged: the data set 4DTree, training and evaluation. `dynamictree` never imports it."""
+"""Development of the model: the data set 4DTree, training and evaluation. `dynamictree` never imports this package."""

@@ -147,7 +147,7 @@ def sheet(
                 write_png(page(samples), stream)
             report("trees", min(start + rows, len(seeds)), len(seeds), 0.0)
     review = output / "review.txt"
-    if not review.exists():  # never write over what a person wrote
+    if not review.exists():  # never overwrite a person's review
         with review.open("wb") as stream:
             write_review(all_accepted(seeds), stream, notes=notes)
     tell({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)

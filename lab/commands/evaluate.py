@@ -156,7 +156,7 @@ def _laws_of(path: Path, reading: Reading, model: str, seed: int) -> dict[str, A
 
 
 def _motion_of(shape: "TriangleMesh", *, model: str, seed: int) -> "Callable[[Wind], SparseVoxelSpectrum]":
-    """A function that generates the shape's motion in a wind."""
+    """Return a function that generates the shape's motion in a wind."""
     from dynamictree import method
 
     voxels = method.voxelize(shape)

@@ -1,1 +1,1 @@
-"""Evaluation of models: figures, baselines, procedural wind, a classifier and CLIP."""
+"""Evaluation of models: figures, baselines, laws of real trees, a classifier and CLIP."""

@@ -1,4 +1,4 @@
-"""Baselines that a model has to beat; each gives a spectrum [V, K, 3] in metres for a held-out tree."""
+"""Baselines that a model has to beat; each returns a spectrum [V, K, 3] in metres for a held-out tree."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from lab.dataset.sample import make_sample, voxel_spectrum
 
-NUM_BINS = 20  # of height
-FLOOR = 1e-6  # of the tree's height, before a logarithm
+NUM_BINS = 20  # bins over the height
+FLOOR = 1e-6  # share of the tree's height, added before a logarithm
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingTree:
-    """A tree of the training set, as the baselines use it."""
+    """A training tree in the form that the baselines use."""
 
     coords: Int32[np.ndarray, "V 3"]
     spectrum: Complex64[np.ndarray, "V K 3"]  # over the tree's height, in the wind's frame
 
 
 def training_tree(seed: int, resolution: int = 128) -> TrainingTree:
-    """The dataset's tree of a seed."""
+    """Generate the dataset's tree of a seed."""
     sample = make_sample(seed)
     voxels, spectrum = voxel_spectrum(sample, resolution)
     turned = spectrum.coefficients @ wind_axes(sample.wind).T / voxels.grid.height_m
@@ -39,7 +39,7 @@ class ByHeight:
     lean: Float64[np.ndarray, "H 3"]
 
     def spectrum(self, grid: VoxelGrid, wind: Wind, rng: np.random.Generator) -> Complex64[np.ndarray, "V K 3"]:
-        """The mean spectrum with one random phase a frequency and axis."""
+        """Return the mean spectrum with one random phase per frequency and axis."""
         above = grid.coords[:, 2] - grid.coords[:, 2].min()
         height_m = (above.max() + 1) * grid.voxel_size_m
         place = (above + 0.5) / (above.max() + 1) * NUM_BINS - 0.5
@@ -68,7 +68,7 @@ def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
 
 
 def one_phase(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
-    """A random phase for each frequency and axis."""
+    """Draw a random phase for each frequency and axis."""
     turn: Complex64[np.ndarray, "J 3"] = np.exp(2j * np.pi * rng.random((num_moving, 3))).astype(np.complex64)
     return turn
 

@@ -1,9 +1,9 @@
-"""A classifier of generated against true motions: gradient-boosted trees on features of whole motions.
+"""Classifier that separates generated from true motions: gradient-boosted trees on features of whole motions.
 
 The result is valid only if the same classifier also separates an easy fake, the by-height mean, from the truth: RULE.
-True and generated motions are of the same trees in the same winds, and a tree is never on both sides of a split. All go
-through the same voxels, and roots are left out of both: a model's are clamped, and those of voxels move by 8e-6 of the
-height. The raw truth, which went through no voxels, is one of the fakes: what it is recognised by is not the model's.
+True and generated motions are of the same trees in the same winds, and a tree is never on both sides of a split. All
+pass through the same voxels. Roots are left out: a model's are clamped, and those of voxels move by 8e-6 of the height.
+The raw truth, without voxels, is one of the fakes: differences that reveal it are not errors of the model.
 """
 
 from collections.abc import Iterator
@@ -39,13 +39,13 @@ KINDS = ("by-height mean", "model", "second wind", "raw truth")
 MIN_RIGHT = 0.9
 RULE = f"valid if it separates the by-height mean in at least {100 * MIN_RIGHT:.0f} % of cases"
 FOLDS = 5
-HEIGHTS = 5  # slices in which sizes are taken
-FRAMES = 12  # in which edges are measured
+HEIGHTS = 5  # number of slices over the height for sizes
+FRAMES = 12  # number of frames in which edges are measured
 FIRST_TRAINING_SEED = 1000
 
 
 def features_of(motion: Complex64[np.ndarray, "N K 3"], reference: TreeReference) -> dict[str, float]:
-    """Features of a motion, of its tree and of its wind."""
+    """Compute features of a motion, of its tree and of its wind."""
     tree = reference.tree
     vertices, height_m = tree.mesh.vertices, tree.mesh.height_m
     above = (vertices[:, 2] - vertices[:, 2].min()) / height_m
@@ -84,7 +84,7 @@ def features_of(motion: Complex64[np.ndarray, "N K 3"], reference: TreeReference
 
 
 def _axes(motion: Complex64[np.ndarray, "N K 3"], tree: HeldOutTree) -> dict[str, float]:
-    """Shares of the energy along the wind, across it and upright."""
+    """Return the shares of the energy along the wind, across it and vertical."""
     angle = np.deg2rad(tree.wind.direction_deg)
     turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     power = (np.abs(motion[:, 1:] @ turn.T) ** 2).sum(axis=(0, 1))
@@ -101,16 +101,16 @@ def classify(
     tries: int = 50,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """Accuracy of a classifier that separates each kind of motion from the true one, by vertex; 0.5 is chance.
+    """Return a classifier's accuracy in separating each kind of motion from the true one; 0.5 is chance.
 
     Args:
-        name: of a shipped model, or a file.
-        num_trees: a side; of seen and unseen species in turn.
+        name: name of a shipped model, or a file.
+        num_trees: number of trees, of seen and unseen species in turn.
         max_voxels: larger trees are left out.
-        seed: of the generated motions; each tree has its own.
-        num_training: training trees behind the by-height mean.
-        tries: trees looked at for one that is small enough, before giving up.
-        on_step: called with the trees done and their number.
+        seed: seed of the first generated motion; each tree has its own.
+        num_training: number of training trees for the by-height mean.
+        tries: trees examined per tree that is small enough, before giving up.
+        on_step: called with the number of finished trees and the total.
 
     Raises:
         InputError: too few trees are small enough, or scikit-learn is not installed.
@@ -127,7 +127,7 @@ def classify(
         generated = generate_for(tree, model, seed=own_seed)
         mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
         motions = {
-            # the truth goes the same way, so that the loss by voxels separates nothing
+            # the truth passes through voxels too, so that their loss reveals nothing
             "truth": on_vertices(reference.on_voxels(tree.truth)),
             "second wind": on_vertices(reference.on_voxels(tree.second)),
             "model": devoxelize(generated, tree.mesh),
@@ -156,7 +156,7 @@ def _on_vertices(tree: HeldOutTree, coefficients: Complex64[np.ndarray, "V K 3"]
 
 
 def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTree]:
-    """Trees of seen and unseen species in turn, without the large ones."""
+    """Iterate over trees of seen and unseen species in turn, without large ones."""
     groups: tuple[SpeciesGroup, ...] = get_args(SpeciesGroup)
     both = [iter_held_out(group, tries * count) for group in groups]
     given = 0
@@ -170,7 +170,7 @@ def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTre
 
 
 def share_right(truth: Float64[np.ndarray, "P D"], fake: Float64[np.ndarray, "P D"], *, seed: int) -> float:
-    """Cross-validated accuracy of a classifier on held-out trees. Row i of both inputs is tree i."""
+    """Return the cross-validated accuracy of a classifier on held-out trees. Row i of both inputs is tree i."""
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
         from sklearn.model_selection import GroupKFold

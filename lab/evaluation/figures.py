@@ -1,4 +1,4 @@
-"""Compare one motion with the true one: every figure."""
+"""Compare one motion with the true one in all figures."""
 
 from dataclasses import dataclass
 
@@ -34,13 +34,13 @@ class Figures:
     log_amplitude_rmse: float
     centroid_correlation: float
     roughness_ratio: float
-    smoothness_loss_ratio: float  # L_LSS of the voxels' means
-    energy_distance: float  # half the sum of |differences| of the shares of energy by frequency
-    size_ratio: float  # median of a over the truth's
+    smoothness_loss_ratio: float  # ratio of L_LSS of the voxel means
+    energy_distance: float  # half the sum of absolute differences of the energy shares by frequency
+    size_ratio: float  # median amplitude over the truth's
     stretch_median: float
     stretch_p99: float
-    root_share: float  # of the height
-    loop_jump: float  # over the largest step inside
+    root_share: float  # largest root displacement [share of the height]
+    loop_jump: float  # jump at the loop's end over the largest step inside
     lean_ratio: float
     phase_agreement: float
     phase_agreement_truth: float
@@ -48,7 +48,7 @@ class Figures:
 
 @dataclass(frozen=True, kw_only=True)
 class TreeReference:
-    """Prepared data of a tree that all methods are measured with."""
+    """Prepared data of a tree, with which all methods are measured."""
 
     tree: HeldOutTree
     edges: Int32[np.ndarray, "E 2"]
@@ -58,7 +58,7 @@ class TreeReference:
 
     @classmethod
     def of(cls, tree: HeldOutTree) -> "TreeReference":
-        """Prepare a tree."""
+        """Prepare the reference of a tree."""
         neighbours, distances = nearest_voxels(tree.voxels.grid.centres_m, LocalSmoothness().num_neighbours)
         return cls(
             tree=tree,
@@ -69,17 +69,17 @@ class TreeReference:
         )
 
     def on_voxels(self, motion: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "V K 3"]:
-        """Mean of a motion over the surface in each voxel."""
+        """Average a motion over the surface in each voxel."""
         flat = np.ascontiguousarray(self.average @ motion.reshape(len(motion), -1).view(np.float32))
         return flat.view(np.complex64).reshape(-1, *motion.shape[1:])
 
     def smoothness(self, motion: Complex64[np.ndarray, "N K 3"]) -> float:
-        """L_LSS of the voxels' means."""
+        """Return L_LSS of the voxel means."""
         return smoothness_loss(self.on_voxels(motion), self.neighbours, self.distances)
 
 
 def figures_of(guess: Complex64[np.ndarray, "N K 3"], reference: TreeReference) -> Figures:
-    """Every figure of one motion."""
+    """Compute all figures of one motion."""
     tree, edges = reference.tree, reference.edges
     vertices, height_m = tree.mesh.vertices, tree.mesh.height_m
     correlation, rmse = log_amplitude_agreement(guess, tree.truth, height_m)

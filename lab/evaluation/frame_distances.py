@@ -1,6 +1,6 @@
-"""CLIP-I and CLIP-T, paper section 6: how far frames are from the tree at rest, and from the frame before.
+"""CLIP-I and CLIP-T, paper section 6: distances of frames from the tree at rest, and from the previous frame.
 
-1 - cosine of two feature vectors, the mean over frames.
+A distance is 1 - cosine of two feature vectors, averaged over frames.
 """
 
 from collections.abc import Iterable, Iterator
@@ -19,13 +19,13 @@ from lab.evaluation.clip import ClipEmbedder
 SIDE_PX = 224
 BATCH = 16
 LARGEST_ERROR = 5.0
-"""Bound on |ln ratio|, which is infinite where one of the two motions stands still."""
+"""Bound on |ln ratio|, which is infinite if one of the two motions stands still."""
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
 def embedded(embedder: ClipEmbedder, pictures: Iterable[Picture]) -> Float32[Tensor, "P D"]:
-    """One unit vector a picture; pictures are taken as they come, a batch at a time."""
+    """Return one unit vector per picture; pictures are consumed lazily in batches."""
     rows, waiting = [], []
     for picture in pictures:
         waiting.append(_pixels(picture))
@@ -38,7 +38,7 @@ def embedded(embedder: ClipEmbedder, pictures: Iterable[Picture]) -> Float32[Ten
 
 
 def frame_distances(embedder: ClipEmbedder, view: Picture, frames: Iterable[Picture]) -> tuple[float, float]:
-    """The mean distance of frames to the input view, and to the frame before."""
+    """Return the mean distance of frames to the input view, and to the previous frame."""
     (seen,) = embedded(embedder, [view])
     rows = embedded(embedder, frames)
     return float(1 - (rows @ seen).mean()), float(1 - (rows[1:] * rows[:-1]).sum(dim=1).mean())
@@ -51,7 +51,7 @@ def motion_distances(
     *,
     num_frames: int = NUM_FRAMES,
 ) -> tuple[float, float]:
-    """`frame_distances` of a motion of a mesh; the input view is the tree at rest from where the frames are seen."""
+    """Compute `frame_distances` of a mesh's motion; the input view is the tree at rest from the same camera."""
     renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
     camera = Camera.orbit(mesh.vertices, aspect=1.0)
     frames = _frames(renderer, camera, coefficients, num_frames)
@@ -59,9 +59,9 @@ def motion_distances(
 
 
 def distance_error(distances: tuple[float, float], truth: tuple[float, float]) -> float:
-    """The larger |ln ratio| of two distances to those of the true motion.
+    """Return the larger |ln ratio| of the two distances to those of the true motion.
 
-    A small distance alone is no quality: frames that stand still are at none.
+    A small distance alone is no quality: frames that stand still have distance 0.
     """
     pairs = zip(distances, truth, strict=True)
     return max(
@@ -82,7 +82,7 @@ def _unit(embedder: ClipEmbedder, pixels: list[Float32[Tensor, "3 S S"]]) -> Flo
 
 
 def _pixels(picture: Picture) -> Float32[Tensor, "3 S S"]:
-    """The picture's centre square at `SIDE_PX`, values in [0, 1]."""
+    """Return the picture's centre square at `SIDE_PX`, with values in [0, 1]."""
     height, width = picture.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2

@@ -18,17 +18,17 @@ from lab.dataset.wind import sway
 from lab.evaluation.sapling_file import read_sapling
 
 STREAM = 7_000_001
-"""First word of these trees' seeds; the dataset's own begin with its version."""
+"""First word of the seeds of held-out trees; the dataset's seeds begin with its version."""
 SPEED_M_S = (2.0, 10.0)
 GUST = (0.15, 0.45)
 
 SAPLING_WIND = Wind(speed_m_s=7.5, direction_deg=-90.0)
-"""What we take the add-on's wind 1 for: it blows along −Y; our stems bend as far, see docs/decisions/dataset.md."""
+"""Our equivalent of the add-on's wind 1, which blows along −Y: our stems bend as far, see docs/decisions/dataset.md."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutTree:
-    """A tree and its true motion; of the grown trees also one in other gusts of the same mean wind."""
+    """A tree and its true motion; generated trees also have a second motion in other gusts of the same mean wind."""
 
     species: str
     wind: Wind
@@ -39,7 +39,7 @@ class HeldOutTree:
 
 
 def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[HeldOutTree]:
-    """Trees of Blender's Sapling add-on, which another simulator moves."""
+    """Iterate over trees of Blender's Sapling add-on, which another simulator moves."""
     for path in files:
         tree = read_sapling(path)
         yield HeldOutTree(
@@ -56,7 +56,7 @@ Group = Literal["seen-species", "unseen-species", "sapling"]
 
 
 def iter_held_out(group: SpeciesGroup, count: int, *, resolution: int = 128) -> Iterator[HeldOutTree]:
-    """`count` trees, the group's species in turn."""
+    """Iterate over `count` trees, the group's species in turn."""
     held_out = group == "unseen-species"
     species = [one for one in SPECIES.values() if one.held_out == held_out]
     for index in range(count):

@@ -1,5 +1,5 @@
-"""Laws of real trees' motion, measured on what the simulator moves, for heights of 1 to 35 m, and on what a model
-generates of any one tree. Nothing is read from parameters: frequency and damping are those of a simulated ring-down.
+"""Laws of real trees' motion, measured on motions of the simulator for heights of 1 to 35 m, and on a model's motions
+of any one tree. No parameters are read: frequency and damping are those of a simulated ring-down.
 
 Measurements: lowest frequency of 58 broadleaf trees of 12 to 56 m, and below 12 m that of finite-element models of
 scanned trees; pull-and-release damping (all TobyDJackson/WindAndTrees_NaturalFrequencies); amplitude by frequency of
@@ -24,7 +24,7 @@ from lab.evaluation.motion_statistics import correlation, effective_shapes, fast
 from lab.training.progress import OnStep
 
 ModelMotion = Callable[[TriangleMesh], Callable[[Wind], SparseVoxelSpectrum]]
-"""Of a mesh, a function that generates its motion in a wind."""
+"""Maps a mesh to a function that generates its motion in a wind."""
 HEIGHTS_M = (1.0, 35.0)
 SPEEDS_M_S = (1.25, 2.5, 3.0, 8.0, 10.0, 20.0)
 GUST = 0.3
@@ -34,17 +34,17 @@ MEASURED_FROM_M, MEASURED_TO_M = 12.0, 56.0
 MEASURED_SPREAD = (0.73, 1.27)
 """10th and 90th percentile of the measured frequencies over the law of height."""
 DAMPING_BAND = (0.03, 0.17)
-ORBIT_BAND = (0.05, 0.95)  # minor over major axis: neither a line nor a circle
+ORBIT_BAND = (0.05, 0.95)  # minor over major axis; excludes lines and circles
 RESPONSE_BAND = (1.35, 2.0)  # exponent of the displacement with wind speed: "about 1.4 to 2"
 LEAST_SHAPES, LARGEST_CORRELATION, LEAST_FAST_SHARE = 12, 0.85, 0.15
-"""Aims, not measurements: version 4 had 13 shapes, a correlation of 0.93, and a share of 0.07."""
+"""Targets, not measurements: version 4 had 13 shapes, a correlation of 0.93, and a share of 0.07."""
 MEDIANS = (
     "damping_ratio", "spectral_slope", "orbit", "response", "response_in_storm", "shapes", "correlation",
     "fast_share_slow", "fast_share",
 )  # fmt: skip
-RINGS_TO = 0.1  # of the first peak, down to which a ring-down is measured
-TIP_SHARE = 0.05  # of the vertices, the highest ones
-MOST_PLACES = 2000  # whose motion is compared
+RINGS_TO = 0.1  # share of the first peak at which the measurement of a ring-down ends
+TIP_SHARE = 0.05  # share of the vertices, the highest ones
+MOST_PLACES = 2000  # largest number of places whose motions are compared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,20 +53,20 @@ class TreeLaws:
 
     species: str
     height_m: float
-    frequency_hz: float  # of the simulated ring-down; of a generated motion the tip's mean by energy
-    damping_ratio: float  # of the simulated ring-down; NaN of a generated motion
-    spectral_slope: float  # of the tip's amplitude from 1 Hz on: amplitude ~ f^slope
+    frequency_hz: float  # frequency of the ring-down; for a generated motion, the tip's energy-weighted mean
+    damping_ratio: float  # ratio of the simulated ring-down; NaN for a generated motion
+    spectral_slope: float  # exponent of the tip's amplitude from 1 Hz on: amplitude ~ f^slope
     orbit: float  # minor over major axis of the tip's horizontal motion
     response: float  # exponent of the tip's displacement with wind speed, 1.25 to 2.5 m/s
-    response_in_storm: float  # the same from 10 to 20 m/s
-    shapes: float  # effective number of them in the velocity off the trunk, 8 m/s
-    correlation: float  # of the motions at 3 and at 8 m/s
-    fast_share_slow: float  # of the velocity's energy above 2 Hz, at 3 m/s
-    fast_share: float  # the same at 8 m/s
+    response_in_storm: float  # exponent from 10 to 20 m/s
+    shapes: float  # effective number of shapes in the velocity off the trunk, at 8 m/s
+    correlation: float  # correlation of the motions at 3 and at 8 m/s
+    fast_share_slow: float  # share of the velocity's energy above 2 Hz, at 3 m/s
+    fast_share: float  # share at 8 m/s
 
 
 def measure_tree(species: str, height_m: float, seed: int) -> TreeLaws:
-    """Grow a tree of a height, release it in still air, move it at all speeds, measure."""
+    """Grow a tree of this height, release it in still air, simulate it at all speeds, and measure."""
     tree = _grown(species, height_m, seed)
     frequency_hz, damping_ratio = ring_down(released(tree))
     places = tree.mesh.vertices
@@ -87,8 +87,8 @@ def measure_generated(name: str, generate: Callable[[Wind], SparseVoxelSpectrum]
     """Generate a tree's motion at all speeds, and measure it.
 
     Args:
-        name: of the tree.
-        generate: gives the spectrum of the tree's motion in a wind, in a period that fits its height.
+        name: name of the tree.
+        generate: returns the spectrum of the tree's motion in a wind, with a period that fits its height.
     """
     spectra = [generate(Wind(speed_m_s=speed, gust=GUST)) for speed in SPEEDS_M_S]
     places, frequencies_hz = spectra[0].grid.centres_m, spectra[0].frequencies_hz
@@ -108,7 +108,7 @@ def _of_motions(
     motions: Sequence[Complex64[np.ndarray, "N K 3"]],
     frequencies_hz: Float64[np.ndarray, " K"],
 ) -> dict[str, float]:
-    """What is measured of the spectra at SPEEDS_M_S."""
+    """Measure the spectra at SPEEDS_M_S."""
     top = _highest(places)
     tips = [motion[top, 1:] for motion in motions]
     response, response_in_storm = _exponents(tips)
@@ -129,10 +129,10 @@ def _of_motions(
 
 
 def ring_down(series: Float64[np.ndarray, " T"]) -> tuple[float, float]:
-    """Frequency [Hz] and damping ratio of a released oscillation, by its zero crossings and the decay of its peaks."""
+    """Measure frequency [Hz] and damping ratio of a ring-down, from its zero crossings and the decay of its peaks."""
     at = np.flatnonzero(np.diff(np.signbit(series)))
     crossings = at + series[at] / (series[at] - series[at + 1])
-    peaks = np.array([part.max() for part in np.split(np.abs(series), at + 1)[1:-1]])  # between two crossings each
+    peaks = np.array([part.max() for part in np.split(np.abs(series), at + 1)[1:-1]])  # one peak between two crossings
     small = np.flatnonzero(peaks < RINGS_TO * peaks[0])
     last = max(int(small[0]), 2) if len(small) else len(peaks)
     frequency_hz = FPS * last / (2 * (crossings[last] - crossings[0]))
@@ -143,7 +143,7 @@ def ring_down(series: Float64[np.ndarray, " T"]) -> tuple[float, float]:
 def measure_trees(
     num_trees: int, *, seed: int = 0, model: ModelMotion | None = None, on_step: OnStep | None = None
 ) -> Iterator[TreeLaws]:
-    """Trees of all species in turn, their heights evenly spaced in the logarithm, as `evaluate_laws` measures them."""
+    """Measure trees for `evaluate_laws`: all species in turn, heights evenly spaced in the logarithm."""
     names = list(SPECIES)
     heights = np.geomspace(*HEIGHTS_M, num_trees)
     for number, height_m in enumerate(heights):
@@ -157,7 +157,7 @@ def measure_trees(
 
 
 def law_shares(trees: list[TreeLaws]) -> dict[str, float]:
-    """The share of trees that satisfy each law; NaN where no tree can be judged."""
+    """Return the share of trees that satisfy each law; NaN if no tree can be judged."""
     measured = [tree for tree in trees if MEASURED_FROM_M <= tree.height_m <= MEASURED_TO_M]
     modelled = [(tree, band) for tree in trees if (band := model_band(tree.height_m)) is not None]
     rung = [tree for tree in trees if not np.isnan(tree.damping_ratio)]
@@ -182,7 +182,7 @@ def law_shares(trees: list[TreeLaws]) -> dict[str, float]:
 
 
 def judged(tree: TreeLaws) -> dict[str, bool | None]:
-    """Which laws one tree satisfies; None where nothing was measured of real trees of its height."""
+    """Return which laws one tree satisfies; None if there are no measurements of real trees of its height."""
     shares = law_shares([tree])
     shares.pop("bare trees less damped")
     return {law: None if np.isnan(share) else bool(share) for law, share in shares.items()}
@@ -191,12 +191,12 @@ def judged(tree: TreeLaws) -> dict[str, bool | None]:
 def evaluate_laws(
     num_trees: int, *, seed: int = 0, model: ModelMotion | None = None, on_step: OnStep | None = None
 ) -> dict[str, object]:
-    """Measure trees of 1 to 35 m; the share that satisfies each law, and every tree's figures.
+    """Measure trees of 1 to 35 m; return the share that satisfies each law, and every tree's figures.
 
     Args:
-        num_trees: grown for this.
-        seed: of the first tree.
-        model: gives a mesh's motion, which is measured in place of the simulator's.
+        num_trees: number of trees to grow.
+        seed: seed of the first tree.
+        model: generates a mesh's motion, which is measured in place of the simulator's.
         on_step: called after each tree.
     """
     trees = list(measure_trees(num_trees, seed=seed, model=model, on_step=on_step))
@@ -206,7 +206,7 @@ def evaluate_laws(
 
 
 def model_band(height_m: float) -> tuple[float, float] | None:
-    """Band of the lowest frequency of finite-element models [Hz]; None at heights of measured trees, and below 4 m."""
+    """Return the band of the lowest frequency of finite-element models [Hz]; None from 12 m on and below 4 m."""
     for (low, high), band in MODEL_BANDS_HZ.items():
         if low <= height_m < high:
             return band
@@ -233,14 +233,14 @@ def _within(value: float, band: tuple[float, float]) -> bool:
 
 
 def _highest(positions: Float32[np.ndarray, "N 3"]) -> Int64[np.ndarray, " M"]:
-    """Rows of the highest ones, the highest last."""
+    """Return the rows of the highest points, the highest last."""
     return np.argsort(positions[:, 2])[-max(round(TIP_SHARE * len(positions)), 1) :]
 
 
 def _exponents(motions: Sequence[Complex64[np.ndarray, "N J 3"]]) -> tuple[float, float]:
-    """Exponent of the displacement with wind speed between the two lowest speeds, and between the two highest."""
+    """Return the exponent of displacement with wind speed between the two lowest and between the two highest speeds."""
     moved = [float(np.sqrt((np.abs(motion) ** 2).sum(axis=(1, 2)).mean())) for motion in motions]
-    exponents = np.diff(np.log(moved)) / np.diff(np.log(SPEEDS_M_S))  # first and last: a doubling each
+    exponents = np.diff(np.log(moved)) / np.diff(np.log(SPEEDS_M_S))  # the first and the last step double the speed
     return float(exponents[0]), float(exponents[-1])
 
 
@@ -251,7 +251,7 @@ def _slope(motion: Complex64[np.ndarray, "N J 3"], frequencies_hz: Float64[np.nd
 
 
 def _orbit(motion: Complex64[np.ndarray, "N J 3"]) -> float:
-    """Of the highest vertex: square roots of the eigenvalues of the horizontal covariance."""
+    """Return minor over major axis of the highest vertex's motion: roots of its horizontal covariance's eigenvalues."""
     tip = motion[-1, :, :2].astype(np.complex128)  # [J, 2]
     covariance = 2 * (tip.conj().T @ tip).real
     minor, major = np.linalg.eigvalsh(covariance)

@@ -1,4 +1,4 @@
-"""Statistics of a looped motion [T, N, 3] that tell one oscillator from a crown in turbulent air."""
+"""Statistics of a looped motion [T, N, 3] that distinguish one oscillator from a crown in turbulent air."""
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -7,24 +7,24 @@ from dynamictree.spectrum import FPS
 
 Motion = Float64[np.ndarray, "T N 3"]
 FAST_HZ = 2.0
-"""Trunks and branches hardly move faster; leaves flutter."""
+"""Frequency above which trunks and branches hardly move, but leaves flutter."""
 
 
 def velocity(motion: Motion) -> Motion:
-    """Time derivative of a loop [m/s]."""
+    """Return the time derivative of a loop [m/s]."""
     omega = 2j * np.pi * np.fft.rfftfreq(len(motion), d=1 / FPS)
     return np.asarray(np.fft.irfft(omega[:, None, None] * np.fft.rfft(motion, axis=0), n=len(motion), axis=0))
 
 
 def effective_shapes(motion: Motion) -> float:
-    """Participation ratio of the principal components: 1 where everything moves as one."""
+    """Return the participation ratio of the principal components; 1 if everything moves as one."""
     flat = motion.reshape(len(motion), -1)
     size = np.linalg.eigvalsh(flat @ flat.T).clip(0)
     return float(size.sum() ** 2 / (size**2).sum())
 
 
 def off_trunk(places: Float32[np.ndarray, "N 3"], motion: Motion) -> Motion:
-    """Motion less what bends as z² and z³, which is the trunk's."""
+    """Subtract the part of the motion that bends as z² and z³, which is the trunk's."""
     height = (places[:, 2] - places[:, 2].min()) / np.ptp(places[:, 2])
     bends = np.stack([height**2, height**3], axis=1)
     flat = motion.transpose(1, 0, 2).reshape(len(places), -1)
@@ -33,11 +33,11 @@ def off_trunk(places: Float32[np.ndarray, "N 3"], motion: Motion) -> Motion:
 
 
 def fast_share(motion: Motion, frame_s: float = 1 / FPS) -> float:
-    """Share of the energy of the velocity above FAST_HZ."""
+    """Return the share of the velocity's energy above FAST_HZ."""
     power = (np.abs(np.fft.rfft(velocity(motion), axis=0)) ** 2).sum(axis=(1, 2))
     return float(power[np.fft.rfftfreq(len(motion), d=frame_s) > FAST_HZ].sum() / power.sum())
 
 
 def correlation(one: Motion, other: Motion) -> float:
-    """Of two motions of one tree: 1 where one is the other enlarged."""
+    """Return the correlation of two motions of one tree; 1 if one is a scaled copy of the other."""
     return float((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum()))

@@ -1,4 +1,4 @@
-"""Compare a model with its baselines on trees that no training saw: one row of figures per method."""
+"""Compare a model with its baselines on held-out trees: one row of figures per method."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ from lab.evaluation.targets import RULE, passes, targets_of
 from lab.training.progress import OnStep
 
 DRAWN_METHODS = ("truth", "model", "by-height mean", "second wind")
-"""Whose frames are drawn for CLIP; the truth comes first."""
+"""Methods whose frames are rendered for CLIP; the truth comes first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +44,12 @@ class Methods:
 def iter_motions(
     reference: TreeReference, methods: Methods, *, seed: int, num_steps: int | None = None
 ) -> Iterator[tuple[str, Complex64[np.ndarray, "N K 3"]]]:
-    """Each method's motion of the tree's vertices [m].
+    """Yield each method's motion of the tree's vertices [m].
 
     - model
     - by-height mean: geometric mean of the training trees by height
     - representation: the true motion, voxelized and back
-    - second wind: the true motion of the same tree in other gusts, which is what chance makes; only of grown trees
+    - second wind: the true motion of the same tree in other gusts, the effect of chance; only of generated trees
     """
     tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])
@@ -68,7 +68,7 @@ def iter_motions(
 def generate_for(
     tree: HeldOutTree, model: MotionModel, *, seed: int, num_steps: int | None = None
 ) -> SparseVoxelSpectrum:
-    """The model's motion of a tree, voxelized at the model's resolution."""
+    """Generate the model's motion of a tree, voxelized at the model's resolution."""
     fits = tree.voxels.grid.resolution == model.resolution
     voxels = tree.voxels if fits else voxelize(tree.mesh, model.resolution)
     return model.generate(voxels, wind=tree.wind, seed=seed, num_steps=num_steps)
@@ -86,18 +86,18 @@ def evaluate_model(
     embedder: ClipEmbedder | None = None,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """Mean figures by group and method, the targets, and whether the model passes.
+    """Compute mean figures by group and method, the targets, and whether the model passes.
 
     Args:
-        name: of a model, or its weights file.
-        num_trees: of each group.
-        num_training: training trees that the baselines are fitted to.
-        first_seed: of those.
-        seed: of the generated motions.
-        num_steps: of the sampler.
+        name: name of a model, or its weights file.
+        num_trees: number of trees per group.
+        num_training: number of training trees to which the baselines are fitted.
+        first_seed: first seed of those.
+        seed: seed of the generated motions.
+        num_steps: steps of the sampler.
         sapling: files of trees that Blender's add-on baked, a third group.
-        embedder: gives distances of frames for `DRAWN_METHODS`.
-        on_step: called with the group, the trees done, their number, and 0.
+        embedder: computes distances of frames for `DRAWN_METHODS`.
+        on_step: called with the group, the number of finished trees, the total, and 0.
     """
     model = load_model(name)
     by_height = fit_by_height(training_trees(num_training, first_seed, on_step))
@@ -176,14 +176,14 @@ def evaluate_group(
 
 
 def trees_of_group(group: Group, num_trees: int, sapling: Sequence[Path]) -> TreeGroup:
-    """A group's trees."""
+    """Return a group's trees."""
     if group == "sapling":
         return TreeGroup(group=group, trees=iter_sapling(sapling), count=len(sapling))
     return TreeGroup(group=group, trees=iter_held_out(group, num_trees), count=num_trees)
 
 
 def training_trees(count: int, first_seed: int, on_step: OnStep) -> list[TrainingTree]:
-    """The first `count` training trees from a seed on."""
+    """Generate the first `count` training trees from a seed on."""
     trees: list[TrainingTree] = []
     seed = first_seed
     while len(trees) < count:
@@ -195,5 +195,5 @@ def training_trees(count: int, first_seed: int, on_step: OnStep) -> list[Trainin
 
 
 def mean_of(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Mean of each figure over trees."""
+    """Return the mean of each figure over trees."""
     return {figure: float(np.mean([one[figure] for one in rows])) for figure in rows[0]}

@@ -1,4 +1,4 @@
-"""Trees that Blender's Sapling add-on baked, as `.npz` of arrays: a motion that our generator did not make."""
+"""Trees that Blender's Sapling add-on baked, as `.npz` files: motions from another generator."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,18 +14,18 @@ ARRAYS = ("vertices", "rest", "faces")
 
 @dataclass(frozen=True, kw_only=True)
 class SaplingTree:
-    """One tree of Sapling with its motion."""
+    """One tree of the Sapling add-on with its motion."""
 
     name: str
     mesh: TriangleMesh
-    displacement: Float32[np.ndarray, "T N 3"]  # from the rest pose [m]
+    displacement: Float32[np.ndarray, "T N 3"]  # displacement from the rest pose [m]
 
 
 def sapling_files(folder: Path) -> list[Path]:
-    """The trees in a folder, or in its folder `sapling`.
+    """List the trees in a folder, or in its subfolder `sapling`.
 
     Raises:
-        InputError: there are none.
+        InputError: there are no trees.
     """
     inner = folder / "sapling"
     files = sorted((inner if inner.is_dir() else folder).glob("*.npz"))
@@ -35,7 +35,7 @@ def sapling_files(folder: Path) -> list[Path]:
 
 
 def read_sapling(path: Path) -> SaplingTree:
-    """Read one tree; its skeleton is left out.
+    """Read one tree without its skeleton.
 
     Raises:
         FormatError: an array is missing.

@@ -24,7 +24,7 @@ class Target:
     bound: float
 
     def error(self, value: float) -> float:
-        """Distance of a value from the bound; 0 if it meets the bound."""
+        """Return the distance of a value from the bound; 0 if it meets the bound."""
         beyond = {"at least": self.bound - value, "at most": value - self.bound, "within": abs(value - 1) - self.bound}
         return max(0.0, beyond[self.sense])
 
@@ -41,9 +41,9 @@ TARGETS = (
 
 
 def targets_of(methods: Methods) -> list[dict[str, object]]:
-    """Each target: the model's value, and whether it meets the bound or by how much it misses.
+    """Return, for each target, the model's value, whether it meets the bound, and by how much it misses.
 
-    `floor` is the same figure of a second true wind: no model can be expected to do better.
+    `floor` is the same figure for the true motion in other gusts: no model can be expected to do better.
     """
     return [
         {
@@ -59,7 +59,7 @@ def targets_of(methods: Methods) -> list[dict[str, object]]:
 
 
 def passes(methods: Methods) -> bool:
-    """Whether the weights may ship: RULE."""
+    """Return whether the weights may ship, by RULE."""
     model, baseline = methods["model"], methods["by-height mean"]
     better = model["log_amplitude_rmse"] < baseline["log_amplitude_rmse"]
     return better and abs(model["roughness_ratio"] - 1) <= MAX_ROUGHNESS_ERROR

@@ -1,7 +1,7 @@
 """Training examples of the paper's network: voxels, normals and spectra of one tree, cached on disk.
 
 A spectrum is stored over the tree's height, in the wind's frame, and divided by the known effect of speed and gust
-(`models.wind`): the paper's trees all stand in one wind, ours do not.
+(`models.wind`): unlike the paper's trees, ours are in different winds.
 """
 
 import hashlib
@@ -28,18 +28,18 @@ from lab.dataset.shards import StoredTree, iter_shard
 
 STORED = 128  # resolution of the voxels and spectra in the shards
 HALF_SCALE = 1000.0
-"""Spectra over the height are 1e-5 to 0.1; times this they suit float16."""
+"""Spectra over the height are 1e-5 to 0.1; multiplied by this factor they suit float16."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperExample:
-    """Voxels of one tree, and its spectrum on the grid that the encoder ends on."""
+    """Voxels of one tree, and its spectrum on the encoder's output grid."""
 
-    coords: Int64[Tensor, "X 3"]  # of the encoder's finest grid
+    coords: Int64[Tensor, "X 3"]  # voxels of the encoder's finest grid
     normals: Float32[Tensor, "X 3"]
-    resolution: int  # of that grid
-    voxel_size_m: float  # of the spectrum's grid
-    spectrum: Complex64[Tensor, "V K 3"]  # rows ascend with the coordinates
+    resolution: int  # resolution of that grid
+    voxel_size_m: float  # voxel size of the spectrum's grid
+    spectrum: Complex64[Tensor, "V K 3"]  # rows in ascending order of coordinates
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ class PaperBatch:
 
     inputs: PaperInputs
     spectrum: Complex64[Tensor, "V K 3"]
-    neighbours: Int64[Tensor, "V M"]  # rows of the nearest voxels
+    neighbours: Int64[Tensor, "V M"]  # indices of the nearest voxels
     distances_m: Float32[Tensor, "V M"]
 
 
@@ -76,7 +76,7 @@ def batch_of(examples: Sequence[PaperExample], preset: PaperPreset) -> PaperBatc
 
 
 def paper_example(stored: StoredTree, preset: PaperPreset) -> PaperExample:
-    """Bring a tree of a shard onto the preset's grids; its mesh is voxelized where the shard lacks the fine grid.
+    """Convert a shard's tree to the preset's grids; voxelize its mesh if the shard lacks the fine grid.
 
     Raises:
         InputError: the preset's resolution does not divide the stored one.
@@ -102,7 +102,7 @@ def paper_example(stored: StoredTree, preset: PaperPreset) -> PaperExample:
 
 
 def _pooled(stored: StoredTree, coords: np.ndarray, preset: PaperPreset) -> Complex64[np.ndarray, "V K 3"]:
-    """Mean of the stored spectrum over each coarser voxel, in the order of `coords`; the nearest where none is."""
+    """Average the stored spectrum over each coarser voxel, in the order of `coords`; if empty, take the nearest."""
     factor, spectrum = STORED // preset.resolution, stored.spectrum(STORED)
     coarse = VoxelGrid.from_coords(
         spectrum.grid.coords // factor,
@@ -124,10 +124,10 @@ class ExampleCache(torch.utils.data.Dataset[PaperExample]):
     """The training trees of shards, prepared once and read from disk afterwards."""
 
     def __init__(self, shards: Sequence[str], preset: PaperPreset, folder: Path) -> None:
-        """Prepare what is missing in `folder`, which is made if needed.
+        """Prepare missing examples in `folder`, which is created if needed.
 
         Raises:
-            InputError: the shards hold no trees for training.
+            InputError: the shards have no trees for training.
         """
         grids = preset.resolution, preset.num_halvings, preset.num_frequencies
         identity = json.dumps([grids, *map(_fingerprint, shards)])

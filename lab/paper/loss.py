@@ -21,19 +21,19 @@ def paper_loss(
     smoothness: LocalSmoothness | None,
     smoothness_weight: float = 1.0,
 ) -> Float32[Tensor, ""]:
-    """L_DM, and with `smoothness` also L_LSS of the clean spectrum that the prediction implies.
+    """Return L_DM, plus L_LSS of the predicted clean spectrum if `smoothness` is given.
 
-    L_LSS is weighted by ᾱ: at high noise the spectrum that ε implies is an amplified error.
+    L_LSS is weighted by ᾱ: at high noise, the clean spectrum computed from ε is an amplified error.
 
     Args:
-        network: in training.
-        batch: trees.
-        clean: spectra of the trees at their frequencies, of unit size.
+        network: network in training.
+        batch: batch of trees.
+        clean: spectra of the trees at their frequencies, normalised to unit size.
         frequency: bins of each tree.
-        schedule: of the noise.
+        schedule: noise schedule.
         generator: draws steps and noise, on the CPU.
         smoothness: constants of L_LSS; None in the first stage.
-        smoothness_weight: of L_LSS beside L_DM; the paper gives none.
+        smoothness_weight: weight of L_LSS beside L_DM; the paper gives none.
     """
     sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
     step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)

@@ -15,7 +15,7 @@ from lab.paper.examples import PaperExample, batch_of
 
 @torch.no_grad()
 def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int, seed: int = 0) -> dict[str, float]:
-    """Roughness ratio, error of ln size, and correlation of ln amplitude, over frequencies k ≥ 1 of one tree."""
+    """Return roughness ratio, error of ln size, and correlation of ln amplitude, over k ≥ 1 of one tree."""
     assert isinstance(network, PaperNetwork)
     preset, device = network.preset, network.frequency_sizes.device
     batch = moved_to(device, batch_of([example], preset))
@@ -39,7 +39,7 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
 
 
 def roughness(field: Float32[Tensor, "V J 6"], rows: Tensor) -> Float32[Tensor, " J"]:
-    """Mean difference from the nearest voxels over the mean size, per frequency."""
+    """Return the mean difference from the nearest voxels over the mean size, per frequency."""
     across = torch.linalg.vector_norm(field[:, None] - field[rows], dim=-1).mean(dim=(0, 1))
     ratio: Tensor = across / torch.linalg.vector_norm(field, dim=-1).mean(dim=0)
     return ratio

@@ -1,8 +1,8 @@
 """Train the paper's network on a dataset's shards: L_DM, then L_DM + L_LSS; on one process or many (`torchrun`).
 
-A step's batch is pairs of a tree and a frequency. Each pass takes `micro_trees` trees with `frequencies_per_tree`
-frequencies each; as many passes per step and process as make up the batch. Trees come from a cache on disk through
-worker processes, so that no step voxelizes.
+The batch of a step consists of pairs of a tree and a frequency. Each pass takes `micro_trees` trees with
+`frequencies_per_tree` frequencies each, and a step runs as many passes as the batch needs. Worker processes load trees
+from a cache on disk, so that no step voxelizes.
 """
 
 import json
@@ -32,8 +32,8 @@ from lab.training.progress import OnStep
 from lab.training.schedules import LearningRateSchedule
 from lab.training.trainer import Trainer, TrainerOptions
 
-NUM_MEASURED = 50  # trees that the sizes of frequencies are measured on
-FIGURES_STEPS = 20  # of DDIM
+NUM_MEASURED = 50  # number of trees for measuring the sizes of frequencies
+FIGURES_STEPS = 20  # steps of DDIM
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,19 +48,19 @@ class PaperTraining:
     halve_every: int = 20_000
     ema_decay: float = 0.9999
     smoothness: LocalSmoothness = field(default_factory=LocalSmoothness)
-    smoothness_weight: float = 1.0  # of L_LSS beside L_DM
+    smoothness_weight: float = 1.0  # weight of L_LSS beside L_DM
     micro_trees: int = 1
     frequencies_per_tree: int = 1
     bf16: bool = True
-    by_frequency: bool = True  # divide each frequency by its own size; else all by one, for the ablation
-    num_workers: int = 0  # processes that load trees
+    by_frequency: bool = True  # divide each frequency by its own size; if False, all by one (ablation)
+    num_workers: int = 0  # number of processes that load trees
     save_every: int = 500
     save_every_s: float = 60.0
-    figures_every_s: float | None = 180.0  # generate a tree and log its figures; None: never
+    figures_every_s: float | None = 180.0  # interval at which a tree is generated and its figures logged; None: never
     seed: int = 0
 
     def options(self) -> TrainerOptions:
-        """As many passes per step and process as give the batch."""
+        """Return the trainer's options, with the number of passes per step and process that the batch needs."""
         per_pass = self.micro_trees * self.frequencies_per_tree * num_processes()
         return TrainerOptions(
             schedule=LearningRateSchedule(
@@ -92,15 +92,15 @@ def train_paper(
 ) -> PaperNetwork:
     """Train into a folder: `cache/`, `checkpoint.safetensors` to resume from, `figures.jsonl`, and the weights.
 
-    The weights are a moving average. They are written at the end and whenever figures are, so that a run that is
-    stopped leaves a model too.
+    The weights are a moving average. They are written at the end and with every line of figures, so that a stopped run
+    also leaves a model.
 
     Args:
         plan: the resolved run.
-        shards: training trees, see `dataset.shards`.
-        folder: of the run.
-        weights: file of the weights; `paper.safetensors` in the folder if not given.
-        device: the CPU if not given.
+        shards: files of training trees, see `dataset.shards`.
+        folder: folder of the run.
+        weights: file of the weights; `paper.safetensors` in the folder by default.
+        device: device of the network; the CPU by default.
         on_step: called with "paper", the step, the number of steps and the loss.
         on_figures: called with each line of `figures.jsonl`.
     """
@@ -162,7 +162,7 @@ def train_paper(
 
 
 def training_card(name: str, plan: PaperTraining, *, trees: int, step: int, loss: float) -> str:
-    """What the run itself knows of its weights, in Markdown; how good they are is for `dynamictree evaluate`."""
+    """Return the facts of a run in Markdown; the quality of its weights is measured by `dynamictree evaluate`."""
     facts = {
         "network": f"the paper's on {plan.preset.resolution}³, {plan.preset.unet.base} channels at its first level",
         "data": f"{trees} trees",
@@ -174,7 +174,7 @@ def training_card(name: str, plan: PaperTraining, *, trees: int, step: int, loss
 
 
 def frequency_sizes(cache: ExampleCache, plan: PaperTraining) -> Float32[Tensor, " K"]:
-    """Root mean square of the components at each frequency: what spectra are divided by."""
+    """Return the RMS of the components at each frequency, by which spectra are divided."""
     trees = [cache[number].spectrum for number in range(min(NUM_MEASURED, len(cache)))]
     power = torch.stack([one.abs().square().mean(dim=(0, 2)) / 2 for one in trees]).mean(dim=0)
     sizes = power.sqrt()
@@ -186,7 +186,7 @@ def frequency_sizes(cache: ExampleCache, plan: PaperTraining) -> Float32[Tensor,
 def clean_channels(
     batch: PaperBatch, frequency: Int64[Tensor, "B J"], network: PaperNetwork
 ) -> Float32[Tensor, "V J 6"]:
-    """Each tree's spectrum at its frequencies, of unit size."""
+    """Return each tree's spectrum at its frequencies, normalised to unit size."""
     sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
     bins = frequency[sample]  # [V, J]
     chosen = batch.spectrum.gather(1, bins[..., None].expand(-1, -1, 3))
@@ -194,7 +194,7 @@ def clean_channels(
 
 
 class _TreeDraws(torch.utils.data.Sampler[list[int]]):
-    """Indices of the trees of every pass; a pass depends on its number alone, so that a resumed run repeats them."""
+    """Sampler of the trees of every pass; a pass depends only on its number, so that a resumed run is identical."""
 
     def __init__(self, count: int, plan: PaperTraining, first_pass: int) -> None:
         self.count, self.plan, self.first_pass = count, plan, first_pass
@@ -208,7 +208,7 @@ class _TreeDraws(torch.utils.data.Sampler[list[int]]):
 
 
 class _Collate:
-    """`batch_of` in the worker processes: building neighbour pairs is the slow part."""
+    """Collate function that runs `batch_of` in worker processes, since building neighbour pairs is slow."""
 
     def __init__(self, preset: PaperPreset) -> None:
         self.preset = preset

@@ -8,24 +8,24 @@ from torch import Tensor
 
 from dynamictree.models.small.amplitude import floor_of
 
-SEEN = 3e-5  # of the height at drag and gust 1: the least motion whose centroid and lean count
+SEEN = 3e-5  # smallest motion whose centroid and lean count [share of the height at drag and gust 1]
 CENTROID_WEIGHT = 0.15
 LEAN_WEIGHT = 0.5
 OF_ALL = 0.1
-"""Share of what a whole tree is off by in a bin, which is mostly the gusts' chance, and would be learnt by heart."""
+"""Weight of a whole tree's mean error in a bin, which is mostly random gusts and would be overfitted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeLosses:
-    """Squared errors of a voxel against its tree, with a share of the tree's own: see `amplitude_losses`."""
+    """Squared errors of voxels relative to their tree, plus a share of the tree's own error; see `amplitude_losses`."""
 
-    logarithmic: Float32[Tensor, ""]  # of ln A against ln |c|
-    overall: Float32[Tensor, ""]  # of ln a
-    centroid: Float32[Tensor, ""]  # of the mean bin
-    lean: Float32[Tensor, ""]  # over its square
+    logarithmic: Float32[Tensor, ""]  # error of ln A against ln |c|
+    overall: Float32[Tensor, ""]  # error of ln a
+    centroid: Float32[Tensor, ""]  # error of the mean bin
+    lean: Float32[Tensor, ""]  # error of the lean, over its square
 
     def total(self) -> Float32[Tensor, ""]:
-        """Weighted sum."""
+        """Return the weighted sum."""
         weighted: Tensor = self.logarithmic + self.overall + CENTROID_WEIGHT * self.centroid + LEAN_WEIGHT * self.lean
         return weighted
 
@@ -37,18 +37,18 @@ def amplitude_losses(
     wind: Float32[Tensor, "R 2"],
     num_trees: int = 1,
 ) -> AmplitudeLosses:
-    """Four squared errors of a predicted amplitude and lean, of rows of which each tree has as many, in turn.
+    """Compute four squared errors of a predicted amplitude and lean. All trees have equally many, consecutive rows.
 
-    In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards. The
-    second adds what is seen most, the frequencies that carry the motion: a² = Σ A² is all of it. The third holds low
-    against high frequencies where voxels move enough to be seen; without it, measured, the centroid is half lost.
+    In logarithms, every voxel and frequency counts equally; the difference of E ln |c| and ln A is measured afterwards.
+    The second error weights the frequencies that carry the motion, since a² = Σ A². The third compares low with high
+    frequencies in voxels that move visibly; without it, half of the centroid's accuracy is lost, as measured.
 
     Args:
         lean: c_0 over the height.
         log_amplitude: ln A over the height.
         spectrum: the truth over the height, in the wind's frame.
         wind: ln speed and gust at each row.
-        num_trees: that the rows are of.
+        num_trees: number of trees in the rows.
     """
     floor, seen_from = floor_of(wind), floor_of(wind, SEEN)
     power = spectrum[:, 1:].abs().square()  # [R, J, 3]

@@ -28,10 +28,10 @@ class Example:
 
 
 def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[StoredTree]:
-    """`count` trees for training from the `first` on, in the shards' order; what is held out is passed over.
+    """Iterate over `count` training trees from number `first` on, in the shards' order; skip held-out trees.
 
     Raises:
-        InputError: the shards hold fewer.
+        InputError: the shards have fewer.
     """
     trees = (tree for path in paths for tree in iter_shard(path) if tree.split == "train")
     taken = 0
@@ -52,20 +52,20 @@ def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = T
 
 
 def voxels_of(stored: StoredTree, resolution: int = 128) -> SurfaceVoxels:
-    """Voxels of a tree of a shard, with the moments of the surface in them."""
+    """Return the voxels of a shard's tree, with the moments of the surface in them."""
     voxels = stored.voxels(resolution)
     return replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid))
 
 
 def make_example(seed: int, resolution: int = 128, species: str | None = None, *, gusts: int = 0) -> Example:
-    """Generate the dataset's tree of a seed, and convert it; arguments as of `make_sample`."""
+    """Generate the dataset's tree of a seed and convert it; arguments as for `make_sample`."""
     sample = make_sample(seed, species, gusts=gusts)
     voxels, spectrum = voxel_spectrum(sample, resolution)
     return _example(voxels, sample.wind, spectrum)
 
 
 def gust_pair(stored: StoredTree) -> tuple[Example, Example]:
-    """A tree of a shard in its wind, and in other gusts of the same mean."""
+    """Return a shard's tree in its wind, and in other gusts of the same mean wind."""
     return example_of(stored), make_example(stored.seed, species=stored.species, gusts=1)
 
 

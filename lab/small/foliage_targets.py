@@ -17,25 +17,25 @@ from lab.dataset.shards import StoredTree
 
 SHORTEST_M = 1e-3
 LEAST_SIZE = 1e-5
-"""Share of the height: smaller motions are raised to it."""
+"""Smallest motion [share of the height]; smaller ones are raised to it."""
 
 
 def foliage_targets_of(
     stored: StoredTree, spectrum: Complex64[Tensor, "V K 3"], *, resolution: int = 128
 ) -> Float32[Tensor, "V O"]:
-    """Targets of each voxel; `spectrum` is divided by the height, in the wind's frame."""
+    """Return the targets of each voxel; `spectrum` is divided by the height, in the wind's frame."""
     parts = torch.from_numpy(true_parts(stored, stored.voxels(resolution).grid))
     return torch.cat([parts, log_size(spectrum, stored.wind)], dim=1)
 
 
 def log_size(spectrum: Complex64[Tensor, "V K 3"], wind: Wind) -> Float32[Tensor, "V J"]:
-    """Ln of |c_k| over the height, at drag and gust 1."""
+    """Return ln(|c_k| / height) at drag and gust 1."""
     power = spectrum[:, 1:].abs().square().sum(dim=2)
     return (power + LEAST_SIZE**2).log() / 2 - log_wind_scale(wind)
 
 
 def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10"]:
-    """Mean over the surface in each voxel of the part labels of its vertices."""
+    """Average the vertices' part labels over the surface in each voxel."""
     mesh = stored.mesh()
     at_vertex = _at_vertices(stored, mesh)
     parts: Float32[np.ndarray, "V 10"] = (surface_average(mesh, grid) @ at_vertex).astype(np.float32)
@@ -69,6 +69,6 @@ def _at_vertices(stored: StoredTree, mesh: Surface) -> Float32[np.ndarray, "N 10
 
 
 def _first_of_piece(mesh: Surface) -> Int64[np.ndarray, " N"]:
-    """The first vertex of the connected piece that each vertex is in; a leaf's is its base."""
+    """Return the first vertex of each vertex's connected component; a leaf's first vertex is its base."""
     piece = connected_parts(mesh.faces, mesh.num_vertices)
     return np.asarray(np.unique(piece, return_index=True)[1][piece], np.int64)

@@ -1,4 +1,4 @@
-"""Measure how motions lie about what the networks say, on trees that they did not learn from."""
+"""Measure the spread of motions around the networks' predictions, on trees outside their training data."""
 
 import math
 from collections.abc import Iterable
@@ -22,10 +22,10 @@ from lab.small.examples import Example, voxels_of
 
 @torch.no_grad()
 def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example]]) -> None:
-    """Set the network's spread, and the gain that gives the typical tree the energy it has, both by the speed.
+    """Set the network's spread, and the gain that corrects a typical tree's energy, as functions of the wind speed.
 
-    A pair is one tree in two gusts of one mean wind. How far its sizes differ where the motion is expected is the
-    spread; by how much the crown as a whole differs is not, since a motion drawn has the size that the wind tells.
+    A pair is one tree in two gusts of one mean wind. The spread is the difference of its sizes where motion is
+    expected, without that of the whole crown, since the wind determines the size of a sampled motion.
     """
     log_speeds, scatters, ratios = [], [], []
     for pair in pairs:
@@ -47,10 +47,10 @@ def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example
 
 @torch.no_grad()
 def measure_leaves(network: SmallNetwork, trees: Iterable[StoredTree], seed: int) -> None:
-    """Set how much of its motion a leaf has for itself, by how much too alike leaves 5 to 6 voxels apart move without.
+    """Set the share of a leaf's independent motion, from the excess likeness of leaves 5 to 6 voxels apart without it.
 
-    In the two lowest bins branches sway, and leaves with them: with shares as leaves apart have them there, 0.08 and
-    0.24, edges of 14 trees differed by 19 % more than true ones, and with none by 3 %.
+    In the two lowest bins, leaves sway with their branches, so the share is 0. With the measured shares, 0.08 and 0.24,
+    edges of 14 trees differed by 19 % more than true ones; with 0, by 3 %.
     """
     network.leaf_share.zero_()
     model, true, drawn = SmallModel(network, name="small"), [], []
@@ -64,7 +64,7 @@ def measure_leaves(network: SmallNetwork, trees: Iterable[StoredTree], seed: int
 
 
 def leaves_apart(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
-    """Every twentieth pair of voxels of leaves that are 5 to 6 voxels apart."""
+    """Return every twentieth pair of leaf voxels that are 5 to 6 voxels apart."""
     coords, base = prepared.voxels.grid.coords, prepared.leaves.base.numpy()
     pairs = cKDTree(coords).query_pairs(6.0, output_type="ndarray")
     pairs = pairs[(base != np.arange(len(base)))[pairs].all(axis=1)]
@@ -72,7 +72,7 @@ def leaves_apart(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
 
 
 def likeness(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P 2"]) -> Float64[np.ndarray, " J"]:
-    """How much alike two voxels move in each bin k >= 1, weighted by their sizes: 1 is as one, 0 independent."""
+    """Return the size-weighted correlation of pairs of voxels in each bin k >= 1: 1 is identical, 0 independent."""
     one, other = motion[pairs[:, 0], 1:], motion[pairs[:, 1], 1:]
     sizes = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
     return np.asarray((one * other.conj()).real.sum(axis=(0, 2)) / np.maximum(sizes.sum(axis=0), 1e-30), np.float64)
@@ -80,7 +80,7 @@ def likeness(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P
 
 @torch.no_grad()
 def measure_field(network: SmallNetwork, trees: Iterable[StoredTree], seed: int) -> None:
-    """Let the network's gain undo what drawing does to the energy, and what bones take more of than of the truth's."""
+    """Correct the network's gain for the energy changed by sampling, and for the bones' extra loss over the truth's."""
     model = SmallModel(network, name="small")
     changes = []
     for tree in trees:

@@ -1,6 +1,6 @@
-"""Preset `small` from a dataset's shards to weights: foliage network, amplitude network, whitening, denoiser.
+"""Train preset `small` on a dataset's shards: foliage network, amplitude network, whitening, denoiser.
 
-Each part has its checkpoint and can be gone on with; the amplitude network's rows lie beside them.
+Each part has its own checkpoint and can be resumed; the amplitude network's rows are beside them.
 """
 
 from collections.abc import Sequence
@@ -38,12 +38,12 @@ from lab.training.trainer import Trainer, TrainerOptions
 
 TREES_A_FILE = 25
 GOING_ON_RATE = 0.5
-"""Of the learning rate, where a network goes on from weights (docs/decisions/diffusion.md)."""
+"""Factor on the learning rate if a network starts from weights (docs/decisions/diffusion.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SmallTraining:
-    """Settings of a training run. Each part takes other trees, so that none is measured on its training data."""
+    """Settings of a training run. Each part uses different trees, so that none is measured on its training data."""
 
     foliage_trees: int = 800
     amplitude_trees: int = 1200
@@ -70,15 +70,15 @@ class SmallTraining:
             schedule=LearningRateSchedule(num_steps=1600, learning_rate=2e-3), ema_decay=0.995, bf16=True
         )
     )
-    start_from: str | None = None  # weights that are gone on from; with 0 steps, a network and its scales stay
+    start_from: str | None = None  # weights to start from; with 0 steps, a network and its scales stay
 
 
 def train_small(
     plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnStep = lambda part, done, total, loss: None
 ) -> SmallNetwork:
-    """Train into a folder: `rows/`, a checkpoint a part, `small.safetensors`. What is there is not done again.
+    """Train into a folder: `rows/`, a checkpoint per part, `small.safetensors`. Existing parts are not trained again.
 
-    Under `torchrun` every process takes its own batches, and gradients are shared.
+    Under `torchrun`, every process draws its own batches, and gradients are averaged.
     """
     torch.manual_seed(plan.preset.num_frequencies)
     network = SmallNetwork(plan.preset)
@@ -110,7 +110,7 @@ def _train_foliage(
             trainer.average.load_state_dict(network.foliage.state_dict())
 
         def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
-            trees.extend(islice(measured, 1))  # one more a step, so that measuring them is no wait
+            trees.extend(islice(measured, 1))  # one more per step, so that no step waits for their measurement
             return foliage_step(network.foliage, trees, rng)
 
         for step, loss in trainer.run(loss_of, checkpoint):
@@ -122,7 +122,7 @@ def _train_foliage(
 def _rows(
     network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnStep
 ) -> AmplitudeRows:
-    """Training rows of the amplitude network: written by the first process, read by all."""
+    """Return the training rows of the amplitude network; the first process writes them, all read them."""
     paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
     if process_rank() == 0:
         folder.mkdir(parents=True, exist_ok=True)

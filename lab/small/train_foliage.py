@@ -16,28 +16,28 @@ from lab.small.examples import example_of
 from lab.small.foliage_targets import foliage_targets_of
 
 NUM_LEVELS = 3
-STANDARDISED_ON = 40  # trees
+STANDARDISED_ON = 40  # number of trees
 MIN_DEVIATION = 0.01
 BLIND_EVERY = 11
-"""Every so many trees are seen without the surface's moments, as files of voxels are that have none."""
-SIZE_WEIGHT = 0.5  # of ln sizes beside parts
+"""Every n-th tree is trained without the surface's moments, since files of voxels have none."""
+SIZE_WEIGHT = 0.5  # weight of ln sizes beside parts
 SIDES = tuple((axes, (east, north, 1)) for axes in ((0, 1, 2), (1, 0, 2)) for east in (1, -1) for north in (1, -1))
-"""Axes and signs of the turns by 90° about the vertical, and of their mirrors."""
+"""Axes and signs of the rotations by 90° about the vertical, and of their mirror images."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoliageExample:
-    """Features of a tree and the targets of its voxels; float16, since many lie in memory."""
+    """Features of a tree and targets of its voxels; float16, since many are in memory."""
 
     scalars: Float16[Tensor, "V S"]
     vectors: Float16[Tensor, "V A 3"]
     surface: Float16[Tensor, "V I"]
     tensors: Float16[Tensor, "V R 3 3"]
     targets: Float16[Tensor, "V O"]
-    bare: TreeFeatures  # without these
+    bare: TreeFeatures  # features without the fields above
 
     def tree(self) -> TreeFeatures:
-        """Features for the network, without the chain of stems."""
+        """Return features for the network, without the chain of stems."""
         count = len(self.scalars)
         return replace(
             self.bare,
@@ -58,7 +58,7 @@ def foliage_examples(stored: Iterable[StoredTree], *, resolution: int = 128) -> 
         bare = replace(
             tree,
             grids=Pyramid(levels=tree.grids.levels[:NUM_LEVELS], parents=tree.grids.parents[: NUM_LEVELS - 1]),
-            scalars=torch.empty(0, 0),  # a slice would keep all of it alive
+            scalars=torch.empty(0, 0),  # a slice would reference the whole tensor
             vectors=torch.empty(0, 0, 3),
             chain=torch.empty(0, 0, dtype=torch.int64),
             girth=torch.empty(0, 0),
@@ -85,14 +85,14 @@ def standardise_foliage(network: FoliageNetwork, trees: Sequence[FoliageExample]
     network.deviation.copy_(inputs.std(dim=0) + MIN_DEVIATION)
     network.told_mean.copy_(targets.mean(dim=0))
     network.told_deviation.copy_(targets.std(dim=0) + MIN_DEVIATION)
-    network.told_mean[ARM] = 0  # what is a vector has no mean, and one size for all axes
+    network.told_mean[ARM] = 0  # vectors have mean 0 and one scale for all axes
     network.told_deviation[ARM] = targets[:, ARM].square().mean().sqrt()
 
 
 def foliage_step(
     network: FoliageNetwork, trees: Sequence[FoliageExample], rng: np.random.Generator
 ) -> Float32[Tensor, ""]:
-    """Squared error over one tree's voxels."""
+    """Return the squared error over one tree's voxels."""
     example = trees[int(rng.integers(len(trees)))]
     axes, signs = SIDES[int(rng.integers(len(SIDES)))]
     targets = example.targets.float()

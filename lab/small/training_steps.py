@@ -23,14 +23,14 @@ from lab.small.examples import Example
 from lab.small.whitening import WhiteExample
 
 TREES_A_STEP = 4
-VOXELS_A_TREE = 600  # that the amplitude network learns from
-TREES_A_BATCH, ROWS_A_TREE = 32, 96  # of the amplitude network
-STANDARDISED_ON = 20_000  # rows
+VOXELS_A_TREE = 600  # voxels per tree for the amplitude network
+TREES_A_BATCH, ROWS_A_TREE = 32, 96  # batch of the amplitude network
+STANDARDISED_ON = 20_000  # number of rows
 MIN_DEVIATION = 0.01
 FREQUENCIES_A_TREE = 4
-LOW_FREQUENCY_BIAS = 1.0  # k is drawn with probability ~ 1 / k: low ones carry the motion, high ones are near noise
+LOW_FREQUENCY_BIAS = 1.0  # k has probability ~ 1 / k: low bins carry the motion, high ones are near noise
 HALF_SCALE = 1000.0
-"""Spectra over the height are 1e-5 to 0.1; times this they sit well in float16."""
+"""Spectra over the height are 1e-5 to 0.1; multiplied by this factor they suit float16."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class AmplitudeRows:
         return len(self.inputs)
 
     def spectrum(self, rows: Int64[Tensor, " S"]) -> Complex64[Tensor, "S K 3"]:
-        """Spectrum divided by the height, in the wind's frame."""
+        """Return the spectrum divided by the height, in the wind's frame."""
         return torch.view_as_complex(self.scaled[rows].float() / HALF_SCALE)
 
 
@@ -72,7 +72,7 @@ def write_rows(rows: AmplitudeRows, path: Path) -> None:
 
 
 def read_rows(paths: Sequence[Path]) -> AmplitudeRows:
-    """Undo `write_rows`, of several files."""
+    """Read the rows of several files that `write_rows` wrote."""
     stored = [load_file(path) for path in paths]
     inputs, wind, scaled = (torch.cat([one[name] for one in stored]) for name in ("inputs", "wind", "scaled"))
     return AmplitudeRows(inputs=inputs, wind=wind, scaled=scaled)
@@ -86,7 +86,7 @@ def standardise(network: AmplitudeNetwork, rows: AmplitudeRows) -> None:
 
 
 def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.random.Generator) -> Float32[Tensor, ""]:
-    """Loss of one batch for the amplitude network, of as many rows of each tree; half of the batches are mirrored."""
+    """Return the amplitude network's loss on a batch, equally many rows per tree; half of the batches are mirrored."""
     trees = rng.choice(num_trees := len(rows) // VOXELS_A_TREE, min(TREES_A_BATCH, num_trees), replace=False)
     drawn = rng.integers(0, VOXELS_A_TREE, (len(trees), ROWS_A_TREE))
     chosen = torch.from_numpy((trees[:, None] * VOXELS_A_TREE + drawn).ravel())
@@ -94,7 +94,7 @@ def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.rando
     if rng.random() < 0.5:
         inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
     wind = rows.wind[chosen]
-    torch.manual_seed(int(rng.integers(2**62)))  # of the dropout
+    torch.manual_seed(int(rng.integers(2**62)))  # seed of the dropout
     lean, log_amplitude = network(inputs, wind)
     return amplitude_losses(lean.float(), log_amplitude.float(), spectrum, wind, len(trees)).total()
 
@@ -102,7 +102,7 @@ def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.rando
 def denoising_step(
     network: SmallNetwork, examples: Sequence[WhiteExample], rng: np.random.Generator, *, trees: int = TREES_A_STEP
 ) -> Float32[Tensor, ""]:
-    """Loss of one batch for the denoiser: every tree at some frequencies, each with its own noise level."""
+    """Return the denoiser's loss on one batch: every tree at some frequencies, each with its own noise level."""
     preset = network.preset
     bins = np.arange(1, preset.num_frequencies)
     chance = bins**-LOW_FREQUENCY_BIAS / (bins**-LOW_FREQUENCY_BIAS).sum()
@@ -112,7 +112,7 @@ def denoising_step(
     clean, sizes, noises, frequencies = [], [], [], []
     for white in chosen_trees:
         chosen = torch.from_numpy(np.sort(rng.choice(bins, FREQUENCIES_A_TREE, replace=False, p=chance)))
-        phase = torch.exp(2j * torch.pi * torch.rand(len(chosen), generator=generator))  # a time shift, bin by bin
+        phase = torch.exp(2j * torch.pi * torch.rand(len(chosen), generator=generator))  # a time shift per bin
         clean.append(pack_channels(white.whitened[:, chosen - 1] * phase[:, None]))
         noises.append(white.noise.draw(network.noise_shares[chosen - 1], generator, channels=CHANNELS))
         sizes.append(white.log_amplitude[:, chosen - 1])

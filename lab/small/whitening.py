@@ -18,10 +18,10 @@ from dynamictree.spectrum import Wind
 from lab.small.examples import Example
 
 WHITE_SHARE = 0.7
-"""Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
+"""Share of white noise beside that fitted to the data, so that smoothness also distinguishes data from noise."""
 MEASURED = ("leaf_share", "noise_shares", "log_gain", "spread")
 NUM_MEASURED = 24
-"""Trees that scales and shares are measured on."""
+"""Number of trees for measuring scales and shares."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class WhiteExample:
 
 @torch.no_grad()
 def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
-    """C / A at every voxel for k >= 1, and ln A."""
+    """Return c / A at every voxel for k >= 1, and ln A."""
     _, log_amplitude = network.amplitude.of_tree(
         example.tree, network.foliage(example.tree), wind_vector([example.wind])
     )
@@ -50,7 +50,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
     """Set the network's noise shares.
 
     Returns:
-        Deviation of whitened spectra on the nodes, real and imaginary part each: what the denoiser's are divided by.
+        Standard deviation of the real or imaginary part of whitened spectra on the nodes, the denoiser's divisor.
     """
     examples, top = list(examples), network.preset.top
     nodes = [pool_to(whiten(network, one)[0], one.tree.grids, top) for one in examples]
@@ -64,7 +64,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
 
 @torch.no_grad()
 def white_example(network: SmallNetwork, example: Example, deviation: Float32[Tensor, "J 3"]) -> WhiteExample:
-    """One tree for the denoiser's training; `deviation` as `measure` gives it."""
+    """Convert one tree for the denoiser's training; `deviation` is that of `measure`."""
     field, log_amplitude = whiten(network, example)
     grids, top = example.tree.grids, network.preset.top
     nodes = coarsen_features(example.tree, top)
@@ -81,7 +81,7 @@ def white_example(network: SmallNetwork, example: Example, deviation: Float32[Te
 def fit_shares(
     spectra: list[Complex64[np.ndarray, "_ J C"]], trees: list[TreeFeatures], rng: np.random.Generator
 ) -> Float64[np.ndarray, "J S"]:
-    """Shares of the scales, by least squares over pairs of nodes: the data's covariance against each field's."""
+    """Fit the shares of the scales by least squares over pairs of nodes: the data's covariance against each field's."""
     covariances, products = [], []
     for spectrum, nodes in zip(spectra, trees, strict=True):
         first, second = _pairs(nodes, rng)
@@ -96,7 +96,7 @@ def fit_shares(
 
 
 def _pairs(nodes: TreeFeatures, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of nodes: with themselves, neighbours, ancestors, siblings, and random ones."""
+    """Draw pairs of nodes: with themselves, neighbours, ancestors, siblings, and random ones."""
     grids, size = nodes.grids, len(nodes.scalars)
     bearer = np.arange(size)
     bearer[nodes.links[:, 0].numpy()] = nodes.links[:, 1].numpy()

@@ -1,1 +1,1 @@
-"""Model-independent parts of training: trainer, learning rates, checkpoints, processes."""
+"""Parts of training that do not depend on the model: trainer, learning rates, checkpoints, processes."""

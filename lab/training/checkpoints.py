@@ -1,4 +1,4 @@
-"""Checkpoints of a training as safetensors: weights, their moving average, and AdamW's moments."""
+"""Training checkpoints as safetensors: weights, their moving average, and AdamW's moments."""
 
 import json
 import logging
@@ -18,7 +18,7 @@ logger = logging.getLogger(__name__)
 def save_checkpoint(
     path: Path, *, step: int, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
 ) -> None:
-    """Write a checkpoint atomically: a reader never sees half of it."""
+    """Write a checkpoint atomically: a reader never sees an incomplete one."""
     tensors = {}
     for name, parameter in _trained(network):
         state = optimizer.state[parameter]
@@ -32,7 +32,7 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-    """Load a checkpoint in place and give its step; the moments go to the device and type of their parameters.
+    """Load a checkpoint in place and return its step; the moments take the device and type of their parameters.
 
     Raises:
         CheckpointError: its tensors are not this network's.
@@ -59,7 +59,7 @@ def _trained(network: nn.Module) -> list[tuple[str, nn.Parameter]]:
 
 
 def load_part(module: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
-    """Fill a module from the tensors named `prefix`.something.
+    """Fill a module from the tensors named `prefix`.*.
 
     Raises:
         CheckpointError: a tensor is missing, unexpected, or of another shape.

@@ -1,4 +1,4 @@
-"""Processes of one training, as `torchrun` starts them; without it there is one process."""
+"""Training processes started by `torchrun`; without it there is one process."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -11,9 +11,9 @@ from torch import nn
 
 @contextmanager
 def training_processes(device: torch.device) -> Iterator[torch.device]:
-    """Join the processes that `torchrun` started; gives this process's device.
+    """Context manager that joins the processes of `torchrun` and yields this process's device.
 
-    On CUDA every process of a machine takes the GPU of its local rank, and NCCL carries the gradients; on a CPU gloo.
+    On CUDA, every process of a machine uses the GPU of its local rank, and NCCL exchanges gradients; on a CPU, gloo.
     """
     if "RANK" not in os.environ:
         yield device
@@ -29,17 +29,17 @@ def training_processes(device: torch.device) -> Iterator[torch.device]:
 
 
 def process_rank() -> int:
-    """Index of this process, from 0."""
+    """Return the index of this process, from 0."""
     return torch.distributed.get_rank() if torch.distributed.is_initialized() else 0
 
 
 def num_processes() -> int:
-    """Number of processes that train together."""
+    """Return the number of processes that train together."""
     return torch.distributed.get_world_size() if torch.distributed.is_initialized() else 1
 
 
 def wait_for_all() -> None:
-    """Block until every process has come here."""
+    """Block until every process has called this function."""
     if torch.distributed.is_initialized():
         torch.distributed.barrier()
 

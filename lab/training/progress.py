@@ -1,15 +1,15 @@
-"""What a long command tells while it works: a bar a part, on standard error."""
+"""Progress of long commands: one bar per part, on standard error."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 OnStep = Callable[[str, int, int, float], None]
-"""Called with the stage, the steps done, the steps in total, and a loss (0 where there is none)."""
+"""Called with the stage, the steps done, the total number of steps, and a loss (0 if there is none)."""
 
 
 @contextmanager
 def bars(*, quiet: bool) -> Iterator[OnStep]:
-    """A progress bar a part; nothing where a program reads."""
+    """Context manager that shows one progress bar per part; none if `quiet`, for programs that read the output."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 

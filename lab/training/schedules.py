@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class LearningRateSchedule:
-    """Number of steps and the learning rate of each. At most one of `halve_every` and `cooldown_steps` is set."""
+    """Number of steps and the learning rate of each step. At most one of `halve_every` and `cooldown_steps` is set."""
 
     num_steps: int
     learning_rate: float = 1e-3
     warmup_steps: int = 50
-    final_share: float = 0.02  # of the learning rate, at the end
-    halve_every: int | None = None  # steps; replaces the cosine
+    final_share: float = 0.02  # share of the learning rate at the end
+    halve_every: int | None = None  # [steps]; replaces the cosine
     cooldown_steps: int | None = None  # replaces the cosine: constant, then linear over these last steps
 
     def rate_at(self, step: int) -> float:
-        """Learning rate of a step, counted from 0."""
+        """Return the learning rate of a step, counted from 0."""
         peak = self.learning_rate * min(1.0, (step + 1) / self.warmup_steps)
         if self.halve_every is not None:
             return peak * 0.5 ** (step // self.halve_every)

@@ -21,7 +21,7 @@ from lab.training.schedules import LearningRateSchedule
 
 @dataclass(frozen=True, kw_only=True)
 class TrainerOptions:
-    """Everything about a training that does not depend on the model."""
+    """Training options that do not depend on the model."""
 
     schedule: LearningRateSchedule
     weight_decay: float = 1e-4
@@ -29,22 +29,22 @@ class TrainerOptions:
     ema_decay: float = 0.99
     accumulate: int = 1  # backward passes per step
     bf16: bool = False
-    save_every: int = 50  # steps
-    save_every_s: float | None = None  # also after so many seconds
+    save_every: int = 50  # [steps]
+    save_every_s: float | None = None  # additional interval between checkpoints
     seed: int = 0
 
     def with_steps(self, num_steps: int) -> "TrainerOptions":
-        """The same options for another number of steps."""
+        """Return the same options for another number of steps."""
         return replace(self, schedule=replace(self.schedule, num_steps=num_steps))
 
     def slowed(self, share: float) -> "TrainerOptions":
-        """The same options with a share of the learning rate."""
+        """Return the same options with a reduced learning rate."""
         rate = share * self.schedule.learning_rate
         return replace(self, schedule=replace(self.schedule, learning_rate=rate))
 
 
 class Trainer:
-    """A network in training. Under `torch.distributed`, processes draw their own batches and average gradients."""
+    """Trainer of one network. Under `torch.distributed`, processes draw their own batches and average gradients."""
 
     def __init__(self, network: nn.Module, options: TrainerOptions) -> None:
         self.network, self.options, self.step = network, options, 0
@@ -56,7 +56,7 @@ class Trainer:
 
     @property
     def finished(self) -> bool:
-        """Whether every step is done."""
+        """Return whether every step is done."""
         return self.step >= self.options.schedule.num_steps
 
     def run(
