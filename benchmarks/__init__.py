@@ -1,1 +1,1 @@
-"""One module a figure. `python -m benchmarks NAME` prints one JSON object: value, unit, target, sizes, device, …"""
+"""Benchmarks, one module per figure. `python -m benchmarks NAME` prints a JSON object: value, unit, target, …"""

@@ -1,4 +1,4 @@
-"""Run the benchmarks that are named; print the figures of each as one JSON object per line."""
+"""Run the named benchmarks; print the figures of each as one JSON object per line."""
 
 import importlib
 import json
@@ -9,13 +9,13 @@ import benchmarks
 
 
 def names() -> list[str]:
-    """Names of all benchmarks."""
+    """Return the names of all benchmarks."""
     modules = (module.name for module in pkgutil.iter_modules(benchmarks.__path__))
     return sorted(name for name in modules if not name.startswith("_"))
 
 
 def main() -> None:
-    """Run the benchmarks of the command line; without a name, list those there are."""
+    """Run the benchmarks named on the command line; without a name, list them."""
     unknown = [name for name in sys.argv[1:] if name not in names()]
     if unknown or not sys.argv[1:]:
         problem = f"no such name: {', '.join(unknown)}" if unknown else "name some"

@@ -1,4 +1,4 @@
-"""The product `wind` as an engine evaluates it: bones out of the texture, coordinates by the reference."""
+"""Evaluate the product `wind` as an engine does: bones from the texture, coordinates from the reference code."""
 
 import json
 import tempfile
@@ -16,7 +16,7 @@ from recipes.wind_reference import coordinates, feet, half_turns, turned, wave_a
 
 @dataclass(frozen=True, kw_only=True)
 class EngineWind:
-    """What the files hold of B bones and N vertices, +Z up."""
+    """Content of the files for B bones and N vertices, +Z up."""
 
     wind: dict[str, Any]
     turns: np.ndarray  # modes [2K - 1, B, 3], rad
@@ -28,11 +28,11 @@ class EngineWind:
     parent_share: np.ndarray  # [N]
 
     def displacement(self, seconds: float, speed_m_s: float | None = None) -> np.ndarray:
-        """Of the vertices in a mean wind, by default the motion's own [N, 3], m."""
+        """Return the vertices' displacement in a mean wind, by default the motion's own, [N, 3] [m]."""
         return self.pose(coordinates(self.wind, seconds, speed_m_s), wave_at(self.wind["turn_rad"], seconds))
 
     def pose(self, q: np.ndarray, wind_turn: float = 0.0) -> np.ndarray:
-        """Displacement for coordinates [K] of the modes and a turn of the wind's direction [N, 3], m."""
+        """Return the displacement for modal coordinates [K] and a turn of the wind's direction, [N, 3] [m]."""
         theta = self.turns[0] * q[0].real + np.einsum("k,kbc->bc", q[1:].real, self.turns[1::2])
         theta -= np.einsum("k,kbc->bc", q[1:].imag, self.turns[2::2])
         half = half_turns(theta, self.direction, wind_turn)
@@ -43,7 +43,7 @@ class EngineWind:
 
 
 def read_engine_wind(archive: zipfile.ZipFile) -> EngineWind:
-    """Needs OpenEXR."""
+    """Read the product from its archive. Needs OpenEXR."""
     import OpenEXR
 
     facts = json.loads(archive.read("wind.json"))

@@ -1,4 +1,4 @@
-"""What the benchmarks of interaction share: a grown tree with many vertices and Gaussians."""
+"""Scene of the interaction benchmarks: a generated tree with many vertices and Gaussians."""
 
 from dataclasses import dataclass
 
@@ -20,14 +20,14 @@ NUM_GAUSSIANS = 500_000
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One tree, its spectrum at 128³, and its mesh made finer."""
+    """One tree, its spectrum at 128³, and its refined mesh."""
 
     mesh: TriangleMesh
     spectrum: SparseVoxelSpectrum
     system: ModalSystem
 
     def vertex_frames(self) -> VertexFrames:
-        """The vertices at any modal coordinates."""
+        """Return the basis of the vertices for modal coordinates."""
         return VertexFrames(rig_of(self.mesh, self.spectrum), self.mesh.vertices)
 
 
@@ -41,7 +41,7 @@ def scene() -> Scene:
 
 
 def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS, *, in_face_order: bool = True) -> Binding:
-    """Gaussians strewn over the surface by area, bound to their faces; in the faces' order or in any."""
+    """Return Gaussians that are distributed over the surface by area, bound to faces, in their order or shuffled."""
     rng = np.random.default_rng(1)
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -61,7 +61,7 @@ def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS, *, in_face_orde
 
 
 def _subdivided(mesh: TriangleMesh) -> TriangleMesh:
-    """Every edge halved, every face four."""
+    """Halve every edge and split every face into four."""
     edges = edges_of(mesh.faces)
     middle = (mesh.vertices[edges[:, 0]] + mesh.vertices[edges[:, 1]]) / 2
     keys = edges[:, 0].astype(np.int64) << 32 | edges[:, 1]
@@ -80,7 +80,7 @@ def _subdivided(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _split(mesh: TriangleMesh, num_vertices: int) -> TriangleMesh:
-    """So many vertices: the largest faces cut in three at their middle."""
+    """Split the largest faces into three at their centre, up to a number of vertices."""
     corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     order = np.argsort(-area, kind="stable")

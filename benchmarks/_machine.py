@@ -1,4 +1,4 @@
-"""What a figure was measured on, and how long something takes."""
+"""Description of the machine of a measurement, and timing functions."""
 
 import os
 import platform
@@ -14,12 +14,12 @@ import numpy as np
 from dynamictree.parallel import in_bands
 
 BRIEF = "DYNAMICTREE_BENCHMARK_BRIEF" in os.environ
-"""Whether every benchmark takes its shortest course: the tests run all of them, so that none is broken unseen."""
+"""Whether every benchmark runs in its shortest form, as in the tests, which run all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """Of several runs [ms]. `cpu_ms` is the median processor time over the cores: what others' work cannot hide."""
+    """Times of several runs [ms]. `cpu_ms` is the median CPU time over the cores, which other load does not affect."""
 
     median_ms: float
     p90_ms: float
@@ -28,12 +28,12 @@ class Timing:
     cpu_ms: float
 
     def rounded(self) -> dict[str, float]:
-        """As it is printed."""
+        """Return the rounded times for printing."""
         return {name: round(value, 4) for name, value in asdict(self).items()}
 
 
 def machine(*packages: str) -> dict[str, object]:
-    """Processor and cores, how busy they are, and the versions of what matters to a figure."""
+    """Return processor, cores, load, and the versions of relevant packages."""
     cpuinfo = Path("/proc/cpuinfo").read_text().splitlines()
     names = [line.split(":", 1)[1].strip() for line in cpuinfo if "model name" in line]
     return {
@@ -44,7 +44,7 @@ def machine(*packages: str) -> dict[str, object]:
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -68,8 +68,8 @@ def timed(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> T
 
 
 def copied(num_bytes: int) -> Timing:
-    """Time to read and write that many bytes, half of them each, on all cores: what the memory alone takes."""
-    source = np.ones(num_bytes // 8, np.float32)  # memory never written is one page of zeros, read from the cache
+    """Time a copy on all cores that reads and writes this many bytes in total: the cost of memory alone."""
+    source = np.ones(num_bytes // 8, np.float32)  # memory that was never written maps to one cached page of zeros
     target = np.empty_like(source)
 
     def copy(first: int, end: int) -> None:
@@ -79,7 +79,7 @@ def copied(num_bytes: int) -> Timing:
 
 
 def over_floor(frame: Timing, floor: Timing) -> dict[str, float]:
-    """A frame against the copy of its bytes; processor time is what others' work cannot hide."""
+    """Compare a frame with the copy of its bytes, in wall time and in CPU time, which does not depend on other load."""
     return {
         "floor_ms": round(floor.median_ms, 3),
         "over_floor": round(frame.median_ms / floor.median_ms, 2),

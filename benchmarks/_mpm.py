@@ -1,8 +1,8 @@
-"""A short material point method, ours, as the rival to time against: MLS-MPM (Hu et al. 2018) on both cores.
+"""A short material point method of our own, as the rival in timings: MLS-MPM (Hu et al. 2018) on both cores.
 
 PhysGaussian's settings: a grid of 50³ over 2 units, substeps of 1e-4 s, E = 2e6, ν = 0.4, ρ = 200. Quadratic weights,
 APIC transfer, neo-Hookean stress (no SVD: cheaper than PhysGaussian's corotated one, to the rival's advantage).
-Particles are sorted by cell, each core scatters into a grid of its own, and the grids are summed: no atomics.
+Particles are sorted by cell. Each core scatters into its own grid, and the grids are summed, without atomics.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 GRID = 50
-SIZE = 2.0  # of the grid's cube, in PhysGaussian's units
+SIZE = 2.0  # side of the grid's cube, in PhysGaussian's units
 DT_S = 1e-4
 YOUNG = 2e6
 POISSON = 0.4
@@ -34,7 +34,7 @@ class Particles:
 
 
 def particles_at(points: np.ndarray, *, filled: float = 0.8) -> Particles:
-    """Particles at rest, the cloud scaled into the grid's middle; the foot stands on the fixed floor."""
+    """Place particles at rest, scaled into the middle of the grid; the foot stands on the fixed floor."""
     low, high = points.min(axis=0), points.max(axis=0)
     scale = filled * SIZE / float((high - low).max())
     placed = (points - (low + high) / 2) * scale + SIZE / 2
@@ -53,7 +53,7 @@ def particles_at(points: np.ndarray, *, filled: float = 0.8) -> Particles:
 
 
 def advance(particles: Particles, *, num_substeps: int, gravity: float = 0.0, floor: float = 0.0) -> None:
-    """Move all particles on; nodes below `floor` are fixed."""
+    """Advance all particles; nodes below `floor` are fixed."""
     lam = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
     mu = YOUNG / (2 * (1 + POISSON))
     p = particles
@@ -87,7 +87,7 @@ def _scatter(core, position, velocity, affine, deformation, volume, lam, mu, gri
         f10, f11, f12 = f[1, 0], f[1, 1], f[1, 2]
         f20, f21, f22 = f[2, 0], f[2, 1], f[2, 2]
         jacobian = f00 * (f11 * f22 - f12 * f21) - f01 * (f10 * f22 - f12 * f20) + f02 * (f10 * f21 - f11 * f20)
-        # Kirchhoff stress of neo-Hookean matter: μ (F Fᵀ - I) + λ ln J I
+        # Kirchhoff stress of a neo-Hookean material: μ (F Fᵀ - I) + λ ln J I
         pressure = lam * np.log(max(jacobian, np.float32(1e-3))) - mu
         mass = volume[p] * np.float32(DENSITY)
         s = -stress_scale * volume[p]
@@ -126,7 +126,7 @@ def _scatter(core, position, velocity, affine, deformation, volume, lam, mu, gri
 
 @numba.njit(nogil=True, fastmath=True, cache=True)
 def _update(this, grids, gravity, fixed_nodes):
-    """Sum the cores' grids into the first; momentum to velocity. Each core takes its share of the rows."""
+    """Sum the cores' grids into the first and convert momentum to velocity. Each core processes a share of the rows."""
     for row in range(this * GRID**3 // NUM_CORES, (this + 1) * GRID**3 // NUM_CORES):
         mass = np.float32(0)
         for core in range(NUM_CORES):
@@ -180,7 +180,7 @@ def _gather(core, position, velocity, affine, deformation, grid):
                 b[1, 1] += sy * dy
                 b[2, 1] += sz * dy
         old = deformation[p]
-        scale = 4 * inverse  # C = 4 / h² Σ w v (x_i - x_p)ᵀ, offsets above in cells
+        scale = 4 * inverse  # C = 4 / h² Σ w v (x_i - x_p)ᵀ; offsets above are in cells
         for i in range(3):
             for j in range(3):
                 b[i, j] *= scale
@@ -202,7 +202,7 @@ def _gather(core, position, velocity, affine, deformation, grid):
 
 @numba.njit(fastmath=True, cache=True)
 def _weights(fx, fy, fz, w):
-    """Quadratic B-splines of the three nodes on each axis, at f in [0.5, 1.5]."""
+    """Compute quadratic B-spline weights of the three nodes on each axis, at f in [0.5, 1.5]."""
     half = np.float32(0.5)
     for axis in range(3):
         f = fx if axis == 0 else (fy if axis == 1 else fz)

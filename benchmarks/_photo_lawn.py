@@ -1,4 +1,4 @@
-"""Photos of a tree on a lawn with a hedge around, below clouds, in light that changes from photo to photo."""
+"""Photos of a tree on a lawn with a hedge around it, under clouds, in light that changes between photos."""
 
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,10 @@ from lab.dataset.sample import make_sample
 
 Color = tuple[float, float, float]
 _EYES_M = 1.6
-_CELLS = 4096  # along the lawn, and around the hedge: nothing is there twice
-_CLOUD_CELLS = 256, 1024  # up and around
-_GRAINS = 0.8, 2.5, 8.0, 25.0, 80.0  # in cells
-_HEDGE_RADIUS, _HEDGE_HEIGHT = 4.0, 0.35  # of the tree's height
+_CELLS = 4096  # cells along the lawn, and around the hedge, so that no texture repeats
+_CLOUD_CELLS = 256, 1024  # cells in elevation and azimuth
+_GRAINS = 0.8, 2.5, 8.0, 25.0, 80.0  # sizes of grain [cells]
+_HEDGE_RADIUS, _HEDGE_HEIGHT = 4.0, 0.35  # [share of the tree's height]
 _GRASS, _SOIL, _HEDGE, _SHADE = (0.50, 0.68, 0.28), (0.18, 0.15, 0.07), (0.36, 0.50, 0.22), (0.05, 0.10, 0.04)
 _HORIZON, _ZENITH, _CLOUD = (0.80, 0.87, 0.93), (0.30, 0.50, 0.80), (0.97, 0.97, 0.98)
 
@@ -26,7 +26,7 @@ _HORIZON, _ZENITH, _CLOUD = (0.80, 0.87, 0.93), (0.30, 0.50, 0.80), (0.97, 0.97,
 def photograph_on_lawn(
     folder: Path, *, number: int, side: int, species: str = "round-broadleaf", height_m: float = 3.5, seed: int = 7
 ) -> dict[str, UInt8[np.ndarray, "H W"]]:
-    """Write JPEG photos of a walk around the tree; gives for each photo's name how much of each pixel is tree."""
+    """Write JPEG photos of a walk around the tree; return, by name, each pixel's coverage by the tree."""
     grown = speckled(make_sample(seed, species).mesh)
     tree = grown.with_vertices((grown.vertices * (height_m / grown.height_m)).astype(np.float32))
     renderer, garden = fine_renderer(tree, side), _Garden(tree)
@@ -46,7 +46,7 @@ def photograph_on_lawn(
 
 
 def _walk(tree: TriangleMesh, number: int) -> list[Camera]:
-    """At the height of a person's eyes, not quite in a circle."""
+    """Return cameras at eye height, on a slightly irregular circle."""
     height, rng = tree.height_m, np.random.default_rng(5)
     middle = np.array([*tree.vertices.mean(axis=0)[:2], tree.vertices[:, 2].min() + 0.5 * height], np.float64)
     cameras = []
@@ -59,7 +59,7 @@ def _walk(tree: TriangleMesh, number: int) -> list[Camera]:
 
 
 class _Garden:
-    """What is behind the tree. The sky is infinitely far, so it turns with the camera."""
+    """Background of the photos. The sky is infinitely far, so it turns with the camera."""
 
     def __init__(self, tree: TriangleMesh) -> None:
         rng = np.random.default_rng(2)
@@ -70,10 +70,10 @@ class _Garden:
         self.clouds = np.clip(clouds / 3, 0, 1)
 
     def seen_along(self, ray: Float64[np.ndarray, "H W 3"], camera: Camera, side: int) -> Float64[np.ndarray, "H W 3"]:
-        """Colours, 0 to 1."""
+        """Return the colours along rays, 0 to 1."""
         start = camera.position_m - self.foot
         color = self._sky(ray)
-        # the hedge is a cylinder around the camera, the lawn a plane before it
+        # the hedge is a cylinder around the camera, the lawn a plane in front of it
         a, b = (ray[..., :2] ** 2).sum(axis=2), ray[..., :2] @ start[:2]
         to_hedge = (np.sqrt(b**2 - a * (start[:2] @ start[:2] - self.hedge_radius_m**2)) - b) / a
         place = start + to_hedge[..., None] * ray
@@ -99,7 +99,7 @@ class _Garden:
         light: Color,
         dark: Color,
     ) -> Float64[np.ndarray, "H W 3"]:
-        """Blades and tufts of all sizes; what is smaller than a pixel is not seen."""
+        """Return colours of grass with grain of all sizes; grain smaller than a pixel fades out."""
         per_m = _CELLS / whole_m
         shade = np.full(x_m.shape, 0.5)
         for layer, size in zip(self.grain, _GRAINS, strict=True):
@@ -119,7 +119,7 @@ class _Garden:
 
 
 def _layer(rng: np.random.Generator, shape: tuple[int, int], size: float, mode: Any) -> Float32[np.ndarray, "A B"]:
-    """Noise of one size of grain; standard deviation 1."""
+    """Return noise of one grain size with standard deviation 1."""
     smooth = gaussian_filter(rng.normal(size=shape), size, mode=mode)
     return (smooth / smooth.std()).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Photos of a tree that is known: RGBA pictures by the project's own renderer, with the cameras that took them."""
+"""Photos of a known tree: RGBA pictures from the project's own renderer, with their cameras."""
 
 import json
 from dataclasses import replace
@@ -13,13 +13,13 @@ from dynamictree.render import Camera, Look, Renderer
 from lab.dataset.sample import make_sample
 
 SAMPLES = 3
-"""Along a pixel's side, colour and cover alike, so that edges keep no sky."""
+"""Samples along a pixel's side for colour and coverage, so that edges have no sky colour."""
 GRAIN_M, GRAIN = 0.01, 0.4
-"""Size of the grain of bark and leaves, and how strong it is."""
+"""Size of the grain of bark and leaves, and its strength."""
 
 
 def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> list[Path]:
-    """An orbit around a tree with speckled bark and leaves; photos and `transforms.json` go into the folder."""
+    """Write photos of an orbit around a tree with speckled bark and leaves, and `transforms.json`, to the folder."""
     tree = speckled(make_sample(seed, species).mesh)
     renderer = fine_renderer(tree, side)
     photos, frames = [], []
@@ -38,7 +38,7 @@ def photograph(folder: Path, *, number: int, side: int, species: str = "round-br
 
 
 def speckled(tree: TriangleMesh) -> TriangleMesh:
-    """The same tree, brighter, with a colour of its own at each vertex, so that features are found on it."""
+    """Return the tree brightened, with a random colour per vertex, so that it has detectable features."""
     shades = np.clip(np.random.default_rng(1).normal(0.7, 0.3, (tree.num_vertices, 3)), 0.1, 1)
     colors = np.concatenate([255 * shades, np.full((len(shades), 1), 255)], axis=1).astype(np.uint8)
     bright = tuple(
@@ -49,7 +49,7 @@ def speckled(tree: TriangleMesh) -> TriangleMesh:
 
 
 def orbit(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:
-    """Cameras around a tree, by turns lower and higher."""
+    """Return cameras around a tree, alternately lower and higher."""
     height = tree.height_m
     middle = np.array([*tree.vertices.mean(axis=0)[:2], 0.5 * height], np.float64)
     cameras = []
@@ -61,19 +61,19 @@ def orbit(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:
 
 
 def fine_renderer(mesh: TriangleMesh, side: int) -> Renderer:
-    """Draws every pixel of a square photo as SAMPLES × SAMPLES pixels."""
+    """Return a renderer that draws every pixel of a square photo as SAMPLES × SAMPLES pixels."""
     fine = side * SAMPLES
     return Renderer(mesh, Look(width=fine, height=fine, ground=False, supersampling=1))
 
 
 def solid_noise(rng: np.random.Generator) -> np.ndarray:
-    """A block of noise without seams, of standard deviation 1; a cell is GRAIN_M wide."""
+    """Return a seamless block of noise with standard deviation 1; a cell is GRAIN_M wide."""
     block = gaussian_filter(rng.normal(size=(96, 96, 96)), 0.7, mode="wrap")
     return (block / block.std()).astype(np.float32)
 
 
 def cut_out(renderer: Renderer, camera: Camera, side: int, solid: np.ndarray | None = None) -> np.ndarray:
-    """An RGBA photo of a scene by `fine_renderer`; `solid` gives its surfaces a grain."""
+    """Render an RGBA photo with a `fine_renderer`; `solid` adds grain to the surfaces."""
     color = renderer.picture(camera=camera).astype(np.float64)
     depth = renderer.buffers(camera).depth_m
     seen_at = np.isfinite(depth)

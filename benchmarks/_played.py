@@ -1,4 +1,4 @@
-"""Exports as other people's tools read them: displacement at every key, +Z up [m]. Nothing of ours reads here."""
+"""Read exports with third-party tools only: displacement at every key, +Z up [m]."""
 
 import io
 import json
@@ -16,7 +16,7 @@ COMPONENTS = {5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
 def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
-    """Elements as they are stored; meshoptimizer decodes what it has packed."""
+    """Return an accessor's elements as stored, decoded by meshoptimizer if compressed."""
     entry = document.accessors[index]
     view = document.bufferViews[entry.bufferView]
     width, component = WIDTHS[entry.type], np.dtype(COMPONENTS[entry.componentType])
@@ -37,13 +37,13 @@ def z_up(vectors: np.ndarray) -> np.ndarray:
 
 
 def reported_facts(content: bytes) -> dict[str, Any]:
-    """What a GLB states in `asset.extras`."""
+    """Return the `asset.extras` of a GLB."""
     extras: dict[str, Any] = pygltflib.GLTF2().load_from_bytes(content).asset.extras
     return extras
 
 
 def played_morphs(content: bytes) -> np.ndarray:
-    """A GLB's morph targets, weighted as its animation has them: [T + 1, N, 3]."""
+    """Return a GLB's morph targets, weighted by its animation: [T + 1, N, 3]."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     targets = [accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets]
     targets = [one / 32767 if one.dtype == np.int16 else one for one in targets]
@@ -52,7 +52,7 @@ def played_morphs(content: bytes) -> np.ndarray:
 
 
 def played_skin(content: bytes) -> np.ndarray:
-    """A GLB's skin, posed as its animation has it: [T + 1, N, 3]. glTF 2.0, sections 3.7.3, 3.11 and appendix C."""
+    """Return a GLB's skin, posed by its animation: [T + 1, N, 3]. glTF 2.0, sections 3.7.3, 3.11 and appendix C."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     attributes, skin = document.meshes[0].primitives[0].attributes, document.skins[0]
     rest = accessor(document, attributes.POSITION).astype(np.float64)
@@ -71,7 +71,7 @@ def played_skin(content: bytes) -> np.ndarray:
 
 
 def world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
-    """Matrix of every node at every key: [T + 1, 4, 4]."""
+    """Return the matrix of every node at every key: [T + 1, 4, 4]."""
     animation = document.animations[0]
     moving: dict[int, np.ndarray] = {}
     for channel in animation.channels:
@@ -97,7 +97,7 @@ def world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
 
 
 def played_usdz(path: Path) -> np.ndarray:
-    """Points of every time code less those of rest: [T, N, 3]."""
+    """Return the points of every time code minus those at rest: [T, N, 3]."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(path))
@@ -109,7 +109,7 @@ def played_usdz(path: Path) -> np.ndarray:
 
 
 def played_usd_skin(path: Path) -> np.ndarray:
-    """Points of every time code as usd-core's own skinning has them, less those of rest: [T, N, 3]."""
+    """Return the points of every time code, skinned by usd-core, minus those at rest: [T, N, 3]."""
     from pxr import Usd, UsdGeom, UsdSkel, Vt
 
     stage = Usd.Stage.Open(str(path))
@@ -129,7 +129,7 @@ def played_usd_skin(path: Path) -> np.ndarray:
 
 
 def played_alembic(path: Path) -> np.ndarray:
-    """Points of every sample: [T, N, 3]."""
+    """Return the points of every sample: [T, N, 3]."""
     from alembic3d import Abc, AbcGeom
 
     schema = AbcGeom.IPolyMesh(Abc.IArchive(str(path)).getTop(), "tree").getSchema()
@@ -138,7 +138,7 @@ def played_alembic(path: Path) -> np.ndarray:
 
 
 def played_vertex_texture(content: bytes) -> np.ndarray:
-    """What a vertex shader looks up, frame by frame: [T, N, 3]. Needs OpenEXR."""
+    """Return the texels that a vertex shader looks up in each frame: [T, N, 3]. Needs OpenEXR."""
     import OpenEXR
 
     archive = zipfile.ZipFile(io.BytesIO(content))
@@ -157,7 +157,7 @@ def played_vertex_texture(content: bytes) -> np.ndarray:
 
 
 def played_ply(path: Path) -> np.ndarray:
-    """Vertices of every file of a sequence, as trimesh reads them: [T, N, 3]."""
+    """Return the vertices of every file of a sequence, read by trimesh: [T, N, 3]."""
     import trimesh
 
     archive = zipfile.ZipFile(path)
@@ -166,7 +166,7 @@ def played_ply(path: Path) -> np.ndarray:
 
 
 def played_product(name: str, path: Path, rest: np.ndarray) -> np.ndarray:
-    """Displacement at every frame of a product, less `rest` where it has places."""
+    """Return the displacement at every frame of a product; `rest` is subtracted from formats with positions."""
     from safetensors.numpy import load_file
 
     if name in ("alembic", "ply"):

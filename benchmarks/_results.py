@@ -1,7 +1,7 @@
-"""Results that the documentation states: recorded as JSON, filled into templates, written to its page and the README.
+"""Results in the documentation: recorded as JSON, filled into templates, written to the results page and the README.
 
-`python -m benchmarks._results NAME …` measures the named results (all of COMMANDS without a name), stores the JSON
-object of each one's last line as `benchmarks/results/NAME.json`, and writes both; `write` alone measures nothing.
+`python -m benchmarks._results NAME …` measures the named results (by default all of COMMANDS), stores the JSON object
+of each one's last line as `benchmarks/results/NAME.json`, and writes both; `write` alone only writes them.
 """
 
 import json
@@ -34,7 +34,7 @@ COMMANDS = {
 SHORT = {"DYNAMICTREE_BENCHMARK_SIZES": "1964", "DYNAMICTREE_BENCHMARK_RUNS": "3"}
 """Environment of the benchmarks: the demo tree and one size, three times each."""
 OF_THE_WEIGHTS = ("motion", "wind_condition", "storm_stretch")
-"""Results that other weights change."""
+"""Results that depend on the weights."""
 
 
 def record(name: str) -> None:
@@ -50,17 +50,17 @@ def record(name: str) -> None:
 def rendered(template: str) -> str:
     """Fill a template: each `{name[key]…:format}` is a value of the recorded result of that name.
 
-    Lines that need a result which was not recorded are left out, with tables and sections that are then empty;
-    `{weights}` says which.
+    Lines whose result was not recorded are left out, with tables and sections that become empty; `{weights}` lists
+    those results.
     """
     results = {path.stem: json.loads(path.read_text()) for path in sorted(FOLDER.glob("*.json"))}
     values = results | {"weights": _state(results)} | _tables(results)
     lines = (FOLDER / template).read_text().splitlines(keepends=True)
     text = "".join(line for line in lines if set(re.findall(r"\{(\w+)", line)) <= set(values)).format(**values)
-    text = re.sub(r"^\|.*\n\|[-|]+\n(?!\|)", "", text, flags=re.MULTILINE)  # tables without a row
+    text = re.sub(r"^\|.*\n\|[-|]+\n(?!\|)", "", text, flags=re.MULTILINE)  # drop tables without a row
     return re.sub(
         r"^## .*\n\s*(?=## )", "", re.sub(r"\n{3,}", "\n\n", text), flags=re.MULTILINE
-    )  # sections without text
+    )  # drop sections without text
 
 
 def _state(results: Mapping[str, Any]) -> str:
@@ -71,7 +71,7 @@ def _state(results: Mapping[str, Any]) -> str:
 
 
 def _tables(results: Mapping[str, Any]) -> dict[str, object]:
-    """Values that are more than one number of a result."""
+    """Return template values that combine several numbers of a result."""
     values: dict[str, object] = {}
     if "wind_condition" in results:
         values["wind_rows"] = "\n".join(map(_wind_row, results["wind_condition"]["value"]))
@@ -83,7 +83,7 @@ def _tables(results: Mapping[str, Any]) -> dict[str, object]:
 
 
 def readme() -> str:
-    """The README, with its section on results filled in."""
+    """Return the README with its section on results filled in."""
     before, _, after = README.read_text().partition("## Results\n")
     return before + rendered("readme.md") + after[after.index("## ") :]
 
@@ -102,12 +102,12 @@ def _storm_row(name: str, row: dict[str, dict[str, float]]) -> str:
 
 
 def weights_hash() -> str:
-    """First digits of the sha256 of the shipped weights, by which a result of older weights is known."""
+    """Return the first digits of the sha256 of the shipped weights, which reveal results of older weights."""
     return sha256(WEIGHTS.read_bytes()).hexdigest()[:12]
 
 
 def main() -> None:
-    """Measure what is named, then write the page."""
+    """Measure the named results, then write the page and the README."""
     names = sys.argv[1:] or list(COMMANDS)
     if unknown := set(names) - {*COMMANDS, "write"}:
         raise SystemExit(f"no such results: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}")

@@ -1,4 +1,4 @@
-"""The real API in a process of its own, with one spectrum to push."""
+"""The real API in a separate process, with one spectrum for interaction."""
 
 import io
 import os
@@ -30,7 +30,7 @@ START_S = 90.0
 
 @contextmanager
 def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
-    """Base URL, spectrum id and process id of an API that knows this tree."""
+    """Context manager that runs an API with this tree; yields base URL, spectrum id and process id."""
     with open_services(Settings(state_dir=state)) as services:
         spectrum_id = published(services, spectrum, mesh)
     with started(state) as (url, process_id):
@@ -39,7 +39,7 @@ def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> I
 
 @contextmanager
 def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
-    """Base URL and process id of an API on a state folder; `settings` by the names of docs/settings.md."""
+    """Context manager that runs an API on a state folder; yields base URL and process id. See docs/settings.md."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -58,7 +58,7 @@ def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
 
 
 def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> str:
-    """Put a tree into the store as a finished job does; gives the spectrum's id."""
+    """Store a tree as a finished job does; return the spectrum's id."""
     services.settings.state_dir.mkdir(parents=True, exist_ok=True)
     now = services.store.clock()
     bundle, file = io.BytesIO(), io.BytesIO()
@@ -101,13 +101,13 @@ def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleM
 
 
 def processor_s(process_id: int) -> float:
-    """Processor time that a process and its children that have ended used so far, user and system [s]; Linux."""
+    """Return the CPU time of a process and its ended children so far, user and system [s]; Linux only."""
     after_name = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
     return sum(map(int, after_name[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 def _stored(services: Services, name: str, content: bytes) -> tuple[str, int]:
-    path = services.settings.state_dir / f"{new_id()}-{name}"  # the store keeps this very file
+    path = services.settings.state_dir / f"{new_id()}-{name}"  # the store hard-links this file
     path.write_bytes(content)
     digest, size = hash_file(path)
     services.artifacts.put(path, digest)

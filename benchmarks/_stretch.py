@@ -1,4 +1,4 @@
-"""Stretch of a mesh's edges and leaf cards in a motion, and the trees that benchmarks of storms measure it on."""
+"""Stretch of a mesh's edges and leaf cards in a motion, and the trees of the storm benchmarks."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ SPECIES = ("weeping", "palm", "pine", "round-broadleaf")
 
 
 def trees() -> Iterator[tuple[str, TriangleMesh]]:
-    """Grown trees, and meshes of DYNAMICTREE_SAMPLES."""
+    """Iterate over generated trees and meshes of DYNAMICTREE_SAMPLES."""
     for seed, species in enumerate(SPECIES):
         yield species, make_sample(seed, species).mesh
     samples = os.environ.get("DYNAMICTREE_SAMPLES")
@@ -34,13 +34,13 @@ class Sizes:
 
     @classmethod
     def of(cls, mesh: TriangleMesh, in_card: np.ndarray) -> "Sizes":
-        """Of a mesh whose vertices `in_card` are of cards."""
+        """Measure a mesh at rest; `in_card` marks vertices of cards."""
         return cls(
             vertices=mesh.vertices, edges=edges_of(mesh.faces), cards=mesh.faces[in_card[mesh.faces].all(axis=1)]
         )
 
     def growth_percent(self, motion: Iterable[np.ndarray]) -> tuple[float, float]:
-        """99th percentile of the change of edges and of cards over the frames of a motion [N, 3]."""
+        """Return the 99th percentiles of the growth of edges and of cards over a motion's frames [N, 3] [%]."""
         frames = [self.vertices, *(self.vertices + frame for frame in motion)]
         edges = [_lengths(frame[self.edges]) for frame in frames]
         return _growth(edges), _growth([_areas(frame[self.cards]) for frame in frames])

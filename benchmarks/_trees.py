@@ -1,4 +1,4 @@
-"""Trees to measure: one of each kind, and the demo tree with fewer or more vertices and the same branches."""
+"""Trees for benchmarks: one of each kind, and the demo tree with fewer or more vertices."""
 
 from dataclasses import replace
 
@@ -19,11 +19,11 @@ KINDS = (
     "mesh/quaternius_common_tree/CommonTree_2.obj",
 )
 KINDS += ("../cases/potted.glb", "splat/tree_10k.splat", "scan/tls_tree_1.txt")
-"""Grown trees, and files under DYNAMICTREE_SAMPLES: cards, a crown of one surface, a pot, a splat, a scan."""
+"""Generated trees, and files under DYNAMICTREE_SAMPLES: cards, a crown as one surface, a pot, a splat, a scan."""
 
 
 def tree_of_kind(name: str) -> TriangleMesh | None:
-    """The mesh that moves, as one primitive; None where its file is missing."""
+    """Return the moving mesh of a kind, as one primitive; None if its file is missing."""
     if "/" not in name:
         return make_sample(3, name).mesh
     if not (SAMPLES / name).exists():
@@ -33,7 +33,7 @@ def tree_of_kind(name: str) -> TriangleMesh | None:
 
 
 def demo_mesh(num_vertices: int | None = None) -> TriangleMesh:
-    """The demo tree; cut down to its lowest vertices or with its longest edges halved until it has about so many."""
+    """Return the demo tree, cut to its lowest vertices or with its longest edges halved, with about `num_vertices`."""
     mesh = make_sample(SEED, SPECIES).mesh
     mesh = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces)
     if num_vertices is None:
@@ -53,7 +53,7 @@ def _lowest(mesh: TriangleMesh, num_vertices: int) -> TriangleMesh:
 
 
 def _halved(mesh: TriangleMesh, most: int) -> TriangleMesh:
-    """Split faces at the middle of the longest edges, each face at one edge at most."""
+    """Split faces at the middle of their longest edges, each face at one edge at most."""
     edges = edges_of(mesh.faces)
     length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
     corners = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2)  # [F, 3, 2]
@@ -62,9 +62,9 @@ def _halved(mesh: TriangleMesh, most: int) -> TriangleMesh:
     sorted_keys = np.argsort(edge_keys)
     edge = sorted_keys[np.searchsorted(edge_keys[sorted_keys], keys)]  # [F, 3]
     longest = length[edge].argmax(axis=1)
-    own = edge[np.arange(len(edge)), longest]  # the edge that each face would halve
+    own = edge[np.arange(len(edge)), longest]  # longest edge of each face
     agree = np.bincount(own, minlength=len(edges)) == np.bincount(edge.ravel(), minlength=len(edges))
-    chosen = np.flatnonzero(agree)  # longest of all faces around, so that no face is left with a vertex on its edge
+    chosen = np.flatnonzero(agree)  # edges longest in all adjacent faces, so that no face gets an extra vertex
     chosen = chosen[np.argsort(-length[chosen], kind="stable")][:most]
     middle = np.full(len(edges), -1, np.int64)
     middle[chosen] = mesh.num_vertices + np.arange(len(chosen))

@@ -1,4 +1,4 @@
-"""The whole service as `dynamictree serve` starts it, its jobs over HTTP, and what its worker used for them."""
+"""The whole service as `dynamictree serve` starts it, its jobs over HTTP, and their CPU time and memory."""
 
 import os
 import tempfile
@@ -21,27 +21,27 @@ from recipes.demo import served
 
 POLL_S = 0.1
 PATIENCE_S = 900.0
-_LOG_TAIL = 6000  # characters of the service's log that an error shows
+_LOG_TAIL = 6000  # characters of the service's log in an error
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """A job, from its upload to its last file."""
+    """Times of a job, from its upload to the download of its last file."""
 
     wall_s: float
-    worker_s: float  # processor seconds of the worker
+    worker_s: float  # CPU time of the worker
     stages_s: dict[str, float]
 
 
 @dataclass(frozen=True)
 class WholeService:
-    """A client, and the process ids of what it talks to."""
+    """A client of a running service, and measurements of its worker processes."""
 
     client: httpx.Client
     state: Path
 
     def upload(self, mesh: TriangleMesh, number: int) -> str:
-        """Send a mesh; each number makes it another one, by less than a micrometre, which no cache has seen."""
+        """Upload a mesh, shifted by `number` micrometres so that no cache has seen it; return the asset's id."""
         shifted = mesh.vertices + np.float32([0, 0, 1e-6 * number])
         content = BytesIO()
         write_glb(TriangleMesh(vertices=shifted.astype(np.float32), faces=mesh.faces), content)
@@ -51,13 +51,13 @@ class WholeService:
         return asset
 
     def submit(self, asset: str, **params: object) -> str:
-        """Ask for the motion of an asset; gives the job's id."""
+        """Create a job for the motion of an asset; return the job's id."""
         body = {"type": "animate", "asset_id": asset, "params": params}
         job: str = self.client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
         return job
 
     def wait(self, job: str, patience_s: float = PATIENCE_S) -> dict[str, Any]:
-        """The job once it has ended well."""
+        """Wait until a job has succeeded, and return it."""
         deadline = time.monotonic() + patience_s
         while time.monotonic() < deadline:
             answer: dict[str, Any] = self.client.get(f"/v1/jobs/{job}").raise_for_status().json()
@@ -70,7 +70,7 @@ class WholeService:
         raise TimeoutError(f"job {job} did not end within {patience_s:g} s")
 
     def run(self, mesh: TriangleMesh, number: int, **params: object) -> Ended:
-        """Send a mesh, wait for its products and download them."""
+        """Upload a mesh, wait for its products and download them."""
         before, began = self.worker_s(), time.perf_counter()
         job = self.wait(self.submit(self.upload(mesh, number), **params))
         for artifact in self.client.get(f"/v1/jobs/{job['id']}/artifacts").raise_for_status().json()["artifacts"]:
@@ -79,26 +79,26 @@ class WholeService:
         return Ended(wall_s=wall_s, worker_s=self.worker_s() - before, stages_s=stage_seconds(job))
 
     def workers(self) -> list[int]:
-        """Process ids of Celery's processes."""
+        """Return the process ids of Celery's processes."""
         return [pid for pid in _descendants(os.getpid()) if b"worker.app" in _read(pid, "cmdline")]
 
     def worker_s(self) -> float:
-        """Processor time of the workers so far [s]."""
+        """Return the CPU time of the workers so far [s]."""
         return sum(processor_s(pid) for pid in self.workers())
 
     def peak_mb(self) -> float:
-        """Largest memory that a process of the workers has had [MiB]."""
+        """Return the largest peak memory of the worker processes [MiB]."""
         lines = [line for pid in self.workers() for line in _read(pid, "status").splitlines() if b"VmHWM" in line]
         return max(int(line.split()[1]) for line in lines) / 1024
 
     def forget_peak(self) -> None:
-        """Let `peak_mb` begin anew."""
+        """Reset `peak_mb`."""
         for pid in self.workers():
             Path(f"/proc/{pid}/clear_refs").write_text("5")
 
 
 def stage_seconds(job: dict[str, Any]) -> dict[str, float]:
-    """How long each stage of an ended job took [s]."""
+    """Return the duration of each stage of an ended job [s]."""
     times = {stage["name"]: (stage["started_at"], stage["finished_at"]) for stage in job["stages"]}
     moments = {name: [datetime.fromisoformat(text) for text in pair] for name, pair in times.items()}
     return {name: (end - start).total_seconds() for name, (start, end) in moments.items()}
@@ -106,7 +106,7 @@ def stage_seconds(job: dict[str, Any]) -> dict[str, float]:
 
 @contextmanager
 def whole_service() -> Iterator[WholeService]:
-    """A service of its own in a folder that is deleted afterwards."""
+    """Context manager that runs a separate service in a temporary folder."""
     os.environ["DYNAMICTREE_MAX_QUEUED_JOBS"] = "100000"
     with tempfile.TemporaryDirectory() as folder:
         state = Path(folder) / "state"

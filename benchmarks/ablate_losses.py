@@ -1,9 +1,9 @@
-"""The paper's losses in small: L_DM alone, L_DM + L_LSS throughout, and in two stages; sizes of frequencies on and off.
+"""Small ablation of the paper's losses: L_DM alone, with L_LSS throughout, and in two stages; with and without sizes.
 
 The paper's network with 24 channels instead of 128 and three levels instead of four, spectra at 16³ instead of 128³,
-1,200 steps of batch 16 on small trees: enough to tell the direction of an effect, not its size. Judged by DDIM samples
-of trees that were not trained on, averages of the weights, all frequencies: roughness between neighbours over the
-truth's, the error of ln size by frequency, and how well the voxels' sizes agree with the truth's.
+1,200 steps of batch 16 on small trees: enough to show the direction of an effect, not its size. Measured on DDIM
+samples of held-out trees with averaged weights, over all frequencies: roughness between neighbours over the truth's,
+the error of ln size by frequency, and the correlation of the voxels' sizes with the truth's.
 """
 
 from dataclasses import replace
@@ -25,7 +25,7 @@ from lab.paper.sample_figures import sample_figures
 from lab.paper.train import PaperTraining, train_paper
 
 NUM_TREES, NUM_JUDGED, STEPS, BATCH, RESOLUTION = 16, 4, 14 if BRIEF else 1200, 16, 16
-SMOOTHNESS_FROM = STEPS * 4 // 7  # as the paper's 40,000 of 70,000
+SMOOTHNESS_FROM = STEPS * 4 // 7  # like the paper's 40,000 of 70,000
 DDIM_STEPS = 2 if BRIEF else 50
 VARIANTS = {
     "L_DM": (STEPS, True),
@@ -68,7 +68,7 @@ def run() -> dict[str, object]:
 
 
 def _trained(folder: Path, variant: str) -> PaperNetwork:
-    """The averaged network."""
+    """Train a variant and return the averaged network."""
     smoothness_from, by_frequency = VARIANTS[variant]
     plan = PaperTraining(
         preset=PRESET,
@@ -92,6 +92,6 @@ def _trained(folder: Path, variant: str) -> PaperNetwork:
 
 
 def _figures(network: PaperNetwork, trees: list[PaperExample]) -> dict[str, float]:
-    """Means over trees."""
+    """Return the mean figures over trees."""
     rows = [sample_figures(network, tree, num_steps=DDIM_STEPS) for tree in trees]
     return {name: round(float(np.mean([row[name] for row in rows])), 3) for name in rows[0]}

@@ -1,6 +1,6 @@
-"""What the representation keeps of the truth: by resolution, number of frequencies, and way back from voxels.
+"""Accuracy of the representation by resolution, number of frequencies, and method of devoxelization.
 
-No network takes part, so no training is needed: the paper trains one model a row of its tables. Sizes: two trees of
+No network is involved, so no training is needed; the paper trains one model per row of its tables. Sizes: two trees of
 unseen species, by vertex.
 """
 
@@ -18,10 +18,10 @@ from lab.dataset.sample import make_sample
 from lab.evaluation.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
 
 TREES = ((2, "weeping"), (3, "palm"))
-ALL = 24  # frequencies
+ALL = 24  # number of frequencies
 RESOLUTIONS = (32, 64, 128, 256)
 COUNTS = (4, 8, 16, 24)
-COUNTS_AT = (128, "rig")  # where they are compared; elsewhere K = 16
+COUNTS_AT = (128, "rig")  # cases in which numbers of frequencies are compared; elsewhere K = 16
 
 
 def run() -> dict[str, object]:
@@ -59,7 +59,7 @@ def run() -> dict[str, object]:
 
 
 def _trilinear(grid: VoxelGrid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and weights of the eight voxels around, of which those count that are there, [N, 8]."""
+    """Return rows and weights of the eight surrounding voxels; only occupied ones have weight, [N, 8]."""
     place = (points.astype(np.float64) - grid.origin_m) / grid.voxel_size_m - 0.5
     low = np.floor(place).astype(np.int32)
     share = place - low

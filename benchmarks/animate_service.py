@@ -1,8 +1,7 @@
-"""Mesh to all default products over HTTP, through API and worker as `serve` starts them.
+"""Time from a mesh to all default products over HTTP, with API and worker as `serve` starts them.
 
-Every job's mesh is new, so that no stage comes from the cache. `seconds` are medians from the upload to the last byte
-downloaded, `worker_s` processor seconds of the worker. DYNAMICTREE_BENCHMARK_SIZES and DYNAMICTREE_BENCHMARK_RUNS
-shorten a run.
+Every job's mesh is new, so that no stage is cached. `seconds` are medians from the upload to the last byte downloaded,
+`worker_s` is the worker's CPU time. DYNAMICTREE_BENCHMARK_SIZES and DYNAMICTREE_BENCHMARK_RUNS shorten a run.
 """
 
 import os
@@ -18,7 +17,7 @@ from dynamictree.mesh import TriangleMesh
 TARGET_S, FIRST_TARGET_S, MEMORY_TARGET_MB = 6.0, 12.0, 1024.0
 SIZES = "2000,10000,50000,200000"
 RUNS = int(os.environ.get("DYNAMICTREE_BENCHMARK_RUNS", "1" if BRIEF else "5"))
-LARGE = 50_000  # vertices; larger meshes run three times
+LARGE = 50_000  # [vertices]; larger meshes run three times
 
 
 def run() -> dict[str, object]:
@@ -70,7 +69,7 @@ def _stages(jobs: list[Ended]) -> dict[str, float]:
 
 
 def _exponent(rows: list[dict[str, object]]) -> dict[str, float]:
-    """p of worker seconds ~ (n log n)^p: by least squares over all sizes, and between the two largest; 1 or less."""
+    """Fit p in worker seconds ~ (n log n)^p: by least squares over all sizes, and between the two largest."""
     vertices = np.array([row["vertices"] for row in rows], np.float64)
     spent = np.log([float(str(row["worker_s"])) for row in rows])
     size = np.log(vertices * np.log(vertices))

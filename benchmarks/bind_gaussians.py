@@ -1,4 +1,4 @@
-"""Seconds to hang 500,000 captured Gaussians on a mesh of 100,000 faces."""
+"""Time to bind 500,000 captured Gaussians to a mesh of 100,000 faces."""
 
 import time
 
@@ -14,7 +14,7 @@ TARGET_S = 10.0
 
 
 def capture(vertices: np.ndarray) -> GaussianCloud:
-    """Gaussians about 2 cm off a surface, in no order."""
+    """Return Gaussians about 2 cm off a surface, in random order."""
     rng = np.random.default_rng(0)
     quaternions = rng.normal(size=(NUM_GAUSSIANS, 4))
     near = vertices[rng.integers(0, len(vertices), NUM_GAUSSIANS)] + rng.normal(size=(NUM_GAUSSIANS, 3)) * 0.02
@@ -30,7 +30,7 @@ def capture(vertices: np.ndarray) -> GaussianCloud:
 def run() -> dict[str, object]:
     mesh = sheet(100_000)
     cloud = capture(mesh.vertices)
-    bind(cloud.subset(np.arange(10)), mesh)  # compiled
+    bind(cloud.subset(np.arange(10)), mesh)  # compiles
     times = []
     for _ in range(3):
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Milliseconds a frame to move 500,000 Gaussians with 100,000 faces. Paper table 2: 2.57 ms on a GPU."""
+"""Time per frame to move 500,000 Gaussians with 100,000 faces [ms]. Paper table 2: 2.57 ms on a GPU."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from dynamictree.gaussian.turn import turn_sh_fast
 
 NUM_GAUSSIANS = 500_000
 TARGET_MS = 5.0
-FLOOR_TARGET = 2.0  # times what copying the bytes of a frame takes
+FLOOR_TARGET = 2.0  # ratio to the time of copying a frame's bytes
 
 
 def run() -> dict[str, object]:
@@ -44,12 +44,12 @@ def run() -> dict[str, object]:
 
 
 def frame_bytes(binding) -> int:  # type: ignore[no-untyped-def]
-    """Bytes that a frame reads or writes at least: what rests, rows of faces, and the pose."""
+    """Return the minimum of bytes that a frame reads or writes: rest pose, face rows, and the pose."""
     return binding.cloud.num_gaussians * (15 + 1 + 10) * 4 + len(binding.triangles) * (13 + 3 + 9 + 16) * 4
 
 
 def _shuffled(binding):  # type: ignore[no-untyped-def]
-    """The same in an order without sense, as captures may have it."""
+    """Return the binding in random order, as captures may have it."""
     from dataclasses import replace
 
     order = np.random.default_rng(1).permutation(binding.cloud.num_gaussians)

@@ -1,9 +1,9 @@
-"""Where a pulled vertex ends up, over HTTP: 500 random places on ten trees, pulled by a tenth of the height.
+"""Accuracy of pulled vertices over HTTP: 500 random places on ten trees, pulled by a tenth of the height.
 
-Each pull is a request as a program sends it (`start=held`, `warp=true`) to an API of its own, once for `vertices` and
-once for the coordinates alone, which is timed. Measured: how far the drawn vertex is from where it was wanted and from
-`reached_m`, in shares of the pull; how far what neither carries the place nor hangs on it moves, and how much of that
-is its own bending; and the growth of edges.
+Each pull is a client's request (`start=held`, `warp=true`) to a separate API, once for `vertices` and once for the
+coordinates alone, which is timed. Measured: the distance of the drawn vertex from its target and from `reached_m`, as
+shares of the pull; the motion of parts that neither carry the place nor hang on it, and their own bending; and the
+growth of edges.
 
     DYNAMICTREE_SAMPLES=../shared/data python -m benchmarks drag_accuracy
 """
@@ -39,9 +39,9 @@ FILES = (
     "splat/tree_10k.splat",
 )
 PULLS_A_TREE = 3 if BRIEF else 50
-PULL_SHARE = 0.1  # of the height
-TARGET = 0.01  # of the pull
-SHORTEST_M = 1e-4  # of an edge that counts
+PULL_SHARE = 0.1  # [share of the height]
+TARGET = 0.01  # [share of the pull]
+SHORTEST_M = 1e-4  # length of the shortest edge that counts
 TOO_FAR = "do not stretch"
 
 
@@ -122,7 +122,7 @@ def _pulled(
 
 
 def _on_the_way(rig: Rig, bone: int) -> np.ndarray:
-    """Whether each bone carries a bone or hangs on it."""
+    """Return whether each bone carries `bone` or hangs on it."""
     parent, line = rig.skeleton.parent, np.zeros(len(rig.skeleton), bool)
     line[bone] = True
     for below in range(bone + 1, len(parent)):
@@ -134,7 +134,7 @@ def _on_the_way(rig: Rig, bone: int) -> np.ndarray:
 
 
 def _own_bending(rig: Rig, bone: np.ndarray, outside: np.ndarray, rest: np.ndarray, moved: np.ndarray) -> float:
-    """95th percentile over vertices of branches outside, less each branch's motion as one rigid body [m]."""
+    """Return the 95th percentile of outside branches' motion at vertices, minus each branch's rigid motion [m]."""
     parent = rig.skeleton.parent
     lies_outside = np.zeros(len(parent), bool)
     lies_outside[bone[outside]] = True
@@ -154,7 +154,7 @@ def _own_bending(rig: Rig, bone: np.ndarray, outside: np.ndarray, rest: np.ndarr
 
 
 def _outermost(values: np.ndarray) -> float:
-    """95th percentile; 0 where everything carries the place or hangs on it."""
+    """Return the 95th percentile; 0 if everything carries the place or hangs on it."""
     return float(np.percentile(values, 95)) if len(values) else 0.0
 
 

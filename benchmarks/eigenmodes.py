@@ -1,10 +1,10 @@
-"""Pushes by eigenmodes of the voxels, by learned modes and by joints of the rig, against beams of the tree's skeleton.
+"""Compare pushes by eigenmodes of the voxels, by learned modes and by joints of the rig with beams of the skeleton.
 
-The truth: Euler-Bernoulli beams along the grown skeleton, with its radii and one stiffness, pushed across a stem's end.
-The rival needs no training: weights by one generalised eigenproblem of reproducing kernels on the voxels, an affine
-handle each, and linear elasticity of one material (FreeForm, arXiv 2605.29318). *By radii*: stiff as the skeleton's
-radii are, which no user has. *voxels*: the truth, as the mean over each voxel. Errors are of the shape of the answer,
-whatever its size: sin of the angle between the two displacements of all nodes.
+The truth: Euler-Bernoulli beams along the generated skeleton, with its radii and one stiffness, pushed sideways at a
+stem's end. The rival needs no training: weights from one generalised eigenproblem of reproducing kernels on the voxels,
+an affine handle per weight, and linear elasticity of one material (FreeForm, arXiv 2605.29318). *By radii*: stiffness
+from the skeleton's radii, which no user has. *voxels*: the truth, averaged over each voxel. Errors are those of the
+response's shape: the sine of the angle between the two displacements of all nodes.
 """
 
 import time
@@ -28,16 +28,16 @@ from lab.dataset.sample import make_sample, voxel_spectrum
 from lab.dataset.stem_skeleton import Skeleton
 
 TREES = (("round-broadleaf", 7), ("pine", 4), ("shrub", 5))
-PLACES = 4 if BRIEF else 30  # on each tree: stems' ends, evenly of each level
+PLACES = 4 if BRIEF else 30  # stem ends per tree, equally many of each level
 KERNELS, HANDLES = (200, 8) if BRIEF else (1000, 40)
-POINTS = 4000  # where the rival's elastic energy is summed
-REACH = 3.0  # radii at which a kernel ends
+POINTS = 4000  # number of points in the sum of the rival's elastic energy
+REACH = 3.0  # end of a kernel [radii]
 POISSON = 0.3
-GROUND = 0.02  # of the height
-PULL = 0.01  # of the height, where joints are pulled: small, so that they answer as beams do
+GROUND = 0.02  # [share of the height]
+PULL = 0.01  # pull of joints [share of the height]: small, so that they respond like beams
 
 Push = Callable[[int, np.ndarray], np.ndarray]
-"""A voxel and a force there give the displacement of all voxels, up to a factor [V, 3]."""
+"""Maps a voxel and a force on it to the displacement of all voxels, up to a factor [V, 3]."""
 
 
 def run() -> dict[str, object]:
@@ -113,7 +113,7 @@ def _compared(species: str, seed: int) -> dict[str, dict[str, float]]:
         "softness_correlation": {
             name: round(float(np.corrcoef(of[:, 2], table["beams"][:, 2])[0, 1]), 2)
             for name, of in table.items()
-            if name not in ("beams", "voxels", "joints")  # which are pulled by a displacement
+            if name not in ("beams", "voxels", "joints")  # joints are pulled by a displacement
         },
         "seconds": {name: round(value, 2) for name, value in spent.items()},
         "sizes": {"voxels": len(grid), "nodes": len(stems.parent)},
@@ -128,7 +128,7 @@ def _timed(spent: dict[str, float], name: str) -> Iterator[None]:
 
 
 def _ends(stems: Skeleton, rng: np.random.Generator) -> np.ndarray:
-    """Outermost nodes of stems, as many of each level as there are."""
+    """Draw the outermost nodes of stems, up to an equal number per level."""
     last = np.flatnonzero(np.append(stems.stem[1:] != stems.stem[:-1], True) & (stems.parent >= 0))
     levels = np.unique(stems.level[last])
     own = [last[stems.level[last] == level] for level in levels]
@@ -152,7 +152,7 @@ def _by_joints(tree: InteractiveTree, at: int, force: np.ndarray) -> np.ndarray:
 
 
 def beams_of(stems: Skeleton) -> Push:
-    """A node and a force there give the displacement of all nodes: 12 × 12 a bone, the ground's nodes clamped."""
+    """Return a `Push` of all nodes from beams: a 12 × 12 matrix per bone, nodes on the ground clamped."""
     child = np.flatnonzero(stems.parent >= 0)
     parent, x = stems.parent[child], stems.position.astype(np.float64)
     along = x[child] - x[parent]
@@ -202,7 +202,7 @@ def beams_of(stems: Skeleton) -> Push:
 
 
 def elastic_of(places: np.ndarray, young: np.ndarray) -> Push:
-    """Linear elasticity of points that a few affine handles move, whose weights are eigenvectors of the points."""
+    """Return a `Push` by linear elasticity of points with a few affine handles; their weights are eigenvectors."""
     nodes = _spread_out(places, KERNELS)
     tree = cKDTree(nodes)
     radius = np.maximum(tree.query(nodes, k=3)[0][:, -1], 3.0)
@@ -226,7 +226,7 @@ def elastic_of(places: np.ndarray, young: np.ndarray) -> Push:
     some = np.random.default_rng(0).permutation(len(places))[:POINTS]
     scale = np.ptp(places[:, 2])
     affine = np.concatenate([(places - places.mean(axis=0)) / scale, np.ones((len(places), 1))], axis=1)  # [V, 4]
-    basis = (weights[:, :, None] * affine[:, None]).reshape(len(places), -1)  # of each coordinate [V, 4 H]
+    basis = (weights[:, :, None] * affine[:, None]).reshape(len(places), -1)  # basis of each coordinate [V, 4 H]
     size = basis.shape[1]
     steps = []
     for axis in range(3):
@@ -256,7 +256,7 @@ def elastic_of(places: np.ndarray, young: np.ndarray) -> Push:
 
 
 def _spread_out(places: np.ndarray, count: int) -> np.ndarray:
-    """Points each of which is as far from those before it as can be."""
+    """Select points by farthest-point sampling."""
     chosen, away = [int(places[:, 2].argmin())], np.full(len(places), np.inf)
     while len(chosen) < min(count, len(places)):
         away = np.minimum(away, ((places - places[chosen[-1]]) ** 2).sum(axis=1))
@@ -265,7 +265,7 @@ def _spread_out(places: np.ndarray, count: int) -> np.ndarray:
 
 
 def _kernels(places: np.ndarray, nodes: np.ndarray, radius: np.ndarray) -> scipy.sparse.csr_array:
-    """Gaussians about the nodes, corrected so that they sum to 1 and give linear functions back [V, N]."""
+    """Return Gaussian kernels about the nodes, corrected to sum to 1 and to reproduce linear functions [V, N]."""
     pairs = cKDTree(places).query_ball_point(nodes, REACH * radius)
     node = np.repeat(np.arange(len(nodes)), [len(rows) for rows in pairs])
     place = np.concatenate([np.asarray(rows, np.int64) for rows in pairs])
@@ -277,7 +277,7 @@ def _kernels(places: np.ndarray, nodes: np.ndarray, radius: np.ndarray) -> scipy
         (np.ones(len(place)), (place, np.arange(len(place)))), shape=(len(places), len(place))
     )
     moments = (member @ products).reshape(-1, 4, 4)
-    moments[:, [1, 2, 3], [1, 2, 3]] += 1e-3 * moments[:, :1, 0] * radius.min() ** 2  # where all nodes are in line
+    moments[:, [1, 2, 3], [1, 2, 3]] += 1e-3 * moments[:, :1, 0] * radius.min() ** 2  # collinear nodes
     correction = np.linalg.solve(moments, np.broadcast_to(np.eye(4)[:, :1], (len(places), 4, 1)))[:, :, 0]
     return scipy.sparse.csr_array(
         (value * (terms * correction[place]).sum(axis=1), (place, node)), shape=(len(places), len(nodes))

@@ -1,4 +1,4 @@
-"""How far each export is from the motion's frames, read by other people's tools. The largest error is the value."""
+"""Error of each export against the motion's frames, read by third-party tools. The value is the largest error."""
 
 import tempfile
 import time

@@ -1,9 +1,9 @@
-"""Time from opening the page to the first picture in which the welcome's tree has moved, in Chromium with software GL.
+"""Time from opening the page to the first visible motion of the welcome's tree, in Chromium with software GL.
 
-Each visit has an empty cache, in a window whose own parts have loaded: Chromium fills a new one with pages of its own.
-The page is served by `dynamictree serve` on the same machine, so the network costs
-nothing; what it sends is stated in bytes. Judged by pixels: the time of the first frame in which the tree's outline
-against the sky, read back from the canvas, differs from that of its first picture. A shadow changes no outline.
+Each visit has an empty cache, in a browser window that has finished loading its own pages. `dynamictree serve` runs on
+the same machine, so the network costs nothing; the bytes sent are reported. The time is that of the first frame in
+which the tree's outline against the sky, read back from the canvas, differs from that of its first picture. A shadow
+does not change the outline.
 
     python -m benchmarks first_motion
 """
@@ -18,7 +18,7 @@ from recipes.demo import served
 TARGET_S = 1.0
 RUNS = 1 if BRIEF else 5
 SIZE = {"width": 1280, "height": 800}
-CHANGED = 110  # of 255 of red: the tree stands dark before a light sky; a shadow takes less from the ground
+CHANGED = 110  # change of red [of 255]: the tree is dark before a light sky; a shadow changes the ground less
 LEAST_PIXELS = 30
 POLL_MS = 200
 SETTLE_MS = 2500
@@ -76,13 +76,13 @@ def run() -> dict[str, object]:
             page.wait_for_timeout(SETTLE_MS)
             before = processor_s(whole)
             page.goto(url)
-            while page.evaluate("window.seen.moved ?? null") is None:  # the page's policy allows no `wait_for_function`
+            while page.evaluate("window.seen.moved ?? null") is None:  # the page's CSP forbids `wait_for_function`
                 page.wait_for_timeout(POLL_MS)
             used = {name: round(spent - before.get(name, 0), 2) for name, spent in processor_s(whole).items()}
             visits.append(page.evaluate(TIMES) | {"processor_s": used})
             context.close()
         browser.close()
-    visits = sorted(visits[1:], key=lambda visit: float(visit["moved"]))  # the first one warms the service up
+    visits = sorted(visits[1:], key=lambda visit: float(visit["moved"]))  # the first visit is a warm-up
     middle = visits[RUNS // 2]
     return {
         "value": round(middle["moved"] / 1000, 2),
@@ -97,7 +97,7 @@ def run() -> dict[str, object]:
 
 
 def processor_s(browser: Any) -> dict[str, float]:
-    """Processor time by kind of the browser's processes; that of all pages together."""
+    """Return the CPU time of the browser's processes by kind; that of all pages is summed."""
     spent: dict[str, float] = {}
     for process in browser.send("SystemInfo.getProcessInfo")["processInfo"]:
         spent[process["type"]] = spent.get(process["type"], 0.0) + process["cpuTime"]

@@ -1,4 +1,4 @@
-"""Motion of fixed trees, to be compared before and after a change of the code: a hash and sizes of each spectrum."""
+"""Motion of fixed trees for comparison before and after a code change: a hash and sizes of each spectrum."""
 
 import os
 from hashlib import sha256
@@ -29,7 +29,7 @@ SHORTEST_EDGE_M = 1e-6
 
 
 def run() -> dict[str, object]:
-    """Twelve grown trees, and the sample meshes that are there."""
+    """Measure twelve generated trees and the available sample meshes."""
     rows = {}
     for number, seed in enumerate(SEEDS):
         species = SPECIES[number % len(SPECIES)]

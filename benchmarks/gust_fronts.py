@@ -1,7 +1,7 @@
-"""How gusts pass through crowns, of the simulator and of the model: lag per metre downwind, and kurtosis in time.
+"""Gusts through crowns of the simulator and of the model: lag per metre downwind, and kurtosis in time.
 
 Trees as `dynamictree evaluate --laws` grows them, 8 m/s, gust 0.3; crowns at least WIDE_M wide have a lag.
-`DYNAMICTREE_BENCHMARK_TREES` says how many (84); the model moves every sixth.
+`DYNAMICTREE_BENCHMARK_TREES` sets the number of trees (84); the model moves every sixth.
 """
 
 import os
@@ -22,9 +22,9 @@ from lab.evaluation.motion_statistics import Motion, off_trunk, velocity
 
 WIND = Wind(speed_m_s=8.0, gust=0.3)
 WIDE_M = 4.0
-SLABS = 6  # of a crown across the wind
+SLABS = 6  # slabs of a crown across the wind
 LAGS_S_M = np.linspace(-0.5, 0.5, 201)
-WITHIN = 0.3  # of 1 / U
+WITHIN = 0.3  # tolerance [share of 1 / U]
 
 
 def run() -> dict[str, object]:
@@ -67,16 +67,16 @@ def _statistics(places: Float32[np.ndarray, "N 3"], spectrum: np.ndarray, period
 
 
 def kurtosis(motion: Motion) -> float:
-    """Of the velocity of a place over a loop, the median place's: 3 of a normal one, more where it comes in gusts."""
+    """Return the median over places of the velocity's kurtosis in time: 3 if normal, more in gusts."""
     squared = velocity(motion) ** 2
     size = squared.mean(axis=0)
     return float(np.median((squared**2).mean(axis=0)[size > 0] / size[size > 0] ** 2))
 
 
 def gust_lag(downwind_m: Float32[np.ndarray, " N"], motion: Motion, period_s: float) -> float:
-    """How much later gusts move what stands a metre further downwind [s/m].
+    """Return the delay of gusts per metre downwind [s/m].
 
-    The lag at which the envelopes of slabs across the wind, the mean speed in each, add up best.
+    It is the lag that maximizes the sum of the slabs' envelopes; an envelope is the mean speed in a slab.
     """
     edges = np.quantile(downwind_m, np.linspace(0, 1, SLABS + 1))
     slab = np.searchsorted(edges[1:-1], downwind_m)

@@ -1,4 +1,4 @@
-"""How long a new process needs to import the service, files in the page cache, bytecode as `make setup` leaves it."""
+"""Time to import the service in a new process, with files in the page cache and bytecode from `make setup`."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ TARGET_S = 0.7
 
 
 def run() -> dict[str, object]:
-    # where Python may not write bytecode, this project's own modules would be compiled in every run
+    # without bytecode files, Python would compile this project's own modules in every run
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     loaded = timed(
         lambda: subprocess.run([sys.executable, "-c", "import service.app"], check=True, env=environment), runs=5

@@ -1,8 +1,8 @@
-"""/v1/interact over real HTTP: p50 and p99 of 60 frames of coordinates, at 100 requests/s and with 1, 10, 100 clients;
-ms per frame of the vertices of a mesh of 100,000, in binary.
+"""Latency of /v1/interact over HTTP: p50 and p99 for 60 frames of coordinates, at 100 requests/s and with 1, 10 and 100
+clients; time per frame of a mesh's 100,000 vertices in binary [ms].
 
-The load is made on the same two cores. At 100 requests/s a request is timed from when it was due, so waiting counts.
-The server's processor time a request tells what others that use the machine cannot hide.
+The load is generated on the same two cores. At 100 requests/s, a request is timed from its due time, so waiting counts.
+The server's CPU time per request does not depend on other load.
 """
 
 import asyncio
@@ -72,7 +72,7 @@ async def _measure(url: str, body: dict[str, object], server: int) -> dict[str, 
 
 
 async def _vertices(url: str, body: dict[str, object]) -> dict[str, float]:
-    """The first answer prepares the tree's mesh; then the median of five."""
+    """Time vertices: the first response, which prepares the tree's mesh, and the median of five more."""
     waits = []
     async with httpx.AsyncClient(timeout=600) as client:
         for _ in range(6):
@@ -84,7 +84,7 @@ async def _vertices(url: str, body: dict[str, object]) -> dict[str, float]:
 
 
 async def _steady(push) -> dict[str, float]:
-    """A request every 10 ms, whether or not the ones before have been answered."""
+    """Send a request every 10 ms, without waiting for earlier responses."""
     waits: list[float] = []
     begin = time.perf_counter()
 
@@ -102,7 +102,7 @@ async def _steady(push) -> dict[str, float]:
 
 
 async def _closed(push, clients: int, requests: int) -> dict[str, float]:
-    """So many clients, each asking again as soon as it was answered."""
+    """Run concurrent clients that each send a request as soon as the previous one is answered."""
     waits: list[float] = []
     begin = time.perf_counter()
 

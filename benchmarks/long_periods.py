@@ -1,6 +1,6 @@
-"""Tall trees with a period by height against the simulator with that period: size and place of the motion by frequency.
+"""Compare tall trees whose period depends on height with the simulator: size and place of the motion by frequency.
 
-The same trees with the period of 4.17 s stand beside, whose lowest bin is at 0.24 Hz.
+The same trees with the period of 4.17 s, whose lowest bin is at 0.24 Hz, are listed for comparison.
 """
 
 from dataclasses import replace

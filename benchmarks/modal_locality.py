@@ -1,8 +1,8 @@
-"""What a poke reaches, and what a large push stretches, on grown trees.
+"""Reach of a poke, and stretch under a large push, on generated trees.
 
-Share of the kinetic energy outside of the poked stem, what it carries and its ancestors, with and without locality; and
-the 99th percentile of edge stretch where the top is pulled aside by 20 % of the height, with plain modes and bent. And
-how far a pull of a branch at least ten times as long moves what neither carries the grip nor hangs on it.
+Measured: the share of kinetic energy outside of the poked stem, its children and its ancestors, with and without
+locality; the 99th percentile of edge stretch if the top is pulled aside by 20 % of the height, with plain modes and
+bent; and the motion of parts that neither carry the grip nor hang on it, for pulls of branches ten times as long.
 """
 
 import numpy as np
@@ -28,11 +28,11 @@ from lab.dataset.stem_skeleton import Skeleton
 TARGET = 0.05
 TREES = ((3, "round-broadleaf"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (9, "columnar"))
 POKES_A_LEVEL = 4
-TOP_SHARE = 0.2  # of the height
-PULLS = 40  # a tree, each by these shares of the height
+TOP_SHARE = 0.2  # [share of the height]
+PULLS = 40  # pulls per tree, each by these shares of the height
 PULL_SHARES = (0.01, 0.02, 0.05)
-BRANCH_SHARE = 0.05  # of the voxels, which a joint of a branch carries at most
-BRANCH_LENGTHS = 10  # of the pull
+BRANCH_SHARE = 0.05  # largest share of the voxels that a branch's joint carries
+BRANCH_LENGTHS = 10  # length of a branch [pulls]
 
 
 def run() -> dict[str, object]:
@@ -77,7 +77,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
             base = stems.position[np.flatnonzero(stems.stem == poked)[0]]
             inside = line_of(stems, int(poked))[owner]
             for own in (np.flatnonzero(owner == poked), np.flatnonzero((owner == poked) & wood)):
-                # the outermost voxel of all, mostly a leaf; and of the wood
+                # the outermost voxel of all, mostly a leaf, and that of the wood
                 row = int(own[np.argmax(((system.grid.centres_m[own] - base) ** 2).sum(axis=1))])
                 place = Locality(seed_voxel=row, falloff_m=default_falloff_m(system))
                 energy, weights = _kinetic(system, row), tree.weights([ForceGroup(locality=place)])[0]
@@ -89,7 +89,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
 
 
 def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
-    """How far a pull across a long branch moves what neither carries nor hangs on the grip, in lengths of the pull."""
+    """Return the motion of parts that neither carry nor hang on the grip of a long branch's pull [pulls]."""
     tree, rng, height = _tree(sample, system), np.random.default_rng(0), sample.mesh.height_m
     joints, rest = tree.joints, system.grid.centres_m.astype(np.float64)
     pulls = []
@@ -117,7 +117,7 @@ def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
 
 
 def _moved_elsewhere(pulls: list[np.ndarray]) -> dict[str, float]:
-    """Of all voxels of all pulls the 95th percentile, and how many pulls have theirs within the target."""
+    """Return the 95th percentile over all pulls' voxels, and the share of pulls whose own is within the target."""
     own = np.array([np.percentile(moved, 95) for moved in pulls])
     return {
         "pulls": len(pulls),
@@ -132,13 +132,13 @@ def _tree(sample: Sample, system: ModalSystem) -> InteractiveTree:
 
 
 def stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:
-    """The stem that most of a voxel's surface is of; a leaf is its stem's."""
+    """Return the stem with the largest share of each voxel's surface; a leaf counts to its stem."""
     stems, nodes = sample.skeleton, sample.motion.position
     stem_of_node = np.empty(len(nodes), np.int64)
     stem_of_node[: len(stems.stem)] = stems.stem
     grown = np.flatnonzero(stems.parent >= 0)
     start, along = stems.position[stems.parent[grown]], stems.position[grown] - stems.position[stems.parent[grown]]
-    for leaf in range(len(stems.stem), len(nodes)):  # its base lies on its stem's axis
+    for leaf in range(len(stems.stem), len(nodes)):  # a leaf's base is on its stem's axis
         arm = nodes[leaf] - start
         share = np.clip((arm * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0, 1)
         gap = ((arm - share[:, None] * along) ** 2).sum(axis=1)
@@ -150,7 +150,7 @@ def stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:
 
 
 def _kinetic(system: ModalSystem, row: int) -> np.ndarray:
-    """Energy of each voxel over two seconds after a knock, up to a factor."""
+    """Return each voxel's kinetic energy over two seconds after a knock, up to a factor."""
     at = contact_at_voxel(system.grid, row)
     softest = np.linalg.eigh(compliance(system, at))[1][:, 2]
     knock = Impulse(at=at, impulse_n_s=tuple((5 * softest).tolist()))
@@ -181,7 +181,7 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
     plain = VertexFrames(rig, mesh.vertices).displacement(q).astype(np.float64)
     plain *= wanted / np.linalg.norm(plain[highest])
     strength = wanted / float(np.linalg.norm(displacement(system.shapes, q)[0, top]))
-    for _ in range(6):  # on its arc the top comes less far: push until it is there
+    for _ in range(6):  # the top moves on an arc, so less far: push harder until it is there
         strength *= wanted / float(np.linalg.norm(bent_by(strength)[highest]))
     bent = bent_by(strength)
     start, end = edges_of(mesh.faces).T
@@ -199,7 +199,7 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
 
 
 def line_of(stems: Skeleton, poked: int) -> np.ndarray:
-    """Whether each stem is the poked one, carried by it, or an ancestor of it."""
+    """Return whether each stem is the poked one, carried by it, or an ancestor of it."""
     above = np.full(len(stems.stem_length_m), -1)
     crossing = (stems.parent >= 0) & (stems.stem[stems.parent] != stems.stem)
     above[stems.stem[crossing]] = stems.stem[stems.parent[crossing]]

@@ -1,4 +1,4 @@
-"""Frames a second of the page while a tree moves, in Chromium with software GL: three trees, with and without shadows.
+"""Frame rate of the page while a tree moves, in Chromium with software GL: three trees, with and without shadows.
 
 Each example is uploaded to `dynamictree serve` on the same machine and animated; its job's page is opened at
 1280 × 800, and drawn frames are counted. The value is the slowest example's without shadows.

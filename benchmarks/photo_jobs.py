@@ -1,10 +1,10 @@
-"""Photos to a swaying splat of the plant alone, over HTTP: four sets as people have them, and what came out.
+"""Jobs from photos to a moving splat of the plant alone, over HTTP, on four typical sets.
 
-A tree on a lawn below a cloudy sky in changing light; a thin sapling there with a mask per photo; RGBA pictures of a 3D
+A tree on a lawn under a cloudy sky in changing light; a thin sapling there with a mask per photo; RGBA pictures of a 3D
 program with their cameras; with DYNAMICTREE_SAMPLES set, 16 real photos of a banana. `plant_iou` compares, in the
 photos that the splat was not learned from, the pixels of the plant with those that the result covers;
-DYNAMICTREE_BENCHMARK_SETS names some of lawn, thin, rgba and banana, and DYNAMICTREE_BENCHMARK_OUTPUT a folder for what
-each job gave.
+DYNAMICTREE_BENCHMARK_SETS selects some of lawn, thin, rgba and banana, and DYNAMICTREE_BENCHMARK_OUTPUT is a folder for
+the products of each job.
 """
 
 import json
@@ -31,7 +31,7 @@ PHOTOS, SIDE_PX = 30, 640
 FORMATS = ["splat", "png"]
 PATIENCE_S = 7200.0
 Masks = dict[str, np.ndarray]
-"""Of each photo, by its name, how much of each pixel is plant: 0 to 255."""
+"""Coverage of each photo's pixels by the plant, 0 to 255, by the photo's name."""
 
 
 def run() -> dict[str, object]:
@@ -53,7 +53,7 @@ def _lawn(folder: Path) -> Masks:
 
 
 def _thin(folder: Path) -> Masks:
-    """Photos, and an exact mask of each beside them."""
+    """Write photos and an exact mask of each."""
     masks = photograph_on_lawn(folder, number=PHOTOS, side=SIDE_PX, species="sapling", height_m=2.0, seed=3)
     (folder / "masks").mkdir()
     for name, mask in masks.items():
@@ -75,7 +75,7 @@ def _banana(folder: Path) -> Masks:
 
 
 def _through_http(service: WholeService, name: str, folder: Path, masks: Masks) -> dict[str, Any]:
-    """Upload the folder, ask for the moving plant, and judge the splat that came."""
+    """Upload the folder, run a job for the moving plant, and evaluate the resulting splat."""
     began, before_s = time.perf_counter(), service.worker_s()
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
     files = [("file", (str(path.relative_to(folder)), path.read_bytes())) for path in paths]
@@ -105,7 +105,7 @@ def _through_http(service: WholeService, name: str, folder: Path, masks: Masks) 
 
 
 def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> float:
-    """Of all photos held out together."""
+    """Return the IoU over all held-out photos together."""
     plant = read_gaussian_ply(BytesIO(got["splat.ply"]))
     both = either = 0
     for view in read_cameras(json.loads(got["cameras.json"])):
@@ -114,7 +114,7 @@ def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> floa
         drawn = render_cloud(plant, view.camera, width=view.width, height=view.height).alpha > 0.5
         mask = Image.fromarray(masks[view.photo])
         aside = [(whole - part) / 2 for whole, part in zip(mask.size, drawn.shape[::-1], strict=True)]
-        cropped = mask.transform(  # as the photo is, without distortion: about its middle
+        cropped = mask.transform(  # crop about the middle, as the undistorted photo is
             drawn.shape[::-1], Image.Transform.AFFINE, (1, 0, aside[0], 0, 1, aside[1]), Image.Resampling.BILINEAR
         )
         true = np.asarray(cropped) > 127

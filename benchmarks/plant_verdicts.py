@@ -1,7 +1,7 @@
-"""What every sample file is taken for: up axis, size, still faces or points, number of trees, warnings.
+"""Verdicts on every sample file: up axis, size, still faces or points, number of trees, warnings.
 
-Files of DYNAMICTREE_SAMPLES, of `foreign` and `cases` beside it and of the page; and made ones, whose right answer is
-known (`KINDS`). Two tables of it, before and after a change of the detectors, tell what became better or worse.
+Files of DYNAMICTREE_SAMPLES, of `foreign` and `cases` beside it and of the page, and generated ones with a known right
+answer (`KINDS`). Two tables, before and after a change of the detectors, show what became better or worse.
 
     python -m benchmarks plant_verdicts
 """

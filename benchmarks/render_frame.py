@@ -1,4 +1,4 @@
-"""Milliseconds a frame to draw 100,000 Gaussians at 512² on the CPU. The paper's 2.65 ms are a GPU's."""
+"""Time per frame to render 100,000 Gaussians at 512² on the CPU [ms]. The paper: 2.65 ms on a GPU."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ TARGET_MS = 250.0
 
 
 def crown(num_gaussians: int) -> GaussianCloud:
-    """A tree's worth: leaves in a ball of 2 m on a trunk, of SH degree 3."""
+    """Return a tree of Gaussians with SH degree 3: leaves in a ball of 2 m on a trunk."""
     rng = np.random.default_rng(0)
     leaves = rng.normal(size=(num_gaussians, 3))
     leaves *= 2 * rng.random((num_gaussians, 1)) ** (1 / 3) / np.linalg.norm(leaves, axis=1, keepdims=True)

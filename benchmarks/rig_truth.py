@@ -1,7 +1,7 @@
-"""How far the rig is from the simulator's truth: six grown trees in three winds.
+"""Error of the rig against the simulator's truth: six generated trees in three winds.
 
-The truth's own spectrum goes through 128³ voxels and back, so no model takes part. Errors are root mean squares over
-all vertices and frames, as shares of the truth's sway; stretch is the 99th percentile of the edges' over all frames.
+The truth's own spectrum passes through 128³ voxels and back, so no model is involved. Errors are RMS values over all
+vertices and frames, as shares of the truth's sway; stretch is the 99th percentile over all edges and frames.
 """
 
 import time
@@ -17,7 +17,7 @@ from lab.dataset.sample import make_sample, voxel_spectrum
 TREES = (("round-broadleaf", 7), ("weeping", 2), ("palm", 3), ("pine", 4), ("shrub", 5), ("conical-conifer", 6))
 SPEEDS_M_S = (5.0, 12.0, 20.0)
 TARGET = 0.084
-"""Largest error of displacements that were fitted to the surface, and made to stretch nothing: weeping, 5 m/s."""
+"""Largest error of displacements fitted to the surface without stretch: weeping, 5 m/s."""
 
 
 def run() -> dict[str, object]:

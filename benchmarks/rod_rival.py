@@ -1,8 +1,8 @@
-"""The same tree as elastic rods of the Newton library (VBD solver, Warp's CPU backend) and by its modes: ms a frame.
+"""Time per frame of one tree as elastic rods in Newton (VBD solver, Warp's CPU backend) and by its modes [ms].
 
-The rival moves the skeleton's segments only, without contacts, at the settings of Newton's own example of branching
-rods (20 substeps of 5 iterations a frame of 1/60 s; one bending stiffness for all joints, which its cost does not
-depend on). Our frame moves 500,000 Gaussians besides. Warp uses one thread of a CPU.
+The rival moves only the skeleton's segments, without contacts, with the settings of Newton's own example of branching
+rods (20 substeps of 5 iterations per frame of 1/60 s; one bending stiffness for all joints, which does not affect the
+cost). Our frame also moves 500,000 Gaussians. Warp uses one CPU thread.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ PUSH_M_S = 0.5
 
 
 class RodTree:
-    """A skeleton as capsules with elastic joints, its lowest segment fixed."""
+    """A skeleton of capsules with elastic joints; its lowest segment is fixed."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         child = np.flatnonzero(skeleton.parent >= 0)

@@ -1,4 +1,4 @@
-"""How long `dynamictree serve` needs from a new process to ready, files in the page cache."""
+"""Time of `dynamictree serve` from a new process to ready, with files in the page cache."""
 
 import tempfile
 from pathlib import Path

@@ -1,7 +1,7 @@
-"""Bytes and errors of a moving tree as GLB: joints for all bones, 256 and 64 of them, or morph targets.
+"""Size and errors of a moving tree as GLB: joints for all bones, for 256 or 64 of them, or morph targets.
 
-Ten inputs: eight meshes of others and two grown trees, with the default model and wind. The source counts with its
-textures; a grown tree's is its GLB at rest. Errors are those that the files tell, in thousandths of the height.
+Ten inputs: eight third-party meshes and two generated trees, with the default model and wind. The source size includes
+textures; for a generated tree it is its GLB at rest. Errors are those stated in the files [height / 1000].
 """
 
 import io

@@ -1,7 +1,7 @@
-"""How much a motion that the model makes for a storm stretches edges and leaf cards, tree by tree.
+"""Stretch of edges and leaf cards in the model's motion for a storm, per tree.
 
-99th percentiles in per cent over a loop of the motion: of frames as every product has them, and of a sum of the frames'
-K frequencies, as `glb-morph` has them.
+Values are 99th percentiles over a loop [%]: of the frames, as in every product, and of the sum of the frames' K
+frequencies, as in `glb-morph`.
 """
 
 import numpy as np

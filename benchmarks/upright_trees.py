@@ -1,7 +1,7 @@
-"""How many trees stand up from any of six axes: 14 species, the files of DYNAMICTREE_SAMPLES and `foreign` beside it.
+"""Number of trees set upright from six axes: 14 species, the files of DYNAMICTREE_SAMPLES and `foreign` beside it.
 
-Each is turned into six orientations and judged without saying an axis; meshes of files with and without the names of
-their materials. Wrong answers below the reader's threshold are `flagged`, the others `unsaid`.
+Each is rotated into six orientations, and its up axis is detected; meshes of files with and without the names of their
+materials. Wrong answers below the reader's threshold are `flagged`, the others `unsaid`.
 
     python -m benchmarks upright_trees
 """

@@ -1,4 +1,4 @@
-"""What wind does to a generated motion: size by speed and by gust, and where the mean leans; beside the truth's."""
+"""Effect of wind on a generated motion, compared to the truth: size by speed and gust, and direction of the lean."""
 
 import numpy as np
 
