@@ -1,1 +1,1 @@
-"""Scripts that show the whole way, run by the tests."""
+"""Example and documentation scripts, which the tests run."""

@@ -1,4 +1,4 @@
-"""The HTTP reference of the documentation, made of openapi.json: `python -m recipes.api_reference docs/api.md`."""
+"""Generate the HTTP reference from openapi.json: `python -m recipes.api_reference docs/api.md`."""
 
 import json
 import sys
@@ -14,7 +14,7 @@ def main() -> None:
 
 
 def reference(page: Schema) -> str:
-    """Operations by tag, then what bodies hold."""
+    """Return the reference as Markdown: operations by tag, then the fields of bodies."""
     lines = ["# HTTP reference", "", page["info"]["description"], ""]
     lines += ["Made of [`/openapi.json`](https://spec.openapis.org/oas/v3.1.1.html), which every service serves.", ""]
     for tag in page["tags"]:
@@ -69,7 +69,7 @@ def _fields(schema: Schema) -> list[str]:
 
 
 def _cell(described: Schema) -> str:
-    """Description, range and default, in one cell of a table."""
+    """Format description, range and default as one table cell."""
     schema = described.get("schema", described)
     parts = [described.get("description", "")]
     for word, name in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<")):

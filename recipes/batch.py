@@ -12,11 +12,11 @@ from dynamictree_client import AsyncClient, ClientError, operations
 from dynamictree_client.models import AnimateParams, AnimateRequest, Wind
 
 MESHES = (".glb", ".ply", ".stl", ".obj")
-AT_ONCE = 8  # uploads and jobs under way
+AT_ONCE = 8  # concurrent uploads and jobs
 
 
 async def sway(client: AsyncClient, path: Path, folder: Path, params: AnimateParams) -> None:
-    """One tree: its job has a key made of what goes in, so sending it twice in a day makes one job."""
+    """Animate one tree. The job's idempotency key is a hash of its inputs, so repeats within a day create one job."""
     asset = await client.upload(path)
     request = AnimateRequest(type="animate", asset_id=asset.id, params=params)
     digest = hashlib.sha256(request.model_dump_json().encode()).hexdigest()
@@ -27,7 +27,7 @@ async def sway(client: AsyncClient, path: Path, folder: Path, params: AnimatePar
 
 
 async def sway_all(url: str, trees: list[Path], output: Path, params: AnimateParams) -> dict[str, str]:
-    """All trees; gives what went wrong by name."""
+    """Animate all trees; return the errors by name."""
     failed: dict[str, str] = {}
     places = asyncio.Semaphore(AT_ONCE)
     async with AsyncClient(url) as client:

@@ -15,7 +15,7 @@ SKY = (0.45, 0.55, 0.65)
 
 
 def loop_of(path: Path) -> tuple[float, int]:
-    """Length of a GLB's first animation [s], and how many keys it has, the last like the first."""
+    """Return the length of a GLB's first animation [s] and its number of keys, of which the last equals the first."""
     head = path.read_bytes()
     length = struct.unpack_from("<I", head, 12)[0]
     document = json.loads(head[20 : 20 + length])
@@ -24,13 +24,13 @@ def loop_of(path: Path) -> tuple[float, int]:
 
 
 def timeline(duration_s: float, num_keys: int) -> tuple[int, int]:
-    """Frames a second and last frame of a timeline on which every key is a frame, and none is shown twice."""
+    """Return frames per second and last frame of a timeline with one frame per key, without the repeated last key."""
     fps = round((num_keys - 1) / duration_s)
     return fps, num_keys - 2
 
 
 def viewpoint(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Where a camera of 50 mm sees a box whole, from -Y and a little above; and where it looks."""
+    """Return position and target of a 50 mm camera that sees a whole box from -Y and slightly above."""
     middle = tuple((a + b) / 2 for a, b in zip(low, high, strict=True))
     size = max(b - a for a, b in zip(low, high, strict=True))
     return (middle[0] + 0.4 * size, middle[1] - 3.4 * size, middle[2] + 0.15 * size), middle
@@ -68,7 +68,7 @@ def main(path: Path, picture: Path | None) -> None:
 
 
 def curves_of(action: Any) -> list[Any]:
-    """Curves of an action, as Blender 4.4 and later keep them (in layers) or as before."""
+    """Return the curves of an action, from layers in Blender 4.4 and later, else directly."""
     layers = getattr(action, "layers", None)
     if not layers:
         return list(action.fcurves)

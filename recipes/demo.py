@@ -28,7 +28,7 @@ SPECIES = "round-broadleaf"
 SEED = 7
 PULL_S = 0.5
 PUSH_FRAMES = 240
-START_TIMEOUT_S = 120.0  # a cold disk alone can take half a minute over the first imports
+START_TIMEOUT_S = 120.0  # the first imports from a cold disk can take half a minute
 
 
 def main() -> None:
@@ -58,7 +58,7 @@ def main() -> None:
 
 
 def grow_demo_tree(path: Path) -> Path:
-    """Write a tree from the project's own generator."""
+    """Write a tree of the project's own generator."""
     from dynamictree.formats.gltf.writer import write_glb
     from lab.dataset.sample import make_sample
 
@@ -70,7 +70,7 @@ def grow_demo_tree(path: Path) -> Path:
 
 @contextmanager
 def served(state: Path, log_path: Path) -> Iterator[str]:
-    """A service of its own on a free port; gives its address, and stops it at the end."""
+    """Context manager that runs a separate service on a free port and yields its URL."""
     command = [
         sys.executable,
         "-m",
@@ -109,7 +109,7 @@ def wait_ready(process: subprocess.Popen[str], log_path: Path) -> str:
 
 
 def animate(client: httpx.Client, mesh_path: Path) -> dict[str, Any]:
-    """Upload the mesh, ask for its motion, poll until it is there."""
+    """Upload the mesh, create a job for its motion, and poll until the job has ended."""
     print(f"== uploading {mesh_path} ({mesh_path.stat().st_size / 1e6:.2f} MB)")
     with mesh_path.open("rb") as stream:
         asset = checked(client.post("/v1/assets", files={"file": (mesh_path.name, stream)}))
@@ -156,12 +156,12 @@ def download(client: httpx.Client, job: dict[str, Any], folder: Path) -> dict[st
 
 
 def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, answer_path: Path) -> dict[str, float]:
-    """Pull the voxel farthest from the trunk aside by a twentieth of the height, let go, and see it swing."""
+    """Pull the voxel farthest from the trunk aside by a twentieth of the height, release it, and measure its swing."""
     tensors = load_file(spectrum_path)
     outward = (tensors["coords"] - tensors["coords"].mean(axis=0))[:, :2]
     tip = int(np.argmax(np.linalg.norm(outward, axis=1)))
     x, y = outward[tip] / np.linalg.norm(outward[tip])
-    aside = np.array([-y, x, 0.0])  # square to the branch, which gives way there and hardly along itself
+    aside = np.array([-y, x, 0.0])  # perpendicular to the branch, which hardly moves along its axis
     metadata = checked(client.get(f"/v1/spectra/{job['result']['spectrum_id']}"))
     aside_m = 0.05 * float(np.ptp(tensors["coords"][:, 2])) * metadata["voxel_size_m"]
     pull = {"kind": "drag", "at": {"voxel": tip}, "displacement_m": (aside_m * aside).tolist(), "duration_s": PULL_S}
@@ -171,7 +171,7 @@ def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, 
     answer = checked(client.post("/v1/interact", json=request))
     seconds = time.perf_counter() - began
     answer_path.write_text(json.dumps(answer))
-    shapes = 2 * as_complex(tensors["coefficients"][tip])  # [K, 3], φ_k = 2 c_k at the tip, where its group weighs 1
+    shapes = 2 * as_complex(tensors["coefficients"][tip])  # [K, 3], φ_k = 2 c_k at the tip; weight 1 there
     swing = np.sum(
         [(as_complex(np.array(group["q"])) @ shapes).real for group in answer["groups"]], axis=0
     )  # [frames, 3]
@@ -181,12 +181,12 @@ def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, 
 
 
 def as_complex(pairs: NDArray[Any]) -> NDArray[np.complex128]:
-    """Real and imaginary parts, the last axis, as numbers."""
+    """Convert real and imaginary parts, the last axis, to complex numbers."""
     return np.asarray(pairs[..., 0].astype(np.float64) + 1j * pairs[..., 1])
 
 
 def checked(response: httpx.Response) -> dict[str, Any]:
-    """Give the body, or end with the problem that the service reported."""
+    """Return the response's body, or exit with the problem that the service reported."""
     if response.is_error:
         raise SystemExit(f"{response.request.method} {response.request.url}: {response.status_code}\n{response.text}")
     body: dict[str, Any] = response.json()

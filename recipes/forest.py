@@ -15,7 +15,7 @@ from recipes.forest_glb import TravellingGusts, plant_forest, write_forest_glb
 from recipes.forest_usd import write_forest_usdz
 
 USD_MOTIONS = 12
-"""Of a forest as USD, where no number is asked for: its file grows with them."""
+"""Default number of motions in a forest as USD, whose size grows with it."""
 
 
 def main(arguments: list[str] | None = None) -> None:

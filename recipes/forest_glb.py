@@ -1,7 +1,7 @@
-"""Many trees of one spectrum as a GLB: one mesh, and for each tree a node with an animation of its own.
+"""Write many trees of one spectrum as a GLB: one mesh, and per tree a node with its own animation.
 
-A phase a frequency, c_k e^{iθ_k}, makes another motion of the same spectrum: as strong everywhere and as smooth, its
-loop as closed, but no shift in time leads from one to the other. All lean the same way, for the wind is one.
+A phase per frequency, c_k e^{iθ_k}, gives another motion with the same spectrum: equally strong everywhere, equally
+smooth and looped, but not just shifted in time. All trees lean the same way, since they stand in one wind.
 """
 
 from collections.abc import Sequence
@@ -22,22 +22,22 @@ INSTANCING = "EXT_mesh_gpu_instancing"
 
 @dataclass(frozen=True, kw_only=True)
 class StandingTree:
-    """Where one of the trees stands, and how it differs from the others."""
+    """Position of one tree, and its differences from the others."""
 
     position_m: tuple[float, float, float]
-    scale: float  # of the tree, and so of its sway
-    mirrored: bool  # in the upright plane along the wind, so that it still leans with it
-    phase_rad: Float64[np.ndarray, " K"]  # 0 for k = 0, the lean
+    scale: float  # scale of the tree and its sway
+    mirrored: bool  # mirrored at the vertical plane along the wind, so that its lean stays
+    phase_rad: Float64[np.ndarray, " K"]  # phases; 0 for k = 0, the lean
 
 
 @dataclass(frozen=True, kw_only=True)
 class TravellingGusts:
-    """Gusts that cross a forest: a tree sways as the one upwind of it did, as much later as the gust takes."""
+    """Gusts that cross a forest: a tree repeats the sway of the one upwind, delayed by the gust's travel time."""
 
-    speed_m_s: float  # of the gusts over the ground
-    wind_deg: float  # where the wind blows to, from +X towards +Y
-    period_s: float  # of the loop
-    variety: float = 0.25  # share of a whole turn by which phases differ besides, at random
+    speed_m_s: float  # speed of the gusts over the ground
+    wind_deg: float  # direction to which the wind blows, from +X towards +Y
+    period_s: float  # period of the loop
+    variety: float = 0.25  # additional random difference of phases [turns]
 
 
 def plant_forest(
@@ -51,7 +51,7 @@ def plant_forest(
     """Draw trees on a jittered grid, 0.8 to 1.25 times as large as the first; phases at random, or by the gusts.
 
     Raises:
-        InputError: no trees, or gusts that stand still.
+        InputError: there are no trees, or gusts have no speed.
     """
     if count < 1:
         raise InputError(f"{count} trees are asked for; at least 1 is needed")
@@ -76,7 +76,7 @@ def plant_forest(
 def _gust_phase(
     place_m: Float64[np.ndarray, "n 2"], gusts: TravellingGusts, num_frequencies: int
 ) -> Float64[np.ndarray, "n K"]:
-    """Phase of each frequency at each tree, which delays its motion by the gust's way [rad]."""
+    """Return phases [rad] that delay each tree's motion by the travel time of the gust, per frequency."""
     if not gusts.speed_m_s > 0:
         raise InputError(f"gusts travel at {gusts.speed_m_s} m/s; a speed above 0 is needed")
     angle = np.deg2rad(gusts.wind_deg)
@@ -95,10 +95,10 @@ def write_forest_glb(
     wind_deg: float = 0.0,
     num_motions: int | None = None,
 ) -> None:
-    """Write one period; keys as in `write_motion_glb`. `wind_deg` is where the wind blows to, from +X towards +Y.
+    """Write one period; keys as in `write_motion_glb`. The wind blows to `wind_deg`, from +X towards +Y.
 
-    With `num_motions` trees that are neighbours along the wind share a motion, and are GPU instances of one node
-    (EXT_mesh_gpu_instancing), none mirrored: a renderer draws each motion once.
+    With `num_motions`, neighbours along the wind share a motion as GPU instances of one node (EXT_mesh_gpu_instancing),
+    without mirroring, so a renderer draws each motion once.
     """
     writer = GlbWriter()
     rotation = up_rotation("+Y").astype(np.float32)
@@ -131,10 +131,10 @@ def write_forest_glb(
 
 
 def by_motion(trees: Sequence[StandingTree], num_motions: int, wind_deg: float) -> list[list[StandingTree]]:
-    """Equal groups of trees in their order along the wind.
+    """Divide trees into equal groups, in order along the wind.
 
     Raises:
-        InputError: fewer than one motion, or more than trees.
+        InputError: there is less than one motion, or there are more motions than trees.
     """
     if not 1 <= num_motions <= len(trees):
         raise InputError(f"{num_motions} motions are asked for; 1 to {len(trees)}, the number of trees, are possible")
@@ -144,7 +144,7 @@ def by_motion(trees: Sequence[StandingTree], num_motions: int, wind_deg: float) 
 
 
 def _instances(writer: GlbWriter, trees: Sequence[StandingTree], rotation: np.ndarray) -> dict[str, int]:
-    """Accessors of places and sizes, in glTF's axes."""
+    """Write accessors of positions and scales, in glTF's axes."""
     places = np.array([tree.position_m for tree in trees]) @ rotation
     scales = np.repeat([[tree.scale] for tree in trees], 3, axis=1)
     return {
@@ -154,11 +154,11 @@ def _instances(writer: GlbWriter, trees: Sequence[StandingTree], rotation: np.nd
 
 
 def _placed(tree: StandingTree, rotation: np.ndarray, wind_deg: float) -> dict[str, object]:
-    """Place, turn and size of a node, in glTF's axes."""
+    """Return translation, rotation and scale of a node, in glTF's axes."""
     node: dict[str, object] = {"translation": (np.array(tree.position_m) @ rotation).tolist()}
     if not tree.mirrored:
         return node | {"scale": [tree.scale] * 3}
-    # the mirror along the wind is a turn by twice its direction after the mirror along x
+    # the reflection along the wind is a reflection along x, then a rotation by twice the wind's direction
     half = np.deg2rad(wind_deg)
     turn = [0.0, float(np.sin(half)), 0.0, float(np.cos(half))]
     return node | {"rotation": turn, "scale": [tree.scale, tree.scale, -tree.scale]}

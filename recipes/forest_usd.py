@@ -1,4 +1,4 @@
-"""A forest as USD: a `PointInstancer` over a few trees that differ in phase, each with a time sample a frame.
+"""Write a forest as USD: a `PointInstancer` of a few trees with different phases, each with one time sample per frame.
 
 +Z up, metres. Needs usd-core, the extra `usd`.
 """
@@ -31,10 +31,10 @@ def write_forest_usdz(
     num_motions: int,
     wind_deg: float = 0.0,
 ) -> None:
-    """Write one period, a time code a frame from 0; trees that are neighbours along the wind share a motion.
+    """Write one period, one time code per frame from 0; trees that are neighbours along the wind share a motion.
 
     Raises:
-        InputError: fewer than one motion, more than trees, or a file that would be too large.
+        InputError: there is less than one motion, or more than trees, or the file would be too large.
     """
     from pxr import Sdf, UsdGeom, Vt
 

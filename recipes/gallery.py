@@ -29,20 +29,20 @@ h2 { font-size: 1.05rem; margin: 0 } img { width: 100% } .error { color: #a00 } 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What became of one file."""
+    """Result of the command for one file."""
 
     name: str
-    folder: str  # of its products, beside the page
+    folder: str  # folder of its products, beside the page
     seconds: float
     processor_s: float
     peak_mib: float
     error: str | None
-    lines: tuple[str, ...]  # size and warnings, as the command prints them
+    lines: tuple[str, ...]  # size and warnings as printed by the command
     facts: dict[str, object]
 
 
 def tree_files(folders: list[Path]) -> Iterator[tuple[str, Path]]:
-    """Every mesh, splat and scan of the folders, with its name there."""
+    """Iterate over every mesh, splat and scan in the folders, with its name there."""
     for folder in folders:
         for path in sorted(folder.rglob("*")):
             readable = path.suffix.lower() in {*MESH_SUFFIXES, *CLOUD_SUFFIXES}
@@ -76,7 +76,7 @@ def animate(name: str, path: Path, output: Path, options: list[str]) -> Row:
 
 
 def page(rows: list[Row], output: Path) -> str:
-    """The page of all rows."""
+    """Return the page with all rows as HTML."""
     moving = sum(row.error is None for row in rows)
     sections = "\n".join(_section(row, output) for row in rows)
     return (

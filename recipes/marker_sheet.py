@@ -19,8 +19,8 @@ PLACES_MM = {586: (30, 15), 585: (15, 187), 584: (137, 197)}
 
 
 def marker_cells(number: int) -> np.ndarray:
-    """[10, 10] bool, true where it is white: the code within a black border within a white one."""
-    detector = Detector(families=FAMILY)  # the family goes with it
+    """Return a marker's cells, [10, 10], true if white: the code in a black border in a white border."""
+    detector = Detector(families=FAMILY)  # the detector owns the family
     family = detector.tag_families[FAMILY].contents
     code, width, total = family.codes[number], family.width_at_border, family.total_width
     cells = np.ones((total, total), np.bool_)
@@ -33,7 +33,7 @@ def marker_cells(number: int) -> np.ndarray:
 
 
 def sheet() -> str:
-    """The SVG: every marker with its white border, its size and number, and a ruler to check the printer by."""
+    """Return the SVG: every marker with white border, size and number, and a ruler to check the printed scale."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_MM}mm" height="{HEIGHT_MM}mm" '
         f'viewBox="0 0 {WIDTH_MM} {HEIGHT_MM}">',

@@ -1,4 +1,4 @@
-"""The figure of docs/method.md: amplitude over a tree's voxels, and spectra of single voxels."""
+"""Draw the figure of docs/method.md: amplitude over a tree's voxels, and spectra of single voxels."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Evaluate a tree's modes yourself: the reference for clients, in Python. Needs numpy and safetensors alone."""
+"""Reference in Python for clients that evaluate a tree's modes themselves. Needs only numpy and safetensors."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,11 @@ OUTWARD = 32.0
 
 
 class Reach(NamedTuple):
-    """How the bones take part in a group."""
+    """Participation of the bones in a group."""
 
     weights: np.ndarray  # [B]
-    ends: dict[int, np.ndarray]  # of the bones that carry the place, and of its own, where they end
-    hangs: np.ndarray  # [B], whether a bone hangs on the place
+    ends: dict[int, np.ndarray]  # end points of the place's own bone and of the bones that carry it
+    hangs: np.ndarray  # [B], true if a bone hangs on the place
 
 
 class Modes:
@@ -27,11 +27,11 @@ class Modes:
         self.reach_m = self.file["bone_reach_m"].astype(float)
 
     def voxels(self, q: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Plain superposition: u [V, 3] of one frame, from q [G, K, 2] and weights [G, V] in [0, 1]."""
+        """Compute the plain superposition u [V, 3] of one frame, from q [G, K, 2] and weights [G, V] in [0, 1]."""
         return _superposed(self.shapes, q, weights)
 
     def reach(self, seed_voxel: int, falloff_m: float) -> Reach:
-        """How the bones take part in a group of this locality."""
+        """Compute the participation of the bones in a group of this locality."""
         length, bone, way = np.linalg.norm(self.reach_m, axis=1), int(self.file["bone_of_voxel"][seed_voxel]), 0.0
         cost, ends = np.full(len(length), np.inf), {bone: self.foot[bone] + self.reach_m[bone]}
         seed, hangs = bone, np.zeros(len(length), bool)
@@ -50,7 +50,7 @@ class Modes:
         return Reach(np.exp(-((cost / falloff_m) ** 2)), ends, hangs)
 
     def theta(self, q: np.ndarray, reaches: list[Reach | None]) -> np.ndarray:
-        """How far each bone turns [B, 3], from q [G, K, 2]; a group without a reach moves the whole tree."""
+        """Compute the turn of each bone [B, 3] from q [G, K, 2]; a group without a reach moves the whole tree."""
         total = np.zeros_like(self.foot)
         for coordinates, reach in zip(q, reaches, strict=True):
             own = _superposed(self.turns, coordinates[None], np.ones((1, len(total)))).astype(float)
@@ -71,7 +71,7 @@ class Modes:
         return turn
 
     def bends(self, seed_voxel: int, bend: np.ndarray) -> np.ndarray:
-        """A group's `bend` [n, 3], given from its place's joint towards the root, for all joints [J, 3]."""
+        """Expand a group's `bend` [n, 3], ordered from its place's joint towards the root, to all joints [J, 3]."""
         every = np.zeros_like(self.file["joint_place_m"])
         joint = self.file["joint_of_bone"][self.file["bone_of_voxel"][seed_voxel]]
         for turn in bend:
@@ -79,7 +79,7 @@ class Modes:
         return every
 
     def poses(self, theta: np.ndarray, bends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation [B, 3, 3] and place [B, 3] of each bone; its point x goes to R (x - foot) + place.
+        """Compute rotation [B, 3, 3] and place [B, 3] of each bone; its point x moves to R (x - foot) + place.
 
         `bends` [J, 3] is the sum of the groups' bends: each turns its joint and everything beyond it.
         """
@@ -104,7 +104,7 @@ def _superposed(shapes: np.ndarray, q: np.ndarray, weights: np.ndarray) -> np.nd
 
 
 def _arc(theta: np.ndarray) -> np.ndarray:
-    """A turn by atan |θ| about θ."""
+    """Return the rotation by atan |θ| about θ."""
     size = max(float(np.linalg.norm(theta)), 1e-12)
     return _rotation(theta * np.arctan(size) / size)
 

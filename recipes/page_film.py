@@ -25,10 +25,10 @@ OUTPUT = ROOT / "docs" / "pictures" / "page.webp"
 WINDOW, FILM = (1120, 700), (640, 400)
 FPS = 8
 MOST_BYTES = 3_000_000
-"""What a README may make its reader load."""
+"""Largest size of a picture in the README [bytes]."""
 LONGEST_MS = 600_000
 
-# The page's clock, stepped by hand once `film` is called; and an arrow where the pointer is
+# A page clock that is stepped manually once `film` is called, and an arrow at the pointer
 CLOCK = """(() => {
     const [real, own] = [requestAnimationFrame.bind(window), performance.now.bind(performance)];
     let now = null, waiting = [];
@@ -60,19 +60,19 @@ BRANCH = """async () => {
 
 
 class Film:
-    """Pictures of a page, one each 1 / FPS of its own time."""
+    """Pictures of a page, one per 1 / FPS of the page's own time."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
         self.frames: list[Image.Image] = []
 
     def shoot(self) -> None:
-        """One picture of the page as it is."""
+        """Take one picture of the page."""
         with Image.open(io.BytesIO(self.page.screenshot())) as picture:
             self.frames.append(picture.convert("RGB").resize(FILM, Image.Resampling.LANCZOS))
 
     def run(self, seconds: float, each: Callable[[float], None] = lambda share: None) -> None:
-        """Let the page's time go on; `each(share)` before each frame says how far it is."""
+        """Advance the page's time; call `each(share)` with the elapsed share before each frame."""
         count = round(seconds * FPS)
         for n in range(count):
             each((n + 1) / count)
@@ -80,7 +80,7 @@ class Film:
             self.shoot()
 
     def move(self, start: tuple[float, float], end: tuple[float, float], seconds: float) -> None:
-        """Move the pointer while time goes on."""
+        """Move the pointer while time advances."""
 
         def each(share: float) -> None:
             smooth = share * share * (3 - 2 * share)
@@ -91,7 +91,7 @@ class Film:
 
 @contextmanager
 def opened(url: str) -> Iterator[Page]:
-    """The page in a browser, with the clock of a film."""
+    """Context manager that opens the page in a browser, with the film's clock."""
     with sync_playwright() as driver:
         browser = launched(driver)
         context = browser.new_context(viewport={"width": WINDOW[0], "height": WINDOW[1]}, locale="en-US")
@@ -106,7 +106,7 @@ def opened(url: str) -> Iterator[Page]:
 
 
 def shot(page: Page) -> list[Image.Image]:
-    """Half a minute."""
+    """Take the pictures of the half-minute film."""
     film = Film(page)
     page.evaluate("film()")
     page.mouse.move(900, 600)
@@ -128,7 +128,7 @@ def shot(page: Page) -> list[Image.Image]:
 
 
 def _drop(film: Film) -> None:
-    """Give the page a tree; two pictures of each second of its job, shown eight a second."""
+    """Upload a tree to the page; take two pictures per second of its job, shown at eight per second."""
     page = film.page
     page.locator("#veil").evaluate("(veil) => { veil.hidden = false; }")
     film.run(0.75)
@@ -148,7 +148,7 @@ def _press(film: Film, selector: str) -> None:
 
 
 def write(frames: list[Image.Image], path: Path) -> None:
-    """A looping WebP as good as `MOST_BYTES` allow."""
+    """Write a looping WebP with the best quality that `MOST_BYTES` allows."""
     for quality in range(70, 10, -10):
         content = io.BytesIO()
         first, *others = frames

@@ -1,4 +1,4 @@
-"""Take the pictures of docs/viewer.md, and those of the page's examples: opens the page in Chromium, with a service.
+"""Take the pictures of docs/viewer.md and of the page's examples, with the page in Chromium and a running service.
 
     python -m recipes.page_pictures
 
@@ -24,7 +24,7 @@ PICTURES = ROOT / "docs" / "pictures"
 DESKTOP, PHONE, SQUARE = (1280, 800), (390, 760), (1000, 760)
 THUMBNAIL_PX, THUMBNAIL_QUALITY, MARGIN = 192, 76, 0.04
 PHASE = 0.48
-"""Of the loop, at which both trees of the first picture are far from rest."""
+"""Phase in the loop at which both trees of the first picture are far from rest."""
 LONGEST_MS = 300_000
 WEBP_QUALITY = 84
 
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def _animated(url: str, mesh: Path, **params: int) -> str:
-    """A job on a mesh that has ended."""
+    """Run a job on a mesh until it has ended; return its id."""
     with httpx.Client(base_url=url, timeout=120) as client:
         asset = checked(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
         request = {"type": "animate", "asset_id": asset["id"], "seed": 7, "params": {"formats": ["glb"], **params}}
@@ -72,7 +72,7 @@ def _opened(browser: Browser, address: str, size: tuple[int, int]) -> Page:
 
 
 def _take(page: Page, name: str, *, state: str, phase: float | None = None) -> None:
-    """Write a picture of the page at rest: paused, drawn with all pixels, hints gone."""
+    """Write a picture of the page at rest: paused, at full resolution, without hints."""
     page.wait_for_selector(f"body{state}", state="attached")
     if phase is None:
         page.locator("#canvas").focus()
@@ -83,7 +83,7 @@ def _take(page: Page, name: str, *, state: str, phase: float | None = None) -> N
             "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", phase
         )
         page.wait_for_selector("#hint.going", state="attached")
-    page.wait_for_timeout(3000)  # the wind of the other tree eases in, the hint fades
+    page.wait_for_timeout(3000)  # wait until the other tree's wind has started and the hint has faded
     page.wait_for_selector("body[data-sharp=true]", state="attached")
     path = PICTURES / f"{name}.webp"
     with Image.open(io.BytesIO(page.screenshot())) as picture:
@@ -93,13 +93,13 @@ def _take(page: Page, name: str, *, state: str, phase: float | None = None) -> N
 
 
 def _take_example(page: Page, name: str) -> None:
-    """Write the picture of an example, without ground and background: it lies on light and dark buttons."""
+    """Write the picture of an example, without ground and background, for light and dark buttons."""
     page.wait_for_selector("body[data-state=moving]", state="attached")
     page.locator("#speed").fill("0")  # no arrow on the ground
     page.locator("#light-section summary").click()
     page.locator("#ground").uncheck()
     page.locator("#background").select_option("none")
-    page.wait_for_timeout(3000)  # the wind dies down
+    page.wait_for_timeout(3000)  # wait until the wind has stopped
     with page.expect_download() as download:
         page.locator("#save-picture").click()
     path = EXAMPLES / f"{name}.webp"

@@ -42,7 +42,7 @@ TREES: tuple[tuple[str, int, dict[str, object]], ...] = (
     ("callistemon", 0, {"levels": 2, "branches": [0, 45, 0, 0], "leaves": 30}),
     ("quaking_aspen", 5, {"levels": 3, "branches": [0, 30, 6, 0], "leaves": 10}),
 )
-"""Preset, seed, and the arguments that replace the preset's, so that a tree has 5,000 to 25,000 vertices."""
+"""Preset, seed, and arguments that override the preset, so that a tree has 5,000 to 25,000 vertices."""
 BAKE: dict[str, object] = {
     "bevel": True,
     "bevelRes": 0,  # rings of 4 vertices
@@ -65,9 +65,9 @@ BAKE: dict[str, object] = {
 NOT_OF_THE_TREE = ("rna_type", "chooseSet", "presetName", "limitImport", "overwrite", "leafDupliObj")
 """Properties of the add-on's operator that belong to its menu."""
 FRAMES = range(1, 101)
-RING = 4  # vertices
+RING = 4  # vertices per ring
 LEAF_VERTICES = {"hex": 6, "rect": 4}
-STRETCH_STEP = 5  # frames between those whose edges are measured
+STRETCH_STEP = 5  # interval of frames in which edges are measured
 SHORTEST_EDGE_M = 1e-6
 
 
@@ -78,11 +78,11 @@ class Part:
     vertices: np.ndarray  # [N, 3] float32 [m]
     faces: np.ndarray  # [F, 3] int32
     comp: np.ndarray  # [N] int32
-    bones: np.ndarray  # [N, 2] int32: each moves the vertex half
+    bones: np.ndarray  # [N, 2] int32, each with weight 1/2
 
 
 def main(folder: Path) -> None:
-    """Bake every tree of `TREES` into the folder's folder `sapling`."""
+    """Bake every tree of `TREES` into the folder's subfolder `sapling`."""
     target = folder / "sapling"
     target.mkdir(parents=True, exist_ok=True)
     for preset, seed, changes in TREES:
@@ -106,7 +106,7 @@ def tree_arguments(preset: str, seed: int, changes: dict[str, object]) -> dict[s
     """Return the add-on's arguments for a tree; those that neither the preset nor `BAKE` sets have its defaults."""
     properties = bpy.ops.curve.tree_add.get_rna_type().properties
     wanted = preset_arguments(preset) | BAKE | {"seed": seed} | changes | {"do_update": True}
-    accepted = {name: setting for name, setting in wanted.items() if name in properties}  # old presets have others
+    accepted = {name: setting for name, setting in wanted.items() if name in properties}  # old presets differ
     defaults = {
         one.identifier: list(one.default_array) if getattr(one, "is_array", False) else one.default
         for one in properties
@@ -159,14 +159,14 @@ def baked_tree(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def wood(row: dict[str, int], parent: np.ndarray) -> Part:
-    """Return the stems as Blender meshes them: each spline a tube of rings of 4 vertices.
+    """Return the stems as meshed by Blender: each spline is a tube of rings of 4 vertices.
 
     Args:
         row: number of a bone by its name.
-        parent: of each bone; -1 on the ground.
+        parent: parent of each bone; -1 on the ground.
     """
     tree = bpy.data.objects["tree"]
-    tree.modifiers.clear()  # the armature's would move the rest pose
+    tree.modifiers.clear()  # the armature's modifier would move the rest pose
     evaluated = tree.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
     vertices, faces = places(mesh), triangles(mesh)
@@ -183,13 +183,13 @@ def wood(row: dict[str, int], parent: np.ndarray) -> Part:
 
 
 def ring_bones(spline: Any, number: int, row: dict[str, int], parent: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Yield the two bones that move each ring of a stem, half each: at a point, those that meet there."""
+    """Yield the two bones with weight 1/2 that move each ring of a stem: at a point, those that meet there."""
     points = spline.bezier_points
     own = [row[f"bone{number:03d}.{step:03d}"] for step in range(len(points) - 1)]
     below = int(parent[own[0]]) if parent[own[0]] >= 0 else own[0]
     yield below, own[0]
     for step, (point, end) in enumerate(pairwise(points)):
-        if not point.handle_right_type == end.handle_left_type == "VECTOR":  # Blender gives those no ring midway
+        if not point.handle_right_type == end.handle_left_type == "VECTOR":  # these have no ring midway
             yield own[step], own[step]
         yield own[step], own[min(step + 1, len(own) - 1)]
 

@@ -26,8 +26,8 @@ TREES = (("shrub", 3.0), ("round-broadleaf", 8.0), ("round-broadleaf", 25.6))
 GROWN_SEED, SEED, WIND = 11, 3, Wind(speed_m_s=6.0)
 FPS, DURATION_S = 12, 60
 SIDE_PX, GAP_PX = 300, 8
-LINE = 0.3  # of the picture's height from its top
-TOP_SHARE = 0.05  # of the vertices
+LINE = 0.3  # position from the top [share of the picture's height]
+TOP_SHARE = 0.05  # share of the vertices
 
 
 def main() -> None:
@@ -56,7 +56,7 @@ def main() -> None:
 def _lines(
     mesh: TriangleMesh, frames: Iterator[Float32[np.ndarray, "N 3"]], top: np.ndarray, highest: list[np.ndarray]
 ) -> UInt8[np.ndarray, "T W 3"]:
-    """One row of the picture of every frame; the displacement of the vertices `top` goes to `highest`."""
+    """Return one row of every frame's picture; append the displacement of the vertices `top` to `highest`."""
 
     def noted() -> Iterator[Float32[np.ndarray, "N 3"]]:
         for frame in frames:

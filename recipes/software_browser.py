@@ -1,4 +1,4 @@
-"""A Chromium that draws WebGL in software, so that pictures and times of the page need no graphics card."""
+"""Start a Chromium that renders WebGL in software, so that pictures and timings of the page need no GPU."""
 
 import os
 import shutil
@@ -11,10 +11,10 @@ FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu
 
 
 def launched(driver: Playwright) -> Browser:
-    """Start the browser of BROWSER_PATH, else the system's, else the one that `playwright install` has fetched.
+    """Start the browser of BROWSER_PATH, else the system's, else that of `playwright install`.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: there is no browser.
     """
     installed = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
     executable = installed or driver.chromium.executable_path

@@ -24,11 +24,11 @@ EXAMPLES = Path(__file__).parents[1] / "web" / "examples"
 LONGEST_S = 600.0
 EVERY_VOXEL = 8
 COARSER = 8
-"""Steps of a bone's turn: places are off by 0.03 % of the height, a fifth of a pixel."""
+"""Factor on the step of a bone's turn; the error of positions is 0.03 % of the height, a fifth of a pixel."""
 PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "joint_place_m": 2**-9}
-"""Steps of places [m] and directions, of which float32 then has zeros at its end."""
+"""Steps of positions [m] and directions; their float32 values then end with zero bits, which compress well."""
 BINS = 16
-"""Bins that stay, 0 to 1.8 Hz: on a screen the tree is 600 pixels high, and none of the others moves a point by one."""
+"""Number of bins retained, 0 to 1.8 Hz: the tree is 600 pixels high, and the other bins move no point by a pixel."""
 PER_VOXEL = ("coords", "bone_of_voxel")
 
 
@@ -65,7 +65,7 @@ def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
 
 
 def thinned(path: Path) -> bytes:
-    """A surface or modes file of a fraction of its size."""
+    """Return a surface or modes file reduced to a fraction of its size."""
     with safe_open(path, "np") as file:
         metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if "coords" in tensors:
