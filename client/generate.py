@@ -18,10 +18,10 @@ PAGE = FOLDER.parent / "openapi" / "openapi.json"
 HEAD = '"""{what} Made by client/generate.py; do not edit."""\n\n'
 
 Schema = dict[str, Any]
-_LEAST_SHARED = 5  # fields; fewer are alike by chance: a name and a size
+_LEAST_SHARED = 5  # least number of fields; fewer, as a name and a size, can be equal by chance
 _PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "null": "None"}
 
-# one token of the asynchronous client a line, and what it is in the other
+# one token of the asynchronous client per line, and its equivalent in the blocking one
 _SYNCHRONOUS = [
     (r"\bAsyncClient\b", "Client"),
     (r"\bAsyncIterator\b", "Iterator"),
@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def generated() -> dict[Path, str]:
-    """Every file that is made, and what it should hold."""
+    """Return every generated file with its content."""
     page = json.loads(PAGE.read_text())
     modules = {
         "models.py": models(page["components"]["schemas"]),
@@ -81,7 +81,7 @@ def class_name(name: str) -> str:
 
 
 def models(schemas: dict[str, Schema]) -> str:
-    lines = [HEAD.format(what="What requests and answers hold."), "from datetime import datetime\n"]
+    lines = [HEAD.format(what="Models of requests and responses."), "from datetime import datetime\n"]
     lines += ["from typing import Any, Literal\n\nfrom pydantic import BaseModel, ConfigDict\n\n\n"]
     lines += [
         'class Model(BaseModel):\n    """Root of all. What a newer service adds is passed over."""\n\n'
@@ -99,7 +99,7 @@ def models(schemas: dict[str, Schema]) -> str:
 
 
 def _ancestors(name: str, objects: dict[str, Schema]) -> list[str]:
-    """Models whose fields are all in this one, as in the service's own classes; the largest first."""
+    """Return models whose fields are all in this one, as in the service's own classes; the largest first."""
     own = _fields(objects[name])
     some = [other for other, schema in objects.items() if _LEAST_SHARED <= len(_fields(schema)) < len(own)]
     return sorted(
@@ -109,7 +109,7 @@ def _ancestors(name: str, objects: dict[str, Schema]) -> list[str]:
 
 
 def _fields(schema: Schema) -> dict[str, str]:
-    """Each field's schema as text, by its name."""
+    """Return each field's schema as text, by name."""
     required = schema.get("required", [])
     return {name: f"{name in required} {json.dumps(kind)}" for name, kind in schema.get("properties", {}).items()}
 
@@ -131,7 +131,7 @@ def _model(name: str, objects: dict[str, Schema]) -> list[str]:
 
 
 def _default(schema: Schema) -> str:
-    """What the service takes where nothing is sent."""
+    """Return the service's default value as source code."""
     default = schema.get("default")
     if isinstance(default, list):
         return repr(default)  # pydantic copies it
@@ -144,7 +144,7 @@ def _quoted(text: str) -> str:
 
 
 def field_type(schema: Schema, *, optional: bool) -> str:
-    """As an annotation, quoted where it names a class that may come later; what is unset and has no default is None."""
+    """Return the annotation, quoted if it names a class that may be defined later; optional without a default: None."""
     annotation = python_type(schema)
     if optional and not isinstance(schema.get("default"), str | int | float | list) and "None" not in annotation:
         annotation = f"{annotation} | None"
@@ -180,7 +180,7 @@ def python_type(schema: Schema) -> str:
 
 
 def operations(page: Schema) -> str:
-    lines = [HEAD.format(what="A function an operation: what is sent, and what comes back.")]
+    lines = [HEAD.format(what="One function per operation: its request, and the type of its response.")]
     lines += ["from datetime import datetime\nfrom typing import Any, Literal\n\n"]
     lines += ["from dynamictree_client.call import Call, path_of\n"]
     names = sorted({class_name(name) for name in page["components"]["schemas"]})
@@ -230,7 +230,7 @@ def _operation(path: str, method: str, shared: list[Schema], operation: Schema) 
 
 
 def _answer(responses: dict[str, Schema]) -> str:
-    """Type of what a success holds: models of JSON, else bytes, else nothing."""
+    """Return the type of a success: models for JSON, else bytes, else None."""
     good = [response for status, response in responses.items() if status.startswith("2")]
     content = [pair for response in good for pair in response.get("content", {}).items()]
     kinds = [python_type(entry.get("schema", {})) for media, entry in content if media == "application/json"]
@@ -244,7 +244,7 @@ def snake(name: str) -> str:
 
 
 def synchronous(source: str) -> str:
-    """The same client, blocking."""
+    """Convert the asynchronous client's source to the blocking client's."""
     _, _, rest = source.partition('"""\n')  # its docstring is one line
     for pattern, other in _SYNCHRONOUS:
         rest = re.sub(pattern, other, rest, flags=re.MULTILINE)

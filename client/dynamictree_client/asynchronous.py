@@ -39,16 +39,16 @@ from dynamictree_client.models import (
 from dynamictree_client.retries import Retries, retry_after_s
 
 T = TypeVar("T")
-RESUMABLE_ABOVE = 32 * 1024 * 1024  # bytes
+RESUMABLE_ABOVE = 32 * 1024 * 1024  # [bytes]
 _ASSET: Call[Asset] = Call(method="POST", path="/v1/assets", answer=Asset)
-POLL_S = 1.0  # where the service does not say when to ask again
+POLL_S = 1.0  # interval if the service does not state one
 ENDED = ("succeeded", "failed", "canceled")
 
 
 class AsyncClient:
-    """Client of a service at a URL. Repeatable requests are retried as `retries` says.
+    """Client of a service at a URL. `retries` is the policy for repeatable requests.
 
-    `transport` is httpx'; by default the network.
+    `transport` is an httpx transport; by default the network.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class AsyncClient:
         """Send any operation: `send(operations.get_job(id))`.
 
         Raises:
-            ProblemError: the service refuses it, or fails.
-            UnreachableError: it cannot be reached.
+            ProblemError: the service refuses the request, or fails.
+            UnreachableError: the service cannot be reached.
         """
         return call.read(await self._exchange(call.arguments, repeatable=call.repeatable))
 
@@ -96,9 +96,9 @@ class AsyncClient:
         height_m: float | None = None,
         resumable: bool | None = None,
     ) -> Asset:
-        """Send a mesh and what it names, photos, a splat, or a folder of them. The same files are the same asset.
+        """Upload a mesh and its companion files, photos, a splat, or a folder. The same files give the same asset.
 
-        `resumable` sends them in pieces that a broken line does not lose; unset, if they are large.
+        `resumable` uploads them in pieces, which survive a broken connection; by default only large files.
         """
         files = chosen_files(paths)
         if sum(file.stat().st_size for file in files) > RESUMABLE_ABOVE if resumable is None else resumable:
@@ -117,7 +117,7 @@ class AsyncClient:
         return _ASSET.read(response)
 
     async def upload_file(self, path: PathLike) -> str:
-        """Send one file by the tus protocol, version 1.0, and give its upload's id. A broken line costs one piece."""
+        """Upload one file by the tus protocol 1.0 and return the upload's id. A broken connection loses one piece."""
         path = Path(path)
         size = path.stat().st_size
         begin = {"method": "POST", "url": "/v1/uploads", "headers": upload_headers(path)}
@@ -162,11 +162,11 @@ class AsyncClient:
     async def create_job(self, request: Any, *, key: str | None = None) -> Job:
         """Create a job; the request is repeated with the same key if the answer is lost.
 
-        With a key of your own the same job answers for a day, also to another process.
+        With your own key, repeats within a day return the same job, also from another process.
         """
         call = operations.create_job(request, idempotency_key=key or uuid4().hex)
         job = await self.send(call)
-        assert isinstance(job, Job)  # an estimate only comes where one is asked for
+        assert isinstance(job, Job)  # the response is an estimate only on request
         return job
 
     async def wait(
@@ -175,8 +175,8 @@ class AsyncClient:
         """Poll a job until it has ended, at the interval that the service asks for; `on_progress` gets every answer.
 
         Raises:
-            JobEndedError: it did not succeed.
-            WaitTimeoutError: it has not ended after so long.
+            JobEndedError: the job did not succeed.
+            WaitTimeoutError: the job has not ended within `timeout_s`.
         """
         call = operations.get_job(job if isinstance(job, str) else job.id)
         give_up = time.monotonic() + (float("inf") if timeout_s is None else timeout_s)
@@ -197,15 +197,15 @@ class AsyncClient:
         return now
 
     async def artifacts(self, job: Job | str) -> list[Artifact]:
-        """Every file that a job has made so far."""
+        """List the files that a job has produced so far."""
         manifest = await self.send(operations.list_artifacts(job if isinstance(job, str) else job.id))
         return manifest.artifacts
 
     async def download(self, artifact: Artifact, path: PathLike) -> Path:
-        """Fetch a file, go on where an earlier attempt broke off, and check its hash.
+        """Download a file, resume an interrupted download, and verify the hash.
 
         Raises:
-            IntegrityError: its bytes are not those that the service announced.
+            IntegrityError: its bytes differ from those that the service announced.
         """
         path = Path(path)
         part = path.with_name(f"{path.name}.part")
@@ -235,13 +235,13 @@ class AsyncClient:
         }
 
     async def interact(self, request: InteractRequest) -> Interact:
-        """Push a tree, and get its modes' coordinates."""
+        """Push a tree, and return the coordinates of its modes."""
         answer = await self.send(operations.interact(request, accept="application/json"))
         assert isinstance(answer, Interact)
         return answer
 
     async def modes(self, spectrum_id: str) -> bytes:
-        """A spectrum's modes, as a safetensors file."""
+        """Return a spectrum's modes as a safetensors file."""
         return await self.send(operations.get_modes(spectrum_id))
 
     async def _exchange(self, arguments: Callable[[], dict[str, Any]], *, repeatable: bool) -> httpx.Response:
@@ -270,8 +270,8 @@ class AsyncClient:
             raise UnreachableError(detail) from outcome
 
     async def _fetch_rest(self, artifact: Artifact, part: Path, there: int) -> httpx.Response:
-        """Append what is missing. A response that is no error has been written whole."""
-        headers = {"Accept-Encoding": "identity"}  # a range is one of the bytes that are hashed
+        """Append the missing bytes to `part`. The body of a response without error has been written completely."""
+        headers = {"Accept-Encoding": "identity"}  # ranges and hashes count unencoded bytes
         if there:
             headers |= {"Range": f"bytes={there}-", "If-Range": f'"{artifact.sha256}"'}
         async with self._http.stream("GET", artifact.url, headers=headers) as response:

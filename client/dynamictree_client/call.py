@@ -1,4 +1,4 @@
-"""A request and the type of its answer, independent of how it is sent; both clients share it."""
+"""A request and the type of its response, independent of transport; both clients share it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,11 +17,11 @@ IDEMPOTENT = ("GET", "HEAD", "PUT", "DELETE", "OPTIONS")
 
 @dataclass(frozen=True, kw_only=True)
 class Call(Generic[T]):
-    """An operation with its arguments; `Client.send` sends it."""
+    """An operation with its arguments, to be sent by `Client.send`."""
 
     method: str
     path: str
-    answer: Any  # the type T, at run time
+    answer: Any  # type T of the response, at run time
     query: Mapping[str, object] = field(default_factory=dict)
     headers: Mapping[str, object] = field(default_factory=dict)
     body: BaseModel | Mapping[str, Any] | None = None
@@ -30,11 +30,11 @@ class Call(Generic[T]):
 
     @property
     def repeatable(self) -> bool:
-        """Whether sending it twice does no more than sending it once."""
+        """Return whether the request is idempotent."""
         return self.method in IDEMPOTENT or self.headers.get("idempotency-key") is not None
 
     def arguments(self) -> dict[str, Any]:
-        """Arguments of httpx' `request`."""
+        """Return the arguments of httpx's `request`."""
         headers = {name: str(value) for name, value in self.headers.items() if value is not None}
         query = {name: _query_text(value) for name, value in self.query.items() if value is not None}
         given: dict[str, Any] = {"method": self.method, "url": self.path, "params": query, "headers": headers}
@@ -50,10 +50,10 @@ class Call(Generic[T]):
         return given
 
     def read(self, response: httpx.Response) -> T:
-        """The answer of a response.
+        """Parse the response.
 
         Raises:
-            ProblemError: it tells a problem.
+            ProblemError: the service reports a problem.
         """
         if response.is_error:
             raise problem_of(response)
@@ -66,7 +66,7 @@ class Call(Generic[T]):
 
 
 def path_of(template: str, arguments: Mapping[str, str]) -> str:
-    """A path with its arguments in place, whatever they hold."""
+    """Fill a path template with percent-encoded arguments."""
     for name, value in arguments.items():
         template = template.replace("{" + name + "}", quote(str(value), safe=""))
     return template

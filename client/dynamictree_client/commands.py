@@ -153,7 +153,7 @@ def _give_up(why: str) -> NoReturn:
 
 
 def _followed(client: Client, job: Job | str, *, quiet: bool) -> Job:
-    """Wait with a bar a stage on standard error."""
+    """Wait for a job, with one progress bar per stage on standard error."""
     columns = (TextColumn("{task.description:<12}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
         bars: dict[str, TaskID] = {}

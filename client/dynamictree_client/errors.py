@@ -2,17 +2,17 @@
 
 ClientError
 ├── ProblemError              the service answered with a problem (RFC 9457), in `problem`
-│   ├── InvalidRequestError   mend the request or the input: 400, 405, 406, 411 to 417, 422, 428
-│   ├── AccessError           the key is missing, wrong, or may not do this: 401, 403
+│   ├── InvalidRequestError   correct the request or the input: 400, 405, 406, 411 to 417, 422, 428
+│   ├── AccessError           the key is missing, wrong or not permitted: 401, 403
 │   ├── NotFoundError         404
-│   ├── ConflictError         the state forbids it: 409
+│   ├── ConflictError         the state of the resource forbids the operation: 409
 │   ├── GoneError             410
-│   ├── TooBusyError          try again later, as `retry_after_s` says: 408, 423, 425, 429, 503
+│   ├── TooBusyError          try again after `retry_after_s`: 408, 423, 425, 429, 503
 │   └── ServiceFaultError     the service failed: 500 and above
-├── UnreachableError          the service cannot be reached, or the line broke
-├── JobEndedError             a job that was waited for did not succeed; `job` holds it, its `error` says why
-├── WaitTimeoutError          it did not end in time
-└── IntegrityError            bytes are not those that the service announced
+├── UnreachableError          the service cannot be reached, or the connection broke
+├── JobEndedError             a job did not succeed; `job` is the job, its `error` the reason
+├── WaitTimeoutError          a job did not end in time
+└── IntegrityError            bytes differ from those that the service announced
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ from dynamictree_client.models import Job, Problem
 
 
 class ClientError(Exception):
-    """Root of all."""
+    """Base class of the client's exceptions."""
 
 
 class ProblemError(ClientError):
@@ -36,12 +36,12 @@ class ProblemError(ClientError):
 
     @property
     def code(self) -> str:
-        """What went wrong, in a word, as `not-found`."""
+        """Return the problem's code, such as `not-found`."""
         return self.problem.code
 
     @property
     def retry_after_s(self) -> float | None:
-        """When the service would like to be asked again [s]."""
+        """Return the time after which the service asks for a retry [s]."""
         from dynamictree_client.retries import retry_after_s
 
         return retry_after_s(self.response)
@@ -52,23 +52,23 @@ class InvalidRequestError(ProblemError):
 
 
 class AccessError(ProblemError):
-    """The key is missing, wrong, or may not do this."""
+    """The key is missing, wrong or not permitted."""
 
 
 class NotFoundError(ProblemError):
-    """There is no such thing."""
+    """The resource does not exist."""
 
 
 class ConflictError(ProblemError):
-    """The state forbids it."""
+    """The state of the resource forbids the operation."""
 
 
 class GoneError(ProblemError):
-    """It was there, and is no more."""
+    """The resource has expired or was deleted."""
 
 
 class TooBusyError(ProblemError):
-    """Try again later."""
+    """The service is busy; try again later."""
 
 
 class ServiceFaultError(ProblemError):
@@ -76,7 +76,7 @@ class ServiceFaultError(ProblemError):
 
 
 class UnreachableError(ClientError):
-    """The service cannot be reached, or the line broke."""
+    """The service cannot be reached, or the connection broke."""
 
 
 class JobEndedError(ClientError):
@@ -89,11 +89,11 @@ class JobEndedError(ClientError):
 
 
 class WaitTimeoutError(ClientError):
-    """A job did not end in time; it goes on."""
+    """A job did not end in time; it continues on the service."""
 
 
 class IntegrityError(ClientError):
-    """Bytes are not those that the service announced."""
+    """Bytes differ from those that the service announced."""
 
 
 _BY_STATUS: dict[int, type[ProblemError]] = {
@@ -111,7 +111,7 @@ _BY_STATUS: dict[int, type[ProblemError]] = {
 
 
 def problem_of(response: httpx.Response) -> ProblemError:
-    """The exception that a response tells; a proxy's page becomes a problem of its own."""
+    """Return the exception for a response; a proxy's error page becomes a problem too."""
     status = response.status_code
     kind = _BY_STATUS.get(status, ServiceFaultError if status >= 500 else InvalidRequestError)
     if response.headers.get("content-type", "").startswith("application/problem+json"):

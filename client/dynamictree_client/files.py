@@ -1,4 +1,4 @@
-"""Uploading and downloading files."""
+"""Helpers for uploads and downloads of files."""
 
 import base64
 import hashlib
@@ -12,15 +12,15 @@ from dynamictree_client.models import Artifact
 
 PathLike = str | Path
 TUS = {"Tus-Resumable": "1.0.0"}
-PIECE = 8 * 1024 * 1024  # bytes sent at once; what a broken line costs
-OUT_OF_STEP = (409, 460)  # tus: another offset is expected; the sha256 of the whole file is another
+PIECE = 8 * 1024 * 1024  # bytes per request; a broken connection loses at most these
+OUT_OF_STEP = (409, 460)  # tus: the service expects another offset; the sha256 of the whole file differs
 
 
 def chosen_files(paths: PathLike | Sequence[PathLike]) -> list[Path]:
-    """The files to send: those named, and all of a folder that is named.
+    """Return the files to send: the named ones, and all files of named folders.
 
     Raises:
-        ClientError: there are none.
+        ClientError: there are no files.
     """
     named = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     chosen = [file for path in named for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
@@ -31,7 +31,7 @@ def chosen_files(paths: PathLike | Sequence[PathLike]) -> list[Path]:
 
 
 def form_of(files: Sequence[Path], fields: dict[str, str], stack: ExitStack) -> dict[str, object]:
-    """A multipart form as httpx takes it; the stack closes the files."""
+    """Return a multipart form as arguments for httpx; the stack closes the files."""
     opened: list[tuple[str, tuple[str, BinaryIO]]] = [
         ("file", (file.name, stack.enter_context(file.open("rb")))) for file in files
     ]
@@ -39,7 +39,7 @@ def form_of(files: Sequence[Path], fields: dict[str, str], stack: ExitStack) -> 
 
 
 def upload_headers(path: Path) -> dict[str, str]:
-    """Headers that create an upload (tus 1.0), with the file's sha256, which the service checks at the end."""
+    """Return headers that create an upload (tus 1.0), with the file's sha256, which the service verifies at the end."""
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
     metadata = f"filename {_base64(path.name.encode())},sha256 {_base64(digest.encode())}"
@@ -47,7 +47,7 @@ def upload_headers(path: Path) -> dict[str, str]:
 
 
 def piece_headers(offset: int) -> dict[str, str]:
-    """Headers of one piece of an upload (tus 1.0)."""
+    """Return the headers of one piece of an upload (tus 1.0)."""
     return {**TUS, "Content-Type": "application/offset+octet-stream", "Upload-Offset": str(offset)}
 
 
@@ -56,10 +56,10 @@ def _base64(content: bytes) -> str:
 
 
 def place_of(artifact: Artifact, folder: Path) -> Path:
-    """Path of a downloaded file of that name.
+    """Return the path for an artifact's download.
 
     Raises:
-        IntegrityError: the name leads elsewhere.
+        IntegrityError: the name leads outside of the folder.
     """
     name = artifact.name
     if name in ("", ".", "..") or PurePosixPath(name).name != name or PureWindowsPath(name).name != name:
@@ -68,7 +68,7 @@ def place_of(artifact: Artifact, folder: Path) -> Path:
 
 
 def bytes_there(part: Path, artifact: Artifact) -> int:
-    """Size of an interrupted download; excess bytes are removed."""
+    """Return the size of an interrupted download; delete one that is too large."""
     size = part.stat().st_size if part.exists() else 0
     if size > artifact.bytes:
         part.unlink()
@@ -80,7 +80,7 @@ def finish(part: Path, artifact: Artifact, path: Path) -> Path:
     """Rename a complete download to its final name.
 
     Raises:
-        IntegrityError: its bytes are not those that the service announced; they are thrown away.
+        IntegrityError: its bytes differ from those that the service announced; they are deleted.
     """
     with part.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()

@@ -193,7 +193,7 @@ def make_server(url: str, folder: Path, *, api_key: str | None = None) -> MCPSer
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """Errors of the client as errors of the tool: the model reads the message and may do better."""
+    """Context manager that turns errors of the client into tool errors, whose message the model reads."""
     try:
         yield
     except (ClientError, OSError) as error:

@@ -1,4 +1,4 @@
-"""What requests and answers hold. Made by client/generate.py; do not edit."""
+"""Models of requests and responses. Made by client/generate.py; do not edit."""
 
 from datetime import datetime
 from typing import Any, Literal

@@ -1,4 +1,4 @@
-"""A function an operation: what is sent, and what comes back. Made by client/generate.py; do not edit."""
+"""One function per operation: its request, and the type of its response. Made by client/generate.py; do not edit."""
 
 from datetime import datetime
 from typing import Any, Literal

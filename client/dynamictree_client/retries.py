@@ -8,21 +8,21 @@ from email.utils import parsedate_to_datetime
 
 import httpx
 
-_NOT_DONE = (429, 503)  # refused before anything was done, so that any request may come again
-_UNKNOWN = (408, 500, 502, 504)  # something may have been done
+_NOT_DONE = (429, 503)  # refused before any effect, so any request may be repeated
+_UNKNOWN = (408, 500, 502, 504)  # the request may have had an effect
 
 
 @dataclass(frozen=True, kw_only=True)
 class Retries:
-    """At most `attempts` in all. Without a Retry-After the wait doubles from `first_wait_s`, half of it by chance."""
+    """At most `attempts` in total. Without a Retry-After the wait doubles from `first_wait_s`, with random jitter."""
 
     attempts: int = 5
     first_wait_s: float = 0.5
-    longest_wait_s: float = 60.0  # a Retry-After above it is not waited for
+    longest_wait_s: float = 60.0  # a longer Retry-After is not waited for
     draw: Callable[[], float] = random.random
 
     def wait_s(self, attempt: int, outcome: httpx.Response | httpx.TransportError, *, repeatable: bool) -> float | None:
-        """Seconds to wait after the attempt of that number (from 1); None: it stays as it is."""
+        """Return the time to wait after an attempt, counted from 1 [s]; None means no further attempt."""
         if attempt >= self.attempts:
             return None
         backoff: float = min(self.first_wait_s * 2 ** (attempt - 1), self.longest_wait_s) * (0.5 + 0.5 * self.draw())
@@ -39,7 +39,7 @@ class Retries:
 
 
 def retry_after_s(response: httpx.Response) -> float | None:
-    """What the Retry-After header asks for, in either of its forms; None where there is none that can be read."""
+    """Parse the Retry-After header in either form [s]; None if it is missing or invalid."""
     header: str = response.headers.get("retry-after", "").strip()
     if header.isdecimal():
         return float(header)
