@@ -1,4 +1,4 @@
-"""Small ablation of the paper's losses: L_DM alone, with L_LSS throughout, and in two stages; with and without sizes.
+"""Small ablation of the paper's losses: L_DM alone, with L_LSS throughout or in two stages; frequencies scaled or not.
 
 The paper's network with 24 channels instead of 128 and three levels instead of four, spectra at 16³ instead of 128³,
 1,200 steps of batch 16 on small trees: enough to show the direction of an effect, not its size. Measured on DDIM

@@ -1,6 +1,6 @@
 """Reach of a poke, and stretch under a large push, on generated trees.
 
-Measured: the share of kinetic energy outside of the poked stem, its children and its ancestors, with and without
+Measured: the share of kinetic energy outside of the poked stem, its descendants and ancestors, with and without
 locality; the 99th percentile of edge stretch if the top is pulled aside by 20 % of the height, with plain modes and
 bent; and the motion of parts that neither carry the grip nor hang on it, for pulls of branches ten times as long.
 """

@@ -25,7 +25,7 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
     """Claim an attempt by compare-and-set, if it is still due and unclaimed."""
     now = store.clock()
     with store.writing() as connection:
-        free = t.jobs.c.lease_owner.is_(None) | (t.jobs.c.lease_owner == owner)  # owner: its first answer was lost
+        free = t.jobs.c.lease_owner.is_(None) | (t.jobs.c.lease_owner == owner)  # claimed by us: the answer was lost
         waiting = (
             (t.jobs.c.id == job_id)
             & (t.jobs.c.attempt == attempt)

@@ -21,7 +21,7 @@ WORKER_LEASES = "worker:"
 """Prefix of the name of every worker's lease."""
 
 REROUTE_S = 60.0
-"""Time that a job waits for a worker of its own queue before the other queue may take it [s]: workers restart."""
+"""Time that a job waits for a worker of its own queue before the other queue may take it [s]; workers may restart."""
 
 HOUSEKEEPER_LEASE = "housekeeper"
 

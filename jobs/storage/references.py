@@ -9,7 +9,7 @@ from jobs.database import tables as t
 from jobs.store import Store
 
 BLOB_GRACE_S = 3600.0
-"""Age of unreferenced bytes before deletion [s]: they are stored before their row, never an hour before."""
+"""Age at which unreferenced bytes are deleted [s]; the row that refers to them is written much sooner."""
 
 
 def referenced(connection: sa.Connection, now: float) -> list[str]:

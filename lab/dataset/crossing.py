@@ -68,7 +68,7 @@ def crossed_species(rng: np.random.Generator) -> Species:
 
 
 def _clumped(frame: Species, rng: np.random.Generator) -> Species:
-    """Create a low-poly tree: a trunk, few or no branches, and closed clumps of foliage."""
+    """Create a low-poly tree: a trunk, some branches or none, and closed clumps of foliage."""
     levels = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))]
     count = _between(CLUMPS, rng)
     if count >= 1:

@@ -49,7 +49,7 @@ def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng
     axis = unit(along * np.cos(down)[:, None] + side * np.sin(down)[:, None])
     axis = unit(axis + foliage.droop * rng.uniform(0.5, 1.5, (len(row), 1)) * DOWN)
     length = foliage.size * height_m * rng.uniform(0.7, 1.3, len(row))
-    axis[:, 2] = np.where(low[:, 2] + 1.2 * length * axis[:, 2] < 0, np.abs(axis[:, 2]), axis[:, 2])  # not below 0
+    axis[:, 2] = np.where(low[:, 2] + 1.2 * length * axis[:, 2] < 0, np.abs(axis[:, 2]), axis[:, 2])  # keeps z >= 0
     flat = across(axis)  # horizontal, so that the card faces up
     normal = turned(np.cross(axis, flat).astype(np.float32), axis, rng.normal(0, 0.5, len(row)).astype(np.float32))
     if foliage.kind == "frond":
