@@ -1,4 +1,4 @@
-"""Names of the direction that is up in a file: an axis, such as `-Y`, or a direction such as `0.17,-0.97,0.17`."""
+"""Names of a file's up axis: an axis such as `-Y`, or a direction such as `0.17,-0.97,0.17`."""
 
 import math
 import re
@@ -15,12 +15,12 @@ Direction = tuple[float, float, float]
 
 
 def direction_of(name: str) -> Direction:
-    """The unit vector of an axis or direction.
+    """Return the unit vector of a named axis or direction.
 
     Raises:
-        InputError: the name is none, or a direction without length.
+        InputError: the name is no axis and no direction, or the direction has no length.
     """
-    shortest = 1e-3  # of a direction that says something
+    shortest = 1e-3  # length of the shortest direction that is accepted
     if not re.fullmatch(UP_AXIS_PATTERN, name):
         raise InputError(f"up_axis is {name[:80]!r}; choose from {', '.join(AXES)}, or a direction as 0.17,-0.97,0.17")
     if name in AXES:
@@ -35,8 +35,8 @@ def direction_of(name: str) -> Direction:
 
 
 def name_of(direction: Sequence[float]) -> str:
-    """The name of a direction of any length; `direction_of` undoes it to a hundredth of a degree."""
-    digits = 4  # of a unit vector's coordinates: a hundredth of a degree
+    """Return the name of a direction of any length, exact to 0.01°; `direction_of` is the inverse."""
+    digits = 4  # decimals of a unit vector's coordinates, exact to 0.01°
     length = math.hypot(*direction)
     unit = tuple(round(number / length, digits) + 0.0 for number in direction)  # no minus zero
     axis = next((name for name in AXES if direction_of(name) == unit), None)

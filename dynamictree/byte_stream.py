@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 from dynamictree.errors import FormatError
 
 CHUNK_BYTES = 1 << 20
-"""Asked for at a time: an open file allocates all that it is asked for, however short it is."""
+"""Largest size of one read: `read(n)` of an open file allocates n bytes, even if the file is shorter."""
 
 
 @runtime_checkable

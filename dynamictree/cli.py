@@ -1,6 +1,6 @@
 """The command line `dynamictree`: every command by name, imported only when it is called.
 
-Those of other packages (`serve`, `train`, …) come from the entry-point group `dynamictree.commands`.
+Commands of other packages (`serve`, `train`, …) come from the entry-point group `dynamictree.commands`.
 """
 
 import importlib

@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-LINEAR_END = 0.0031308  # of linear light, below which the curve is a line
-STILL_SHARE = 0.5  # of its luminance what stands still is drawn with, in grey: white sand would outshine the plant
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue, BT.709
+LINEAR_END = 0.0031308  # linear light below which the curve is a line
+STILL_SHARE = 0.5  # grey of still parts over their luminance; at 1, white sand would outshine the plant
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, BT.709
 
 
 def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -18,7 +18,7 @@ def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*s
 
 def srgb_to_linear(display: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Decode display values to linear light; undoes `linear_to_srgb`."""
-    display_end = 0.04045  # the same place as a display value
+    display_end = 0.04045  # `LINEAR_END` as a display value
     curved = ((display + 0.055) / 1.055) ** 2.4
     return np.where(display <= display_end, display / 12.92, curved).astype(display.dtype)
 
@@ -30,9 +30,9 @@ def linear_from_bytes(srgb: UInt8[np.ndarray, "*shape"]) -> Float32[np.ndarray, 
 
 
 def greyed(rgb: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
-    """Take the colour out of what stands still, so that it differs from the plant: its luminance in all channels.
+    """Replace colours by their luminance in all channels, which sets still parts apart from the plant.
 
-    It is linear, so that a product of greyed factors is grey, and coefficients of harmonics can be given as well.
+    A product of grey factors is grey. The mapping is linear, so it also applies to coefficients of spherical harmonics.
     """
     grey: Float32[np.ndarray, "*shape 1"] = (rgb @ np.array(LUMINANCE, np.float32))[..., None]
     return np.broadcast_to(grey, rgb.shape).copy()

@@ -1,14 +1,14 @@
 """Exceptions that the library raises on purpose.
 
     DynamicTreeError
-    ├── InputError              what was given cannot be used
+    ├── InputError              an input cannot be used
     │   ├── MeshError           the geometry: empty, not finite, flat, too large
     │   └── FormatError         the file: not the format, truncated, refers outside itself
     ├── CheckpointError         a model file that does not fit the code
     ├── NumericsError           a result that is not finite or not stable
     │   └── UnstableTimestep    an integrator's step is too long; `max_dt_s` is the longest
     ├── ReconstructionError     photos from which no shape can be made
-    ├── CameraSearchError       the program that looks for cameras ended by itself
+    ├── CameraSearchError       the external program that finds cameras crashed
     └── Cancelled               the caller asked to stop
 
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says
@@ -61,7 +61,7 @@ class UnstableTimestep(NumericsError):
 
     def __init__(self, message: str, *, max_dt_s: float) -> None:
         super().__init__(message)
-        self.max_dt_s = max_dt_s  # the longest stable step [s]; 0 where none is
+        self.max_dt_s = max_dt_s  # the longest stable step [s]; 0 if no step is stable
 
 
 class ReconstructionError(DynamicTreeError):
@@ -71,7 +71,7 @@ class ReconstructionError(DynamicTreeError):
 
 
 class CameraSearchError(DynamicTreeError):
-    """The program that looks for cameras ended by itself: it, not the photos, is at fault."""
+    """A crash of the external program that finds cameras: the program, not the photos, is at fault."""
 
     code = "camera-search-failed"
 

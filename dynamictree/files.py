@@ -12,12 +12,12 @@ from typing import BinaryIO
 from dynamictree.errors import InputError
 
 _PARTIAL = ".partial-"
-"""Of folders that a process writes in; its number follows."""
+"""Prefix of temporary folders; the id of their process follows."""
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file; an error says what is wrong with the path.
+    """Open a file for reading; the error of a failure names what is wrong with the path.
 
     Raises:
         InputError: it cannot be read.
@@ -34,7 +34,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def published(folder: Path) -> Iterator[Path]:
-    """A folder to write in whose files appear in `folder` all at once at the end, or not at all.
+    """Yield a temporary folder, and move its files to `folder` at the end; after an error, move none.
 
     Raises:
         InputError: nothing can be written there, or there is no room.
@@ -61,7 +61,7 @@ def published(folder: Path) -> Iterator[Path]:
 
 
 def _delete_abandoned(folder: Path) -> None:
-    """Delete what processes wrote in a folder that were killed before they could delete it."""
+    """Delete the temporary folders of processes that were killed."""
     for path in folder.glob(f"{_PARTIAL}*-*"):
         pid = path.name.removeprefix(_PARTIAL).partition("-")[0]
         if pid.isdecimal() and os.name == "posix" and not _is_alive(int(pid)):
@@ -70,17 +70,17 @@ def _delete_abandoned(folder: Path) -> None:
 
 def _is_alive(pid: int) -> bool:
     try:
-        os.kill(pid, 0)  # sends nothing
+        os.kill(pid, 0)  # signal 0 only tests whether the process exists
     except ProcessLookupError:
         return False
     except OSError:
-        return True  # someone else's
+        return True  # the process of another user
     return True
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Write a file that takes the place of `path` once it is complete; a crash or a full disk leaves the old one."""
+    """Yield a stream whose content replaces `path` once it is complete; a crash or full disk leaves the old file."""
     partial = path.with_name(f"{path.name}.part")
     try:
         with partial.open("wb") as stream:

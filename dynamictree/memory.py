@@ -1,4 +1,4 @@
-"""Memory that a process has freed, back to the system."""
+"""Return of freed memory to the operating system."""
 
 import ctypes
 from contextlib import suppress

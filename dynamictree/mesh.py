@@ -18,25 +18,25 @@ MAX_VERTICES = 2_000_000
 MAX_FACES = 4_000_000
 MAX_EXTENT_RATIO = 1e6
 MAX_MATERIALS = 10_000
-"""Caps on a mesh that is read from outside: what two cores voxelise in seconds, float32 still resolves, and a reader
-holds in memory (100,000 materials took 3 GiB; a mesh of one tree has up to some hundreds)."""
+"""Limits of meshes that are read: two cores voxelise them in seconds, float32 resolves them, and a reader has enough
+memory (100,000 materials took 3 GiB; a mesh of one tree has up to some hundreds)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """What a face looks like, as far as glTF's metallic-roughness base colour tells it."""
+    """Material of faces: the base colour of glTF's metallic-roughness model."""
 
     name: str = ""
     base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)  # linear RGBA in [0, 1]
     texture_png: bytes | None = None  # sRGB image that multiplies base_color, or None
-    alpha_cutoff: float | None = None  # faces are cut out where alpha is below; None is opaque
+    alpha_cutoff: float | None = None  # alpha below which a face is cut out; None is opaque
     double_sided: bool = True
-    blended: bool = False  # files that are written mix the face with what is behind it instead of cutting it out
+    blended: bool = False  # written files use alpha blending in place of the cutoff
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourceWarning:
-    """What a reader had to leave out or to assume; `code` is for programs, docs/formats.md lists them."""
+    """Warning of a reader that skipped or assumed something; docs/formats.md lists the codes."""
 
     code: str
     message: str
@@ -44,7 +44,7 @@ class SourceWarning:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceGltf:
-    """The glTF document that a mesh was read from: a writer attaches a motion to it and leaves all else as it is."""
+    """glTF document that a mesh was read from; a writer adds the motion to it and changes nothing else."""
 
     document: bytes  # JSON; its one buffer is `binary`
     binary: tuple[bytes, ...]
@@ -53,7 +53,7 @@ class SourceGltf:
 
 @dataclass(frozen=True, kw_only=True)
 class StillPart:
-    """Something that was detected to be no plant and stands still, and why."""
+    """Part that stands still because it was detected as no plant, and the reason."""
 
     name: str
     why: str
@@ -61,13 +61,13 @@ class StillPart:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshLook:
-    """How a surface is drawn: texture coordinates, colours, materials and shading normals; None where it has none."""
+    """Appearance of a surface: texture coordinates, colours, materials and shading normals; None where absent."""
 
     uv: Float32[np.ndarray, "N 2"] | None = None  # texture coordinates, v downward as in glTF
     vertex_colors: UInt8[np.ndarray, "N 4"] | None = None  # sRGB and alpha
     face_material: Int32[np.ndarray, " F"] | None = None  # index into materials
     materials: tuple[Material, ...] = ()
-    normals: Float32[np.ndarray, "N 3"] | None = None  # the source's own, of unit length; 0 where it has none
+    normals: Float32[np.ndarray, "N 3"] | None = None  # unit normals of the source; 0 where it has none
 
     def of(self, vertices: Int[np.ndarray, " n"], faces: Bool[np.ndarray, " F"]) -> "MeshLook":
         """The look of the selected vertices and faces."""
@@ -82,21 +82,21 @@ class MeshLook:
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """Parts of a mesh by the names of its file, and those that were detected to be no plant."""
+    """Named parts of a mesh, and those that were detected as no plant."""
 
-    names: tuple[str, ...] = ()  # of nodes or groups, with those above them: "Pot/Cylinder"
+    names: tuple[str, ...] = ()  # paths of nodes or groups: "Pot/Cylinder"
     of_face: Int32[np.ndarray, " F"] | None = None  # index into names
     still: tuple[StillPart, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """The geometry of a mesh, and what of it may move: all that voxels, motion and binding need to know."""
+    """Geometry of a mesh and the faces that may move: the input of voxels, motion and binding."""
 
     vertices: Float32[np.ndarray, "N 3"]  # rest positions [m]
     faces: Int32[np.ndarray, "F 3"]
-    still_faces: Bool[np.ndarray, " F"] | None = None  # of what is no plant, such as a pot; None if all may move
-    face_tree: Int32[np.ndarray, " F"] | None = None  # of several trees the one, from 0; -1 for still faces
+    still_faces: Bool[np.ndarray, " F"] | None = None  # faces of no plant, such as a pot; None if all may move
+    face_tree: Int32[np.ndarray, " F"] | None = None  # index of the face's tree; -1 for still faces
 
     @property
     def moving_part(self) -> "Surface":
@@ -109,7 +109,7 @@ class Surface:
 
     @property
     def still_vertices(self) -> Bool[np.ndarray, " N"]:
-        """Which vertices are of still faces and of no others."""
+        """Mask of the vertices that only still faces use."""
         still = np.zeros(self.num_vertices, np.bool_)
         if self.still_faces is not None:
             still[self.faces[self.still_faces]] = True
@@ -118,12 +118,12 @@ class Surface:
 
     @property
     def num_vertices(self) -> int:
-        """N."""
+        """Number of vertices, N."""
         return len(self.vertices)
 
     @property
     def num_faces(self) -> int:
-        """F."""
+        """Number of faces, F."""
         return len(self.faces)
 
     @property
@@ -139,13 +139,13 @@ class Surface:
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleMesh(Surface):
-    """A surface with its look and how it was read. Vertex order is the source's; displacement files follow it."""
+    """Surface with its look and source. The vertex order is the source's; displacement files follow it."""
 
     look: MeshLook = MeshLook()
     parts: Parts = Parts()
     source: Source = METRES_Z_UP
     warnings: tuple[SourceWarning, ...] = ()
-    gltf: SourceGltf | None = None  # of glTF only, while its vertices are where the file has them
+    gltf: SourceGltf | None = None  # set for glTF as long as its vertices are where the file has them
 
     @property
     def moving_part(self) -> "TriangleMesh":
@@ -186,11 +186,11 @@ class TriangleMesh(Surface):
 
     @property
     def material_of_face(self) -> Int32[np.ndarray, " F"]:
-        """Number of the material of each face; 0 where the mesh has none."""
+        """Index of each face's material; 0 where the mesh has none."""
         return np.zeros(self.num_faces, np.int32) if self.look.face_material is None else self.look.face_material
 
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
-        """Give the same mesh with other positions, in the same order [m]."""
+        """Return the mesh with new positions, in the same order [m]."""
         return replace(self, vertices=vertices, look=replace(self.look, normals=None), gltf=None)
 
 
@@ -198,15 +198,15 @@ AnyMesh: TypeAlias = "TriangleMesh | trimesh.Trimesh | trimesh.Scene"
 
 
 def triangle_mesh(mesh: AnyMesh) -> TriangleMesh:
-    """The mesh itself, or what an object of trimesh holds."""
+    """Return the mesh, converted if it is an object of trimesh."""
     return mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh)
 
 
 def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
-    """Give the mesh back if the method can work on it.
+    """Return the mesh if the method can work on it.
 
     Raises:
-        MeshError: no faces, a value that is not finite, a face that names no vertex, no extent, too much of anything.
+        MeshError: no faces, non-finite positions, an index out of range, no extent, or a limit exceeded.
     """
     if mesh.num_faces == 0 or mesh.num_vertices < 3:
         counts = f"{mesh.num_vertices} vertices and {mesh.num_faces} faces"
@@ -249,9 +249,9 @@ def refuse_many_materials(count: int) -> None:
 
 
 def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Float64[np.ndarray, "N 3"]:
-    """Mean normal of the faces around each vertex, by area; not of unit length."""
+    """Sum the area-weighted normals of the faces around each vertex; not of unit length."""
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    crosses = np.cross(b - a, c - a)  # [F, 3], twice the area long
+    crosses = np.cross(b - a, c - a)  # [F, 3], the length is twice the area
     normals = np.zeros_like(vertices)
     for axis in range(3):
         for corner in range(3):
@@ -260,7 +260,7 @@ def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray
 
 
 def unit_vectors(vectors: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
-    """The same directions; 0 where a vector is 0 or not finite."""
+    """Normalize vectors; components that are not finite count as 0, and a zero vector stays 0."""
     sound = np.nan_to_num(vectors, nan=0.0, posinf=0.0, neginf=0.0)
     length = np.linalg.norm(sound, axis=1, keepdims=True)
     units: Float32[np.ndarray, "N 3"] = (sound / np.where(length > 0, length, 1)).astype(np.float32)
@@ -268,7 +268,7 @@ def unit_vectors(vectors: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"
 
 
 def edges_of(faces: Int32[np.ndarray, "F 3"]) -> Int32[np.ndarray, "E 2"]:
-    """Every edge once, lower vertex first, in ascending order."""
+    """Return every edge once, the lower vertex first, in ascending order."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])  # [3F, 2]
     pairs = np.sort(pairs, axis=1)
     keys = np.unique(pairs[:, 0].astype(np.int64) << 32 | pairs[:, 1])
@@ -276,10 +276,10 @@ def edges_of(faces: Int32[np.ndarray, "F 3"]) -> Int32[np.ndarray, "E 2"]:
 
 
 def weld(mesh: Surface) -> tuple[Surface, Int32[np.ndarray, " N"]]:
-    """Make vertices at exactly one place one vertex, as files split them at seams of texture or shading.
+    """Merge vertices at identical positions, which files split at seams of texture or shading.
 
     Returns:
-        The bare surface, in the order of the places, and the vertex in it of each of the mesh's own.
+        The bare surface, sorted by position, and the new index of each vertex of the mesh.
     """
     places, vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
     vertex = vertex.ravel().astype(np.int32)
@@ -287,7 +287,7 @@ def weld(mesh: Surface) -> tuple[Surface, Int32[np.ndarray, " N"]]:
 
 
 def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32[np.ndarray, " N"]:
-    """Number of the connected part that each vertex belongs to."""
+    """Label each vertex with the index of its connected component."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -308,7 +308,7 @@ def part_bounds(
 
 
 def _from_trimesh(source: "trimesh.Trimesh", placed: Float64[np.ndarray, "4 4"]) -> TriangleMesh:
-    """One mesh of a scene at its place; its texture or its colours come with it."""
+    """Convert one mesh of a scene, moved to its place, with its texture or colours."""
     vertices = (np.asarray(source.vertices) @ placed[:3, :3].T + placed[:3, 3]).astype(np.float32)
     faces = np.asarray(source.faces, np.int32)
     if np.linalg.det(placed[:3, :3]) < 0:
@@ -346,7 +346,7 @@ def _from_trimesh_material(source: "trimesh.visual.material.Material", *, textur
 
 
 def joined(parts: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Concatenate meshes; what has no texture coordinates gets zeros, no colour white, no material a white one."""
+    """Concatenate meshes; missing texture coordinates become 0, missing colours and materials white."""
     materials: list[Material] = []
     face_material, starts = list[Int32[np.ndarray, " F"]](), np.cumsum([0, *(part.num_vertices for part in parts)])
     for part in parts:

@@ -30,7 +30,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
 Devoxelization = Literal["rig", "paper"]
-"""From voxels to vertices: by bones that turn, or the nearest voxel's displacement."""
+"""How voxels move vertices: by bones that turn, or by the nearest voxel's displacement."""
 
 
 def animate(
@@ -43,7 +43,7 @@ def animate(
     flutter: float = 0.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
+    """Yield the positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
     mesh = triangle_mesh(mesh)
     spectrum = generate(voxelize(mesh), wind=wind, seed=seed, model=model)
     for displacement in move(spectrum, mesh, num_frames=num_frames, flutter=flutter, devoxelization=devoxelization):
@@ -53,7 +53,7 @@ def animate(
 def animate_splat(
     cloud: GaussianCloud, mesh: AnyMesh, spectrum: SparseVoxelSpectrum, *, num_frames: int | None = None
 ) -> Iterator[GaussianCloud]:
-    """Frames of a splat that moves with the mesh in it: the paper's output."""
+    """Yield frames of a splat that moves with its mesh: the paper's output."""
     mesh = triangle_mesh(mesh)
     binding = bind(cloud, mesh)
     yield from iter_splat_frames(binding, move(spectrum, mesh, num_frames=num_frames))
@@ -62,7 +62,7 @@ def animate_splat(
 def voxelize(mesh: AnyMesh, *, resolution: Resolution = 128, source_sha256: str = "") -> SurfaceVoxels:
     """Find the voxels that the surface occupies, with their normals. Paper section 3.3.
 
-    They record `source_sha256`, the hash of the mesh's file, and how that was read; so does what is generated of them.
+    Voxels, and spectra generated from them, record `source_sha256`, the hash of the mesh's file, and how it was read.
     """
     mesh = triangle_mesh(mesh)
     finest = stand_resolution(mesh, GridParams(resolution=resolution).resolution)
@@ -86,10 +86,10 @@ def generate(
 
     By default the pace follows the tree's height: periods of 4.17 s up to 7 m and 16.7 s from 22 m, and trees below 8 m
     are faster than the simulator's (a paper's model: 4.17 s, and no faster).
-    With `wind_bands` the model is asked for five winds as well: how strong each mode is there.
-    `foliage` is 0 for a bare tree and 1 for one in leaf; by default the shape tells it, but not that of a surface that
-    was made of a cloud (`of_cloud`).
-    `on_step` gets the sampler steps done and their total.
+    With `wind_bands` the model also generates five other winds, which give the strength of each mode there.
+    `foliage` is 0 for a bare tree and 1 for one in leaf; by default it is estimated from the shape, except for surfaces
+    made from a cloud (`of_cloud`).
+    `on_step` receives the number of completed sampler steps and their total.
     """
     from dynamictree.models import loaded_once
     from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
@@ -115,8 +115,8 @@ def devoxelize(
 ) -> Complex64[np.ndarray, "N K 3"]:
     """Give each vertex its spectrum [m]: Dev(·) of paper eq. 1.
 
-    With "rig" that of the bones' loop, whose frames `rig_of(mesh, spectrum)` gives without stretch; with "paper" that
-    of the nearest voxel, eq. 1 to the letter, where neighbours tear apart.
+    With "rig" it is the spectrum of the bones' loop; `rig_of(mesh, spectrum)` gives its frames without stretch. With
+    "paper" it is that of the nearest voxel, literally eq. 1, which tears neighbours apart.
     """
     mesh = triangle_mesh(mesh)
     if how == "rig":
@@ -135,7 +135,7 @@ def move(
     flutter: float = 0.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Displacement of each vertex over one loop, frame by frame [m], as every product has it.
+    """Yield the displacement of each vertex, frame by frame over one loop [m], the same as in every written file.
 
     `num_frames` are spread over the loop; by default there is one every 1/24 s. `flutter` is how far leaves turn above
     the spectrum's frequencies: 0 not at all, 1 as in nature. With "paper" the nearest voxels' displacements are added.

@@ -72,9 +72,9 @@ def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -
 
 
 def on_cores(call: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Results of `call` for each item, in order, on all cores; kernels in a call stay on its thread.
+    """Map `call` over items on all cores, in order; kernels within a call stay on its thread.
 
-    So many small pictures cost no threads of their own: four kernels each, in twelve bands, would.
+    Many small pictures would otherwise start threads for four kernels each, in twelve bands.
     """
 
     def take_calls() -> None:
@@ -85,7 +85,7 @@ def on_cores(call: Callable[[Item], Result], items: Iterable[Item]) -> list[Resu
 
 
 def single_thread() -> AbstractContextManager[object]:
-    """Context in which BLAS runs on the calling thread: sums in one order on any machine."""
+    """Limit BLAS to one thread within a context, so that sums have the same order on any machine."""
     context: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
     return context
 

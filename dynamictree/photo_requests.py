@@ -9,9 +9,9 @@ from pydantic.config import JsonDict
 from dynamictree.request_model import Box, Finite, Request, Share
 
 MIN_PHOTOS, MAX_PHOTOS = 8, 300
-"""Of one reconstruction."""
+"""Numbers of photos that one reconstruction accepts."""
 PHOTOS_OF_VIDEO = 40
-"""Of a walk of 360°, one per 9°: neighbours match, and two cores match all pairs in minutes."""
+"""Default number of frames of a film: one per 9° of a circle, so that neighbours match; all pairs take minutes."""
 
 
 Quality = Literal["draft", "standard", "high"]
@@ -19,14 +19,14 @@ Quality = Literal["draft", "standard", "high"]
 
 @dataclass(frozen=True, kw_only=True)
 class QualityLimits:
-    """What a reconstruction uses of its photos, and how large its splat may become."""
+    """Limits by quality: how much of the photos is used, and how large the splat may become."""
 
     photo_px: int  # long side to which photos are reduced before features are sought
     splat_px: int  # long side of the pictures that the splat is learned from
     max_gaussians: int
-    sh_degree: int  # of the splat's colours
+    sh_degree: int  # degree of the colours' spherical harmonics
     max_views: int  # photos that depths and splat are made of, evenly chosen; cameras are found for all
-    num_steps: int  # of training, unless `splat_steps` says otherwise
+    num_steps: int  # training steps where `splat_steps` is unset
 
 
 QUALITIES: dict[Quality, QualityLimits] = {
@@ -40,7 +40,7 @@ QUALITIES: dict[Quality, QualityLimits] = {
         photo_px=1600, splat_px=1600, max_gaussians=300_000, sh_degree=2, max_views=MAX_PHOTOS, num_steps=6000
     ),
 }
-"""Standard is what two cores learn in minutes (docs/decisions/reconstruct.md); high keeps what 1,600 pixels show."""
+"""`standard` trains in minutes on two cores (docs/decisions/reconstruct.md); `high` keeps details of 1,600 pixels."""
 
 
 class Scribble(Request):
@@ -137,5 +137,5 @@ class CutParams(PlantParams):
 
     @property
     def scales(self) -> bool:
-        """Whether a scale is asked for."""
+        """Whether the request sets a scale."""
         return self.height_m is not None or self.marker_m is not None

@@ -1,4 +1,4 @@
-"""What all request parameters have in common: unknown fields are refused, and errors name field and value."""
+"""Base classes of all request parameters: unknown fields are refused, and errors name field and value."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 from dynamictree.errors import InputError
 
 LARGEST = 1e6
-"""Of any component of a vector, mass or length in a request: far beyond a storm, far below what overflows."""
+"""Largest vector component, mass or length in a request: far beyond a storm, far below an overflow."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -26,7 +26,7 @@ def _make_strict(schema: Any) -> None:
     elif isinstance(schema, dict):
         for each in schema.values():
             _make_strict(each)
-        if schema.get("type") == "int" and not schema.get("strict"):  # the schema of a model in a model comes again
+        if schema.get("type") == "int" and not schema.get("strict"):  # a nested model's schema is visited twice
             strict = schema | {"strict": True}
             schema.clear()
             schema |= core_schema.no_info_before_validator_function(_whole, strict)
@@ -35,23 +35,23 @@ def _make_strict(schema: Any) -> None:
 
 
 def _whole(value: Any) -> Any:
-    """JSON has one kind of number: 3.0 is the integer 3, as JSON Schema says."""
+    """Convert a whole float to an integer: in JSON Schema, 3.0 is the integer 3."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 MAX_UNKNOWN = 20
-"""Unknown fields that are named one by one. An error for each of 90,000 in a body of 1 MB takes 6 s of a processor."""
+"""Most unknown fields that are reported one by one: errors for 90,000 fields, a body of 1 MB, take 6 s of CPU time."""
 
 
 class Bounded(BaseModel):
-    """Refuses at once what has far too many fields or items, which would each be reported.
+    """Model that refuses far too many fields or items at once, before each of them is reported.
 
-    A number is no text and no truth value: `"1"` and `true` are refused as numbers, `"yes"` and 1 as truth values.
+    Numbers and booleans are strict: `"1"` and `true` are refused as numbers, `"yes"` and 1 as booleans.
     """
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """The schema of pydantic, strict in numbers and truth values."""
+        """Return pydantic's schema, made strict for numbers and booleans."""
         schema = handler(source)
         _make_strict(handler.resolve_ref_schema(schema))
         return schema
@@ -71,7 +71,7 @@ class Bounded(BaseModel):
 
 @cache
 def _longest(model: type[BaseModel]) -> dict[str, int]:
-    """Largest number of items of each field that declares one."""
+    """Return the largest number of items of each field that declares one."""
     longest = {}
     for name, field in model.model_fields.items():
         inner = [each for choice in get_args(field.annotation) for each in getattr(choice, "__metadata__", ())]
@@ -88,12 +88,12 @@ class Request(Bounded):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def __init__(self, **values: Any) -> None:
-        try:  # from Python any number will do, numpy's too
+        try:  # not strict: callers in Python may pass any number, such as numpy's
             self.__pydantic_validator__.validate_python(values, self_instance=self, strict=False)
         except ValidationError as error:
             raise InputError(explanation(error)) from None
 
-    # tells pydantic that HTTP bodies and nested models, whose errors need their place, do not pass through __init__
+    # pydantic then builds HTTP bodies and nested models without __init__, so that their errors keep their location
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @classmethod

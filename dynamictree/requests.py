@@ -1,7 +1,7 @@
 """All request parameters with range, default, unit and meaning; those of photos are in `photo_requests`.
 
 The options of the command line, the bodies of HTTP requests and the cache keys of the worker are built from these
-models, so a new parameter is added in one of both and nowhere else. They need pydantic alone.
+models, so a new parameter is added in one of the two modules and nowhere else. They need only pydantic.
 """
 
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from dynamictree.photo_requests import PhotoParams
 from dynamictree.request_model import LARGEST, Box, Finite, Request
 
 MAX_FRAMES = 1_000
-"""Of one loop, as 16.7 s at 60 fps, or of a turbulent motion in a format that is written at once."""
+"""Most frames of one loop (16.7 s at 60 fps), or of a turbulent motion in a format that is written at once."""
 PAPER_PERIOD_S = 100 / 24
-"""Of the paper's loop [s]."""
+"""Length of the paper's loop [s]."""
 MAX_TURBULENT_FRAMES = 14_400
-"""Of a turbulent motion in a format that is written frame by frame: ten minutes at 24 fps."""
+"""Most frames of a turbulent motion in a format that is written frame by frame: ten minutes at 24 fps."""
 MAX_TURBULENT_FILM_FRAMES = 3_600
-"""Of a turbulent motion as a film, whose frames are drawn: two and a half minutes at 24 fps."""
+"""Most frames of a turbulent motion as a film, where each is rendered: two and a half minutes at 24 fps."""
 TURBULENT_S = 10.0
-"""Duration of a turbulent motion where no number of frames is asked for [s]."""
+"""Duration of a turbulent motion where the number of frames is unset [s]."""
 MAX_FIRST_FRAME = 10_000_000
 MAX_SEED = 2**53 - 1
 """The largest integer that every JSON reader represents exactly."""
@@ -37,7 +37,7 @@ _SplatFormat = Literal["splat-ply", "splat", "html-splat", "usd-splat"]
 Format = Literal[_GltfFormat, _MeshFormat, _SplatFormat, "png", "webp", "mp4"]
 MESH_FORMATS: tuple[Format, ...] = ("ply", "glb", "png")
 CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
-"""What is written where a request names no formats: of a mesh or photos, and of a splat or scan."""
+"""Default formats: of a mesh or photos, and of a splat or scan."""
 Integrator = Literal["exact", "symplectic-euler", "explicit-euler"]
 WindMode = Literal["loop", "turbulent"]
 TURBULENT_FRAMES: dict[Format, int] = {
@@ -52,7 +52,7 @@ TURBULENT_FRAMES: dict[Format, int] = {
     "alembic": MAX_FRAMES,
     "vat": MAX_FRAMES,
 }
-"""The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""
+"""Most frames of a turbulent motion by format; formats that are not listed store only one period."""
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
@@ -285,7 +285,7 @@ class ExportParams(Request):
 
     @property
     def wanted_period_s(self) -> float | None:
-        """Period that a number of frames was counted for: the paper's; None where the tree's height may choose [s]."""
+        """The paper's period if `num_frames` is set for a loop; None where the tree's height decides [s]."""
         return PAPER_PERIOD_S if self.wind_mode == "loop" and self.loop and self.num_frames is not None else None
 
     def period_frames(self, period_s: float) -> float:
@@ -314,10 +314,10 @@ class ExportParams(Request):
         return count
 
     def chosen_formats(self, *, cloud: bool) -> tuple[Format, ...]:
-        """Formats to write, of a mesh or of a cloud; those by default where none are named.
+        """Return the formats to write of a mesh or a cloud; the defaults where none are named.
 
         Raises:
-            InputError: a format cannot hold a turbulent motion, or not so many frames of it.
+            InputError: a format cannot store a turbulent motion, or not so many frames of it.
         """
         usual = CLOUD_FORMATS if cloud else MESH_FORMATS
         if self.wind_mode == "loop":
@@ -357,12 +357,12 @@ class AnimateParams(ExportParams, DiffuseParams):
 
 
 def _is_whole(periods: float) -> bool:
-    """Whether these are periods without a rest, at least one."""
+    """Whether this is a whole number of periods, at least one."""
     return round(periods) >= 1 and abs(periods - round(periods)) < 1e-6
 
 
 def _nearest_loops(count: int, period_frames: float, most: int) -> str:
-    """Advice with the numbers of frames up to `most` that make a loop, next to `count`."""
+    """Return advice with the numbers of frames next to `count`, up to `most`, that make a loop."""
     loops = [count for count in range(1, most + 1) if _is_whole(count / period_frames)]
     if not loops:
         return (

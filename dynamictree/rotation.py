@@ -19,7 +19,7 @@ def matrix_quaternions(rotations: Float[np.ndarray, "G 3 3"]) -> Float[np.ndarra
 
 
 def quaternion_products(left: Float[np.ndarray, "#G 4"], right: Float[np.ndarray, "#G 4"]) -> Float[np.ndarray, "#G 4"]:
-    """Turn by `right`, then by `left`."""
+    """Multiply quaternions: the product rotates by `right`, then by `left`."""
     w1, x1, y1, z1 = left.T
     w2, x2, y2, z2 = right.T
     return np.stack(
@@ -34,7 +34,7 @@ def quaternion_products(left: Float[np.ndarray, "#G 4"], right: Float[np.ndarray
 
 
 def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
-    """Scale to length one.
+    """Normalize quaternions to unit length.
 
     Raises:
         InputError: a quaternion of length zero, which is no rotation.
@@ -50,9 +50,9 @@ def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndar
 
 
 def polar_rotations(gradients: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3 3"]:
-    """R of the polar decomposition F = R S: the rotation nearest to a deformation gradient, never a mirror."""
+    """Return R of the polar decomposition F = R S: the rotation nearest to a deformation gradient, no reflection."""
     u, _, vt = np.linalg.svd(gradients)
     mirrored = np.linalg.det(u @ vt) < 0
-    u[mirrored, :, 2] *= -1  # the least stretched axis turns round
+    u[mirrored, :, 2] *= -1  # flip the least stretched axis
     result: Float[np.ndarray, "F 3 3"] = u @ vt
     return result

@@ -1,21 +1,21 @@
-"""What a shape was read from, and how: the files that are made of it record this."""
+"""Source of a shape: its file and how that was read, which all derived files record."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """A file of a tree's shape, and how its axes and units became metres and +Z up."""
+    """File of a tree's shape, and its conversion to metres and +Z up."""
 
-    sha256: str = ""  # of the file's bytes; empty where it is not known
-    up_axis: str = ""  # of the file, such as "+Y"; empty where nothing is known of axes and units; see `up_axis.py`
-    up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was found from the shape
-    scale: float = 1.0  # metres in a unit of the file
+    sha256: str = ""  # hash of the file's bytes; empty if unknown
+    up_axis: str = ""  # axis of the file, such as "+Y"; empty if its axes and units are unknown; see `up_axis.py`
+    up_confidence: float = 1.0  # confidence in [0, 1]; below 1 the axis was detected from the shape
+    scale: float = 1.0  # metres per unit of the file
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
 
     @property
     def extras(self) -> dict[str, object]:
-        """What a file in metres says of where the source was."""
+        """Metadata for written files: the source's offset, if it has one."""
         return {"source_offset": list(self.offset)} if any(self.offset) else {}
 
 

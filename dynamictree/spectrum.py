@@ -1,4 +1,4 @@
-"""The sparse voxel spectrum: K frequencies of motion a voxel, and the way to motion and back. Paper section 3.2.
+"""Sparse voxel spectrum: K frequencies of motion per voxel, and conversion to and from motion. Paper section 3.2.
 
 A coefficient is a length in metres (`norm="forward"`). The displacement at frame n, time n / fps, is
 
@@ -21,30 +21,30 @@ from dynamictree.wind_bands import WindBands, power_law
 NUM_FREQUENCIES = 16  # K, paper section 3.2
 NUM_FRAMES = 100  # T, paper section 5
 FPS = 24.0  # Blender's default, in which the paper's dataset was baked
-STEPS = 32767  # of the largest of some numbers, which 16 bits hold
+STEPS = 32767  # largest value of quantized numbers in 16 bits
 _FRAMES_AT_ONCE, _VALUES_AT_ONCE = 16, 4_000_000
 
 UNKNOWN_FOLIAGE = 0.6
-"""Where neither a request nor the shape tells it: a damping ratio of 0.08, between bare trees and trees in leaf."""
+"""Foliage where neither request nor shape gives it: a damping ratio of 0.08, between bare trees and trees in leaf."""
 
 Rest = Literal["unloaded", "first-frame", "mean"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SparseVoxelSpectrum:
-    """One spectrum a voxel, in the order of `grid.coords`."""
+    """One spectrum per voxel, in the order of `grid.coords`."""
 
     grid: VoxelGrid
     coefficients: Complex64[np.ndarray, "V K 3"]  # [m]
-    tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
+    tree: Int32[np.ndarray, " V"] | None = None  # index of the voxel's tree; None if there is one
     fps: float = FPS
     num_frames: int = NUM_FRAMES
     rest: Rest = "unloaded"  # what zero displacement means; by default c_0 is the lean
     model: str = ""
     seed: int = 0
     wind: Wind | None = None
-    foliage: float | None = None  # of the tree: 0 is bare, 1 in leaf; None where the shape does not tell
-    bands: WindBands | None = None  # sizes of its modes in other winds, where the model was asked for them
+    foliage: float | None = None  # foliage of the tree: 0 is bare, 1 in leaf; None if unknown
+    bands: WindBands | None = None  # gains of its modes in other winds, if the model generated them
     source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
@@ -69,18 +69,18 @@ class SparseVoxelSpectrum:
 
     @property
     def num_frequencies(self) -> int:
-        """K."""
+        """Number of frequencies, K."""
         return int(self.coefficients.shape[1])
 
     @property
     def wind_bands(self) -> WindBands:
-        """Gains of its modes in other winds: the model's, or a power law where it was not asked for them."""
+        """Gains of the modes in other winds: the model's, or a power law where it generated none."""
         own = (self.wind or Wind()).speed_m_s
         return self.bands or power_law(own, self.num_frequencies)
 
     @property
     def num_bytes(self) -> int:
-        """What its arrays take in memory [bytes]."""
+        """Size of the arrays in memory [bytes]."""
         return self.coefficients.nbytes + self.grid.coords.nbytes
 
     @property
@@ -95,7 +95,7 @@ class SparseVoxelSpectrum:
 
 
 def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " K"]:
-    """w_k: how often a bin of the half spectrum stands in the whole one."""
+    """Return w_k: how often each bin of the half spectrum occurs in the full spectrum."""
     weights = np.full(num_frequencies, 2.0, np.float32)
     weights[0] = 1.0
     if num_frames % 2 == 0 and num_frequencies > num_frames // 2:
@@ -106,7 +106,7 @@ def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " 
 def in_steps(
     modes: Complex64[np.ndarray, "N M 3"],
 ) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
-    """Modes in 16 bits, and what a step of each is."""
+    """Quantize modes to 16 bits; return them and the step size of each."""
     parts = np.stack([modes.real, modes.imag], axis=-1)
     step = np.maximum(np.abs(parts).max(axis=(0, 2, 3), initial=0) / STEPS, np.finfo(np.float32).tiny)  # [M]
     return np.clip(np.rint(parts / step[:, None, None]), -STEPS, STEPS).astype(np.int16), step
@@ -115,7 +115,7 @@ def in_steps(
 def from_motion(
     displacement: Float32[np.ndarray, "T N 3"], num_frequencies: int = NUM_FREQUENCIES
 ) -> Complex64[np.ndarray, "N K 3"]:
-    """The first K coefficients of each point's motion [m]. Undone by `to_motion` when K = T // 2 + 1."""
+    """Compute the first K coefficients of each point's motion [m]. `to_motion` is the inverse if K = T // 2 + 1."""
     # norm="forward": a coefficient is a length in metres, whatever the number of frames
     spectrum = np.fft.rfft(displacement, axis=0, norm="forward")[:num_frequencies]  # [K, N, 3]
     return np.ascontiguousarray(spectrum.transpose(1, 0, 2).astype(np.complex64))
@@ -132,7 +132,7 @@ def to_motion(
 def displacement_at(
     coefficients: Complex64[np.ndarray, "N K 3"], phase: float, num_frames: int = NUM_FRAMES
 ) -> Float32[np.ndarray, "N 3"]:
-    """Displacement at one phase of the loop (0 and 1 are the same), between the frames too [m]."""
+    """Compute the displacement at any phase of the loop, also between frames; 0 and 1 are the same [m]."""
     turn = bin_weights(coefficients.shape[1], num_frames) * np.exp(
         2j * np.pi * phase * np.arange(coefficients.shape[1])
     )
@@ -143,7 +143,7 @@ def displacement_at(
 def iter_motion(
     coefficients: Complex64[np.ndarray, "N K 3"], phases: Float64[np.ndarray, " M"], num_frames: int = NUM_FRAMES
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """One frame of displacement after another, never the whole motion in memory: a few at once [m]."""
+    """Yield displacements frame by frame; only a few frames are in memory at once [m]."""
     num_points, num_frequencies, _ = coefficients.shape
     # real part of a complex sum as one real product: [cos, -sin] · [re, im]
     stacked = np.concatenate([coefficients.real, coefficients.imag], axis=1)  # [N, 2K, 3]

@@ -5,7 +5,7 @@ from jaxtyping import Float32, Float64
 
 from dynamictree.axis_names import AXES, direction_of
 
-# rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
+# row i is the new axis i in the file's axes; +Y is glTF's up, −Y that of scenes reconstructed from photos (y down)
 _TO_Z_UP = {
     "+X": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
     "-X": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
@@ -17,10 +17,10 @@ _TO_Z_UP = {
 
 
 def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
-    """Matrix that takes a file's axes to +Z up; for a direction, by the nearest axis and the smallest turn from there.
+    """Return the rotation from a file's axes to +Z up; a direction goes by its nearest axis and the smallest turn.
 
     Raises:
-        InputError: a name that `direction_of` does not know.
+        InputError: the name is no axis and no direction.
     """
     direction = np.array(direction_of(up_axis))
     nearest = max(AXES, key=lambda axis: float(np.array(direction_of(axis)) @ direction))
@@ -29,7 +29,7 @@ def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
 
 
 def turn_to_z(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
-    """The smallest turn from a unit vector, not -Z, to +Z (Rodrigues)."""
+    """Return the smallest rotation from a unit vector, other than -Z, to +Z (Rodrigues)."""
     x, y, z = direction
     tilt = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
     turn: Float64[np.ndarray, "3 3"] = np.eye(3) + tilt + tilt @ tilt / (1 + z)
@@ -37,6 +37,6 @@ def turn_to_z(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"
 
 
 def vertices_in_source_axes(vertices: Float32[np.ndarray, "N 3"], up_axis: str) -> Float32[np.ndarray, "N 3"]:
-    """Positions that have +Z up with another axis up: for writers."""
+    """Convert positions with +Z up to the axes of a file, for writers."""
     positions: Float32[np.ndarray, "N 3"] = (vertices @ up_rotation(up_axis)).astype(np.float32)
     return positions

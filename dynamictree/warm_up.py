@@ -1,7 +1,7 @@
 """Compile every kernel that a job of a mesh or a splat calls, with a tree of a few faces.
 
-`python -m dynamictree.warm_up` after an installation: numba caches the machine code on disk, so that the first job of a
-new process waits for none of it.
+Run `python -m dynamictree.warm_up` after an installation: numba caches the machine code on disk, so that the first job
+of a new process does not wait for compilation.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -35,7 +35,7 @@ def warm_up() -> None:
 
 
 def animate_mesh() -> None:
-    """Make the default products of a small mesh, and a motion whose frames are freed from stretch."""
+    """Write the default files of a small mesh, and a turbulent motion, whose frames are corrected for stretch."""
     mesh = pole()
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
     with TemporaryDirectory() as folder:
@@ -44,9 +44,9 @@ def animate_mesh() -> None:
 
 
 def animate_splat() -> None:
-    """Make the default products of the splat of a small mesh.
+    """Write the default files of a splat of a small mesh.
 
-    What only splats need comes first, so that the other process compiles what meshes need too, and this one reads it.
+    Kernels of splats alone come first; meanwhile the other process compiles the shared kernels into the cache.
     """
     mesh = pole()
     cloud = splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding.cloud

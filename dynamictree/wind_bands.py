@@ -1,4 +1,4 @@
-"""How much stronger each mode sways in other winds than its own, so that one spectrum serves all speeds.
+"""Gain of each mode in other winds than the spectrum's own, so that one spectrum serves all wind speeds.
 
 The gain g_k(U) of bin k is linear in the drag D(U) between the speeds of a table; so it is exact at these speeds,
 continuous between them, 0 in no wind, and constant above the last one.
@@ -13,14 +13,14 @@ from jaxtyping import Float64
 from dynamictree.errors import InputError
 
 BANDS_M_S = {"calm": 1.0, "breeze": 4.0, "wind": 8.0, "gale": 14.0, "storm": 20.0}
-"""Mean speeds that the model is asked for [m/s]."""
-DRAG_EXPONENT = 1.4  # of the speed up to 12 m/s: plants bend out of the way, Vogel 1989
+"""Mean wind speeds that the model generates [m/s]."""
+DRAG_EXPONENT = 1.4  # exponent of the speed up to 12 m/s: plants bend out of the way, Vogel 1989
 SLOWEST_M_S, FASTEST_M_S = 0.1, 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class WindBands:
-    """Gains of the K bins by wind speed, over the spectrum's own; bin 0 is the lean. Speeds begin with 0 and rise."""
+    """Gains of the K bins by wind speed, relative to the spectrum's own; bin 0 is the lean. Speeds rise from 0."""
 
     speeds_m_s: tuple[float, ...]
     gains: tuple[tuple[float, ...], ...]  # [B][K]
@@ -36,7 +36,7 @@ class WindBands:
 
     @property
     def num_frequencies(self) -> int:
-        """K."""
+        """Number of frequencies, K."""
         return len(self.gains[0])
 
     def at(self, speed_m_s: float) -> Float64[np.ndarray, " K"]:
@@ -51,7 +51,7 @@ def drag(speed_m_s: Float64[np.ndarray, "*S"] | np.float64) -> Float64[np.ndarra
 
 
 def power_law(speed_m_s: float, num_frequencies: int) -> WindBands:
-    """Gains of a spectrum that no other wind was generated for: D(U) / D(own) for every bin, up to 30 m/s."""
+    """Approximate the gains of a spectrum without wind bands: D(U) / D(own) for every bin, up to 30 m/s."""
     own = max(speed_m_s, SLOWEST_M_S)
     speeds = (0.0, own) if own >= FASTEST_M_S else (0.0, own, FASTEST_M_S)
     gains = drag(np.array(speeds)) / drag(np.float64(own))
@@ -59,9 +59,9 @@ def power_law(speed_m_s: float, num_frequencies: int) -> WindBands:
 
 
 def bands_of_sizes(sizes: Mapping[float, Float64[np.ndarray, " K"]], own_m_s: float) -> WindBands:
-    """Gains from the size of each mode by wind speed; the spectrum's own speed is among them and has gain 1.
+    """Compute gains from each mode's size by wind speed; the spectrum's own speed has gain 1.
 
-    Values are those that float32 holds, so that a file gives them back as they are.
+    Values are rounded to float32, so that a file restores them exactly.
     """
     own = sizes[own_m_s]
     rows = {
