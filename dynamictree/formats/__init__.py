@@ -1,1 +1,1 @@
-"""One module a file format: the only place where files are read or written, and where axes and units are converted."""
+"""One module per file format: the only place where files are read or written, and axes and units converted."""

@@ -22,7 +22,7 @@ CloudType = Literal[
 ]
 CLOUD_TYPES: tuple[CloudType, ...] = get_args(CloudType)
 SPLAT_TYPES: tuple[CloudType, ...] = ("splat", "spz", "sog", "ksplat")
-"""Those whose ending decides: all that is in them are Gaussians."""
+"""Types that the file name's ending identifies; they contain only Gaussians."""
 
 
 _SPLATS: dict[str, tuple[Callable[[SeekableReader], GaussianCloud], str]] = {
@@ -34,7 +34,7 @@ _SPLATS: dict[str, tuple[Callable[[SeekableReader], GaussianCloud], str]] = {
     "ksplat": (ksplat.read_ksplat, ksplat.UP_AXIS),
     "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
 }
-"""Readers by file type, or by the kind of a PLY; and the axis that is usual there."""
+"""Reader and usual up axis by file type, or by the kind of a PLY."""
 _SCANS: dict[str, Callable[[SeekableReader], points.Scan]] = {
     "points": points.read_points_ply,
     **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), text.read_points_text),
@@ -49,15 +49,15 @@ def read_cloud(
     """Read a splat or a scan, in metres and +Z up.
 
     Args:
-        stream: stands at the file's start.
+        stream: the file, at its start.
         file_type: the file name's ending, without a dot and in lower case.
-        up_axis: the file's; by default what a PLY comment says, else its format's habit:
+        up_axis: the file's; by default from a PLY comment, else its format's convention:
             −Y for splats, +Y for SPZ and GLB, +Z for scans.
-        unit_m: metres per unit of the file, by default 1, or what a PLY comment or a LAS file's coordinate system says.
+        unit_m: metres per unit of the file; by default from a PLY comment or a LAS file's coordinate system, else 1.
 
     Raises:
-        FormatError: a type that is not understood, or a file that is not of its type.
-        InputError: what the file holds cannot be used: values that are not finite, nothing visible, too many Gaussians.
+        FormatError: an unknown type, or a file that is not of its type.
+        InputError: the content cannot be used: values that are not finite, nothing visible, too many Gaussians.
     """
     if file_type not in CLOUD_TYPES:
         raise FormatError(f"no cloud is read from .{file_type[:20]} files; choose from {', '.join(CLOUD_TYPES)}")
@@ -85,12 +85,12 @@ _OF_PHOTOS = frozenset(("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue",
 
 
 def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
-    """Describe a file by its header alone; the stream is left at its start.
+    """Return the kind of a file from its header; the stream is left at its start.
 
     PLY and GLB may hold a mesh or a cloud: a PLY with faces, and a GLB without splats, are meshes.
 
     Raises:
-        FormatError: a type that is not understood, or a header that breaks its format's rules.
+        FormatError: the header breaks its format's rules.
     """
     stream.seek(0)
     if file_type == "ply":
@@ -108,10 +108,10 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
 
 
 def cloud_facts(stream: SeekableReader, *, file_type: str) -> CloudFacts:
-    """What a file says of its origin, axis and unit; the stream is left at its start.
+    """Return what a file states about its origin, axis and unit; the stream is left at its start.
 
-    Points of a PLY with normals and colours and nothing else were made from photos, as COLMAP and Open3D write them:
-    scanners write intensities, and other formats of scans have a unit.
+    PLY points with only normals and colours count as made from photos, as COLMAP and Open3D write them: scanners write
+    intensities, and other formats of scans have a unit.
     """
     if file_type in (*SPLAT_TYPES, "glb"):
         return CloudFacts(origin="splat")

@@ -1,4 +1,4 @@
-"""Names of files: those that operating systems add to an upload, and the file that a model means by a name."""
+"""Lookup of files that a model refers to, and detection of files that operating systems add to an upload."""
 
 import os
 import unicodedata
@@ -12,9 +12,9 @@ _SUFFIXES = frozenset(
 )
 KTX2_MAGIC = b"\xabKTX 20\xbb\r\n\x1a\n"
 _SYSTEM_NAMES = frozenset({"__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "icon\r", "@eadir", "$recycle.bin"})
-"""What Finder, Windows and Synology put into folders and zips; hidden files begin with a dot."""
+"""Files that Finder, Windows and Synology put into folders and zips; hidden files begin with a dot."""
 _CODE_PAGES = ("utf-8", "cp932", "gbk", "cp949", "big5", "cp1251", "cp866", "cp850", "cp1252")
-"""In which names stand in zips without the UTF-8 flag and in MTL files: Windows' code pages by language."""
+"""Encodings of names in MTL files and in zips without the UTF-8 flag: Windows' code pages by language."""
 _Path = tuple[str, ...]
 
 
@@ -27,8 +27,8 @@ class Companions(Mapping[str, bytes]):
 
     @cached_property
     def _paths(self) -> dict[str, Path]:
-        """A symbolic link that leads outside is not followed."""
-        most_entries = 10_000  # files and folders below a model's folder that are looked at: listing them takes 0.1 s
+        """Paths by relative name; symbolic links that lead outside are not followed."""
+        most_entries = 10_000  # files and folders that are listed below a model's folder, in 0.1 s
         paths: dict[str, Path] = {}
         looked_at = 0
         for folder, folders, names in os.walk(self._folder):
@@ -59,11 +59,11 @@ def is_system_file(name: str) -> bool:
 
 
 def find_companion(name: str, companions: Mapping[str, bytes]) -> bytes | None:
-    """Content of a file that a model refers to; None if it was not sent along, or if several could be meant.
+    """Return the content of a file that a model refers to; None if it is missing or ambiguous.
 
-    The end of the path decides, so that absolute paths of the artist's machine are understood: the file that shares
-    the most folders with the name is taken. Case, backslashes, percent codes, accents as one or two characters and
-    names in another code page make no difference. Nothing but `companions` is looked at.
+    Paths are compared from their end, so that absolute paths of another machine work: the file that shares the most
+    folders with the name is taken. Case, backslashes, percent codes, accents as one or two characters and names in
+    another code page make no difference. Only `companions` is searched.
     """
     by_base = _by_base_name(tuple(companions))
     for path in _spellings(name.strip(), "latin-1"):
@@ -74,7 +74,7 @@ def find_companion(name: str, companions: Mapping[str, bytes]) -> bytes | None:
 
 
 def beside_model(model: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The files of an upload by their paths from the model's own folder; those above it keep their names."""
+    """Return the files of an upload by path from the model's folder; files outside it keep their names."""
     folder = PurePosixPath(model).parent
     named = {}
     for name, content in files.items():
@@ -84,7 +84,7 @@ def beside_model(model: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def _nearest(path: _Path, candidates: list[tuple[_Path, str]]) -> str | None:
-    """The one that shares the longest end with a path; of equals the one that has nothing before it, if it is one."""
+    """Return the candidate with the longest common end of the path, complete ones first; None if several remain."""
     ranked: dict[tuple[int, bool], set[str]] = {}
     for other, name in candidates:
         shared = next((i for i, (a, b) in enumerate(zip(path[::-1], other[::-1], strict=False)) if a != b), None)
@@ -96,7 +96,7 @@ def _nearest(path: _Path, candidates: list[tuple[_Path, str]]) -> str | None:
 
 @lru_cache(maxsize=4)
 def _by_base_name(names: tuple[str, ...]) -> dict[str, list[tuple[_Path, str]]]:
-    """The files that end in each base name, in all spellings."""
+    """Index files by base name, in all spellings."""
     index: dict[str, list[tuple[_Path, str]]] = {}
     for name in names:
         for path in _spellings(name, "cp437"):
@@ -105,7 +105,7 @@ def _by_base_name(names: tuple[str, ...]) -> dict[str, list[tuple[_Path, str]]]:
 
 
 def _spellings(name: str, misread_as: str) -> Iterator[_Path]:
-    """The parts of a path as it stands, with percent codes decoded, and as other code pages read its bytes."""
+    """Yield the parts of a path: as written, with percent codes decoded, and decoded by other code pages."""
     texts = [name, unquote(name)]
     if not name.isascii():
         try:

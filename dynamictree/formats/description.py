@@ -15,8 +15,8 @@ from dynamictree.voxel.grid import VoxelGrid
 
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
-    """Counts, place [m] and how the source's axes and units were read."""
-    most_names = 50  # of parts
+    """Summarize a mesh: counts, bounds [m] and how the source's axes and units were read."""
+    most_names = 50  # names of parts that are listed
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return {
         "num_vertices": mesh.num_vertices,
@@ -38,7 +38,7 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
 
 
 def describe_capture(capture: Capture) -> dict[str, Any]:
-    """Counts, place [m] and how the source's axes and units were read."""
+    """Summarize a cloud: counts, bounds [m] and how the source's axes and units were read."""
     cloud = capture.cloud
     sizes = np.bincount(np.zeros(0, np.uint8) if capture.part_of is None else capture.part_of, minlength=1)[1:]
     low, high = cloud.means.min(axis=0).astype(np.float64), cloud.means.max(axis=0).astype(np.float64)
@@ -63,8 +63,8 @@ def describe_capture(capture: Capture) -> dict[str, Any]:
 def describe_trees(
     points: Float32[np.ndarray, "P 3"], tree: Int32[np.ndarray, " P"] | None
 ) -> list[dict[str, int | float]]:
-    """Number, foot [m] and height [m] of each tree that some points belong to; all to one if `tree` is None."""
-    foot = 0.05  # of a tree's height: its lowest part, in whose middle it stands
+    """Summarize the trees of points: number, foot [m] and height [m] of each; one tree if `tree` is None."""
+    foot = 0.05  # share of a tree's height: the lowest part, whose middle is the tree's place
     numbers = np.zeros(len(points), np.int32) if tree is None else tree
     described: list[dict[str, int | float]] = []
     for number in range(int(numbers.max()) + 1):
@@ -79,7 +79,7 @@ def describe_trees(
 
 
 def describe_grid(grid: VoxelGrid) -> dict[str, Any]:
-    """Counts and place of a voxel grid [m]."""
+    """Summarize a voxel grid: counts and bounds [m]."""
     centres = grid.centres_m.astype(np.float64)
     low, high = centres.min(axis=0), centres.max(axis=0)
     return {
@@ -92,7 +92,7 @@ def describe_grid(grid: VoxelGrid) -> dict[str, Any]:
 
 
 def describe_spectrum(spectrum: SparseVoxelSpectrum) -> dict[str, Any]:
-    """The grid's facts, the frequencies [Hz], the loop [s], and how the motion came about."""
+    """Summarize a spectrum: grid, frequencies [Hz], loop [s], and how the motion was generated."""
     wind = spectrum.wind
     return describe_grid(spectrum.grid) | {
         "num_frequencies": spectrum.num_frequencies,

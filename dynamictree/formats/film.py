@@ -1,4 +1,4 @@
-"""Films through ffmpeg: size and duration, a copy with the picture alone, and decoded frames."""
+"""Films, read by ffmpeg: size and duration, a copy of the video stream, and decoded frames."""
 
 import re
 import subprocess
@@ -14,11 +14,11 @@ from dynamictree.formats.suffixes import OTHER_FILM_SUFFIXES
 from dynamictree.photo_requests import MIN_PHOTOS
 
 MAX_FILM_BYTES = 2 * 2**30
-MAX_FILM_S = 300.0  # a walk around a tree takes half a minute to two
+MAX_FILM_S = 300.0  # a walk around a tree takes half a minute to two minutes
 MAX_FILM_FRAMES = 36_000  # MAX_FILM_S at 120 frames per second
 MAX_FILM_PIXELS = 4096 * 2304  # what phones call 4K
 
-_DECODERS = "h264,hevc,av1,libdav1d,vp8,vp9,mpeg4,mjpeg"  # what phones, cameras and browsers record
+_DECODERS = "h264,hevc,av1,libdav1d,vp8,vp9,mpeg4,mjpeg"  # codecs that phones, cameras and browsers record
 _DURATION = re.compile(r"Duration: (\d+):(\d\d):(\d\d(?:\.\d+)?)")
 _PICTURE = re.compile(r"Video: .*?\b(\d{1,5})x(\d{1,5})\b(?:.*?([\d.]+) fps)?")
 
@@ -74,7 +74,7 @@ def film_facts(video: Path, name: str) -> FilmFacts:
 
 
 def copy_picture(video: Path, target: Path) -> None:
-    """Copy a film's picture to an MP4 file as it is coded, without sound, place, other tracks and names of devices.
+    """Copy the video stream to an MP4 file without re-encoding; drop sound, location, other tracks and device names.
 
     Raises:
         FormatError: ffmpeg cannot read it.
@@ -86,9 +86,9 @@ def copy_picture(video: Path, target: Path) -> None:
 
 @contextmanager
 def decoded(video: Path, *output: str, name: str | None = None, log: IO[bytes] | None = None) -> Iterator[IO[bytes]]:
-    """Run ffmpeg on a film and give what it writes to its standard output; `log` gets its messages.
+    """Run ffmpeg on a film and yield its standard output; its messages go to `log`.
 
-    ffmpeg opens local files only, with the decoders named above, whatever the film names. Messages use `name`.
+    ffmpeg may open only local files and use only `_DECODERS`, whatever the film refers to. Errors use `name`.
 
     Raises:
         InputError: the extra `video` is not installed.
@@ -106,7 +106,7 @@ def decoded(video: Path, *output: str, name: str | None = None, log: IO[bytes] |
             try:
                 yield decoder.stdout
             except BaseException:
-                with suppress(PermissionError):  # a confined process may end nobody; whoever started it does
+                with suppress(PermissionError):  # a sandboxed process may not kill others; its parent does
                     decoder.kill()
                 raise
         if decoder.returncode != 0:

@@ -10,7 +10,7 @@ JsonObject = Mapping[str, object]
 
 
 def parse_object(text: bytes, what: str) -> JsonObject:
-    """A JSON object.
+    """Parse a JSON object.
 
     Raises:
         FormatError: it is not JSON, nested too deeply, or no object.
@@ -23,29 +23,29 @@ def parse_object(text: bytes, what: str) -> JsonObject:
 
 
 def as_object(value: object, what: str) -> JsonObject:
-    """The value, if it is an object."""
+    """Return a value that must be a JSON object."""
     if not isinstance(value, dict):
         raise FormatError(f"{what} is {_shortened(value)}; a JSON object is allowed")
     return value
 
 
 def object_field(parent: JsonObject, name: str) -> JsonObject:
-    """An object, empty where absent."""
+    """Read an object; empty where absent."""
     return as_object(parent.get(name, {}), name)
 
 
 def object_list(parent: JsonObject, name: str) -> list[JsonObject]:
-    """A list of objects, empty where absent."""
+    """Read a list of objects; empty where absent."""
     return [as_object(value, f"{name}[{i}]") for i, value in enumerate(_list(parent, name))]
 
 
 def integer_field(parent: JsonObject, name: str, *, high: int, default: int | None = None, low: int = 0) -> int:
-    """A whole number from `low` to `high`."""
+    """Read an integer from `low` to `high`."""
     return _integer(parent.get(name, default), name, high, low)
 
 
 def index_field(parent: JsonObject, name: str, items: Sequence[object], what: str) -> int | None:
-    """An index into a list, None where absent."""
+    """Read an index into a list; None where absent."""
     if name not in parent:
         return None
     if not items:
@@ -54,17 +54,17 @@ def index_field(parent: JsonObject, name: str, items: Sequence[object], what: st
 
 
 def index_list(parent: JsonObject, name: str, items: Sequence[object]) -> list[int]:
-    """A list of indices into a list, empty where absent."""
+    """Read a list of indices into a list; empty where absent."""
     return [_integer(value, name, len(items) - 1) for value in _list(parent, name)]
 
 
 def number_field(parent: JsonObject, name: str, default: float | None = None) -> float:
-    """A finite number."""
+    """Read a finite number."""
     return _number(parent.get(name, default), name)
 
 
 def numbers_field(parent: JsonObject, name: str, length: int, default: Sequence[float] = ()) -> list[float]:
-    """A list of finite numbers."""
+    """Read a list of finite numbers."""
     values = _list(parent, name) if name in parent else list(default)
     if len(values) != length:
         raise FormatError(f"{name} has {len(values)} numbers; {length} are needed")
@@ -72,7 +72,7 @@ def numbers_field(parent: JsonObject, name: str, length: int, default: Sequence[
 
 
 def text_field(parent: JsonObject, name: str, default: str = "") -> str:
-    """A string."""
+    """Read a string."""
     value = parent.get(name, default)
     if not isinstance(value, str):
         raise FormatError(f"{name} is {_shortened(value)}; a string is allowed")
@@ -80,7 +80,7 @@ def text_field(parent: JsonObject, name: str, default: str = "") -> str:
 
 
 def text_list(parent: JsonObject, name: str) -> list[str]:
-    """A list of strings, empty where absent."""
+    """Read a list of strings; empty where absent."""
     return [text_field({name: value}, name) for value in _list(parent, name)]
 
 
@@ -92,7 +92,7 @@ def _list(parent: JsonObject, name: str) -> list[object]:
 
 
 def _integer(value: object, name: str, high: int, low: int = 0) -> int:
-    if isinstance(value, float) and value.is_integer():  # some writers put 3.0
+    if isinstance(value, float) and value.is_integer():  # some writers store 3 as 3.0
         value = int(value)
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise FormatError(f"{name} is {_shortened(value)}; a whole number from {low} to {high} is allowed")

@@ -1,4 +1,4 @@
-"""Mesh readers by format, and how a format is recognised by a file's first bytes."""
+"""Mesh readers by format, and detection of a format from a file's first bytes."""
 
 import io
 import re
@@ -28,7 +28,7 @@ ACCEPTED = (
 )
 
 _HABITS = {"obj": "+Y", "ply": "+Z", "stl": "+Z", "off": "+Z"}
-"""The axis that is usual in a format that does not say."""
+"""Usual up axis of the formats that do not state one."""
 _NOT_MESHES = {
     "las": "a laser scan (LAS or LAZ)",
     "pcd": "a laser scan (PCD)",
@@ -65,8 +65,8 @@ def read_mesh(
 
     Args:
         stream: the file's bytes.
-        file_type: one of `MESH_TYPES`, such as `sniff_file_type` gives.
-        reading: the file's axis and unit; what is unset is as glTF or a PLY comment says, or is worked out
+        file_type: one of `MESH_TYPES`, as `sniff_file_type` returns it.
+        reading: the file's axis and unit; unset fields come from glTF or a PLY comment, or are detected
             (see `plant/place.py`).
         companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
 
@@ -102,7 +102,7 @@ def read_mesh(
 def sniff_file_type(head: bytes, filename: str = "") -> str:
     """Recognise a file's type by its first kilobyte or more; the file name decides only if the bytes do not.
 
-    Gives one of `MESH_TYPES`, or `las`, `pcd`, `points`, `splat`, `spz`, `zip`, `png`, `jpeg`, `safetensors`.
+    Returns one of `MESH_TYPES`, or `las`, `pcd`, `points`, `splat`, `spz`, `zip`, `png`, `jpeg`, `safetensors`.
 
     Raises:
         FormatError: it is none of these.

@@ -1,4 +1,4 @@
-"""Coordinates far from the origin, as of maps: shifted in double precision before they become single."""
+"""Shift of coordinates far from the origin, such as a map's, in double precision before they become single."""
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -10,11 +10,11 @@ Offset = tuple[float, float, float]
 
 
 def near_origin(points: Float64[np.ndarray, "N 3"]) -> tuple[Float32[np.ndarray, "N 3"], Offset]:
-    """The points in single precision, and what was subtracted: whole numbers, 0 where the points are near the origin.
+    """Return points in single precision, and the subtracted offset: integers, 0 for points near the origin.
 
-    What is not finite, or too large for single precision, becomes infinite or not a number.
+    Values that are not finite, or too large for single precision, become infinite or NaN.
     """
-    far = 100.0  # extents: float32 then rounds to 1e-5 of the extent, 0.1 mm of a tree of 10 m
+    far = 100.0  # ratio of distance to extent; float32 then rounds to 1e-5 of the extent, 0.1 mm of a tree of 10 m
     finite = points[np.isfinite(points).all(axis=1)]
     offset = np.zeros(3)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -25,7 +25,7 @@ def near_origin(points: Float64[np.ndarray, "N 3"]) -> tuple[Float32[np.ndarray,
 
 
 def offset_warnings(offset: Offset) -> tuple[SourceWarning, ...]:
-    """Says the shift, if there was one."""
+    """Return a warning with the offset, if there is one."""
     if not any(offset):
         return ()
     numbers = ", ".join(f"{number:.0f}" for number in offset)

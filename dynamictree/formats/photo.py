@@ -1,4 +1,4 @@
-"""Photos as Pillow reads them, HEIC by pillow-heif (extra `photos`) among them."""
+"""Photos, read by Pillow; HEIC needs pillow-heif (extra `photos`)."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -8,14 +8,14 @@ from PIL import Image
 from dynamictree.errors import FormatError
 
 PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "HEIF")
-"""As Pillow names them; HEIF is what phones write as HEIC."""
+"""Names of formats in Pillow; HEIF is the HEIC of phones."""
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1")
-"""Of `ftyp`, ISO/IEC 23008-12, annex B; an iPhone writes `heic`."""
+"""Brands in `ftyp`, ISO/IEC 23008-12, annex B; iPhones write `heic`."""
 
 if find_spec("pillow_heif") is not None:
     from pillow_heif import register_heif_opener
 
-    # one picture per file: no thumbnails, no depth; decoding in this thread, which a confined process may not leave
+    # one picture per file, no thumbnails or depth; decoding in this thread, as a sandboxed process may start no other
     register_heif_opener(thumbnails=False, depth_images=False, aux_images=False, decode_threads=1)
 
 

@@ -1,6 +1,6 @@
 """PLY files as tables: a header, then for each element its rows of named scalars and lists.
 
-ASCII is read as binary whose numbers are all doubles.
+ASCII files are converted to binary with all numbers as doubles.
 """
 
 import io
@@ -34,7 +34,7 @@ _Property = tuple[str, list[np.dtype[np.generic]]]
 
 @dataclass(frozen=True, kw_only=True)
 class PlyElement:
-    """One table of the file."""
+    """Description of one table of the file."""
 
     name: str
     count: int
@@ -61,16 +61,16 @@ class PlyHeader:
 
     @property
     def up_axis(self) -> str | None:
-        """Up axis that a comment names, as our own writers and Nerfstudio do; None if none does.
+        """Up axis from a comment, as our own writers and Nerfstudio write it; None if there is none.
 
-        A `Vertical axis: y` says nothing: Brush writes it into every splat, also where -Y is up.
+        `Vertical axis: y` is ignored: Brush writes it into every splat, also where -Y is up.
         """
         named = next((axis for axis in self._comment_values("up_axis") if re.fullmatch(UP_AXIS_PATTERN, axis)), None)
         return named or ("+Z" if "vertical axis: z" in (comment.lower() for comment in self.comments) else None)
 
     @property
     def unit_m(self) -> float | None:
-        """Metres per unit that a comment names; None if none does."""
+        """Metres per unit from a comment; None if there is none."""
         for value in self._comment_values("unit_m"):
             try:
                 unit = float(value)
@@ -85,18 +85,18 @@ class PlyHeader:
         return [each[1] for each in words if len(each) == 2 and each[0] == name]
 
     def element(self, name: str) -> PlyElement | None:
-        """The element of that name, if there is one."""
+        """Return the element of that name, if there is one."""
         return next((element for element in self.elements if element.name == name), None)
 
 
 def axis_comments(up_axis: str, unit_m: float, offset: Offset = (0.0, 0.0, 0.0)) -> list[str]:
-    """Header lines that say the up axis and the unit, which `PlyHeader` reads back, and how the source was shifted."""
+    """Return header lines with the up axis and unit, which `PlyHeader` reads back, and the source's offset."""
     shift = [f"comment source_offset {' '.join(f'{number:.0f}' for number in offset)}"] if any(offset) else []
     return [f"comment up_axis {up_axis}", f"comment unit_m {unit_m:.9g}", *shift]
 
 
 def read_header(stream: SeekableReader) -> PlyHeader:
-    """Read up to and with `end_header`.
+    """Read the header, up to and including `end_header`.
 
     Raises:
         FormatError: not a PLY file, or a header that breaks the format's rules.
@@ -129,7 +129,7 @@ def read_header(stream: SeekableReader) -> PlyHeader:
 
 
 def read_elements(stream: SeekableReader, header: PlyHeader, *names: str) -> list[Shaped[np.ndarray, " rows"]]:
-    """The rows of some elements, as structured arrays in this machine's byte order; the file is read no further.
+    """Read the rows of some elements as structured arrays in native byte order, and nothing after them.
 
     Raises:
         FormatError: the file is shorter than its header says, or an element with lists stands before or among them.
@@ -147,12 +147,12 @@ def read_elements(stream: SeekableReader, header: PlyHeader, *names: str) -> lis
 def read_polygons(
     stream: SeekableReader, header: PlyHeader, names: tuple[str, ...]
 ) -> tuple[Shaped[np.ndarray, " N"], Int32[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
-    """Rows of the vertices, the corners of all faces one after the other, and the number of corners of each.
+    """Read the rows of the vertices, the concatenated corners of all faces, and the number of corners of each.
 
-    `names` are those that the list of corners may have.
+    `names` are the names that the list of corners may have.
 
     Raises:
-        FormatError: the file is shorter than its header says, or a face is none.
+        FormatError: the file is shorter than its header says, or a face is invalid.
     """
     body, vertices = _body(stream, header), None
     before = takewhile(lambda one: one.name != "face", header.elements)
@@ -177,7 +177,7 @@ def read_polygons(
 
 
 def _body(stream: SeekableReader, header: PlyHeader) -> SeekableReader:
-    """What follows the header; the numbers of an ASCII file as doubles."""
+    """Return the data after the header; numbers of an ASCII file become doubles."""
     if header.encoding != "ascii":
         return stream
     size = remaining_bytes(stream)
@@ -192,7 +192,7 @@ def _body(stream: SeekableReader, header: PlyHeader) -> SeekableReader:
 
 
 def _layout(header: PlyHeader, element: PlyElement) -> list[_Property]:
-    """Name of each property, and its type as stored; of a list the type of its length before that of its items."""
+    """Return the name and stored types of each property; a list has two, of its length and of its items."""
     order, ascii_text = _BYTE_ORDERS[header.encoding], header.encoding == "ascii"
     kinds = [(name, kind.removeprefix("list ").split()) for name, kind in element.properties]
     if any(len(own) == 2 and own[0].startswith("f") for _, own in kinds):
@@ -220,7 +220,7 @@ def _rows(body: SeekableReader, header: PlyHeader, element: PlyElement) -> Shape
 def _lists(
     content: bytes, layout: list[_Property], element: PlyElement, name: str
 ) -> tuple[Shaped[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
-    """The items of one list of all rows, and how many each row has: at once where each is as long as the first."""
+    """Read the items of one list in all rows, and their number per row; vectorized if all have the same number."""
     fields, lengths, at = list[tuple[str, np.dtype[np.generic], tuple[int, ...]]](), dict[str, int](), 0
     for label, types in layout:
         length = _length(content, at, types, element)
@@ -251,7 +251,7 @@ def _lists(
 
 
 def _length(content: bytes, at: int, types: list[np.dtype[np.generic]], element: PlyElement) -> int:
-    """Number of items of a property that begins at a byte: 1 of a single number."""
+    """Return the number of items of the property at a byte offset; 1 for a scalar."""
     if len(types) == 1:
         return 1
     if at + types[0].itemsize > len(content):

@@ -49,7 +49,7 @@ _BY_BYTES = (
 
 
 def advice_for(head: bytes, ending: str) -> str | None:
-    """What a file is that is not read, and what to do; None where nothing is known. `ending` is in lower case."""
+    """Return the name of an unsupported format and what to do; None if it is unknown. `ending` is in lower case."""
     if not head:
         return "the file is empty; download or export it again"
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")

@@ -25,7 +25,7 @@ SourceKind = Literal["mesh", "cloud"]
 
 
 def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
-    """Whether a file is a mesh or a cloud, and its type for the readers; the stream is left at its start.
+    """Return whether a file is a mesh or a cloud, and its type for the readers; the stream is left at its start.
 
     Raises:
         FormatError: it is neither, or a header breaks its format's rules.
@@ -56,15 +56,15 @@ def read_capture(
     mesh: tuple[str, SeekableReader] | None = None,
     companions: Mapping[str, bytes] | None = None,
 ) -> Capture:
-    """Read a cloud and what came with it, in metres and +Z up.
+    """Read a cloud with its mask and mesh, in metres and +Z up.
 
     Args:
         stream: the cloud's file, at its start.
-        file_type: such as `source_kind` gives.
-        reading: the file's axis and unit; if unset its format's habit and, for scans, 1 m. A splat of unknown axes
-            is levelled, one of unknown unit made 5 m tall.
+        file_type: as `source_kind` returns it.
+        reading: the file's axis and unit; by default its format's convention and, for scans, 1 m. A splat of unknown
+            axes is levelled; one of unknown unit is scaled to a height of 5 m.
         mask: which Gaussians may move (`names.MASK_NAME`).
-        mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
+        mesh: name and content of a mesh at the cloud's place, in the same axes and units.
         companions: files that the mesh, or the `meta.json` of a SOG folder, may name.
 
     Raises:
@@ -95,7 +95,7 @@ def read_capture(
         reading=Reading(up_axis=cloud.source.up_axis, unit_m=cloud.source.scale),
         companions=companions,
     )
-    apart = np.subtract(beside.source.offset, cloud.source.offset)  # each file was moved to the origin by itself
+    apart = np.subtract(beside.source.offset, cloud.source.offset)  # each file has an offset of its own
     moved = beside.vertices + (up_rotation(cloud.source.up_axis) @ apart * cloud.source.scale)
     return replace(
         capture,
@@ -106,7 +106,7 @@ def read_capture(
 
 
 def _remarks(cloud: GaussianCloud, file_type: str, reading: Reading) -> tuple[SourceWarning, ...]:
-    """What was left out of a cloud, and the unit that a scan says itself."""
+    """Return warnings about omitted rows of a cloud, and about a unit that the file of a scan states."""
     remarks = []
     if cloud.dropped:
         message = f"{cloud.dropped:,} rows that are not finite, or that the file marks as noise, were left out"

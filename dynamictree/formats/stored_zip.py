@@ -1,4 +1,4 @@
-"""ZIP archives that are stored, not packed: the same bytes for the same files."""
+"""ZIP archives without compression: the same bytes for the same files."""
 
 import zipfile
 from collections.abc import Iterable, Sequence
@@ -7,9 +7,9 @@ from typing import BinaryIO
 
 
 def write_stored_zip(stream: BinaryIO | BytesIO, files: Iterable[tuple[str, Sequence[bytes]]]) -> None:
-    """Write an archive to a stream that can seek. Files are name and content in parts, and are asked for one by one."""
+    """Write an archive to a seekable stream; `files` yields the name and the content, in parts, of each file."""
     with zipfile.ZipFile(stream, "w") as archive:
-        for name, parts in files:  # whose date is the first of 1980, whatever the clock says
+        for name, parts in files:  # `ZipInfo` dates every file 1980-01-01
             with archive.open(zipfile.ZipInfo(name), "w", force_zip64=True) as entry:
                 for part in parts:
                     entry.write(part)

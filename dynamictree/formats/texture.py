@@ -1,4 +1,4 @@
-"""Images that a mesh file brings: decoded once under a size limit, stored as PNG."""
+"""Textures of mesh files: decoded once under a size limit, stored as PNG."""
 
 import io
 import math
@@ -13,13 +13,13 @@ from dynamictree.errors import FormatError
 
 MAX_PIXELS = 50_000_000
 MAX_TOTAL_PIXELS = 400_000_000
-"""Of all images of one file together: 24 of 4096 x 4096."""
+"""Limit for all images of one file together: about 24 of 4096 x 4096."""
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "DDS")
 
 
 def refuse_many_pixels(images: Iterable[bytes]) -> None:
-    """Bound what all images of a file become when they are decoded.
+    """Check the number of pixels that all images of a file have together, before they are decoded.
 
     Args:
         images: PNG files, each once.
@@ -33,7 +33,7 @@ def refuse_many_pixels(images: Iterable[bytes]) -> None:
 
 
 def texture_as_png(content: bytes, name: str) -> bytes:
-    """The image as PNG; a sound PNG passes unchanged.
+    """Convert an image to PNG; a valid PNG is returned unchanged.
 
     Raises:
         FormatError: no image of a known format, damaged, or of more than `MAX_PIXELS`.
@@ -50,7 +50,7 @@ def texture_as_png(content: bytes, name: str) -> bytes:
 def decoded_image(
     content: bytes, what: str, *, formats: tuple[str, ...], most_pixels: int | None = None
 ) -> Image.Image:
-    """The image, decoded after its size is checked; `what` names it in messages.
+    """Decode an image after its size is checked; `what` names it in messages.
 
     Raises:
         FormatError: no image of the formats, damaged, or of more pixels than allowed (`MAX_PIXELS` by default).
@@ -72,8 +72,8 @@ def decoded_image(
 
 
 def in_eight_bits(image: Image.Image) -> Image.Image:
-    """A grey picture of 16 bits or of floats scaled to its range, at which Pillow would clip; others as they are."""
-    largest = {"I": 65_535.0, "F": 1.0}  # values of grey pictures of more than eight bits, by the mode's first letter
+    """Scale a grey image of 16 bits or floats to 8 bits, which Pillow would clip; return others unchanged."""
+    largest = {"I": 65_535.0, "F": 1.0}  # white of grey images with more than eight bits, by the mode's first letter
     if image.mode[0] not in largest:
         return image
     share = np.asarray(image, np.float64) / largest[image.mode[0]]

@@ -1,4 +1,4 @@
-"""A glTF 2.0 document and its bytes: GLB or JSON, buffers, views and accessors, each bound checked before use."""
+"""A glTF 2.0 document and its bytes: GLB or JSON, buffers, views and accessors, with bounds checked before use."""
 
 import base64
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from dynamictree.formats.json_fields import (
 )
 from dynamictree.mesh import MAX_FACES, SourceWarning
 
-MAX_ELEMENTS = 3 * MAX_FACES  # of an accessor: the indices of the largest mesh that is allowed
+MAX_ELEMENTS = 3 * MAX_FACES  # elements per accessor: the indices of the largest mesh that is allowed
 
 READ_EXTENSIONS = frozenset(
     {
@@ -40,27 +40,27 @@ READ_EXTENSIONS = frozenset(
         "EXT_texture_webp",
     }
 )
-"""Extensions that change geometry or textures, and that the readers follow."""
+"""Extensions of geometry or textures that the readers support."""
 
 _OF_LIGHT = frozenset({"KHR_lights_punctual", "KHR_xmp_json_ld"})
-"""These and materials' change neither geometry nor base colours."""
+"""Extensions that change neither geometry nor base colours; those of materials do not either."""
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 _MAX_BYTES = 1 << 40
 
 
 @dataclass(frozen=True, kw_only=True)
 class GltfDocument:
-    """The JSON with the bytes of its buffers."""
+    """glTF's JSON with the bytes of its buffers."""
 
     root: JsonObject
     buffers: tuple[bytes, ...]
     views: tuple[JsonObject, ...]
     accessors: tuple[JsonObject, ...]
     companions: Mapping[str, bytes]
-    warnings: list[SourceWarning]  # what is left out while it is read
+    warnings: list[SourceWarning]  # warnings of parts that are skipped
 
     def view_bytes(self, index: int) -> bytes:
-        """The bytes of a buffer view."""
+        """Return the bytes of a buffer view."""
         view = self.views[index]
         buffer = index_field(view, "buffer", self.buffers, "buffers")
         if buffer is None:
@@ -75,7 +75,7 @@ class GltfDocument:
         return self.buffers[buffer][start : start + length]
 
     def accessor(self, index: int) -> Shaped[np.ndarray, "count width"]:
-        """The elements of an accessor, as stored; normalised integers become float32."""
+        """Return the elements of an accessor as stored; normalised integers become float32."""
         accessor = self.accessors[index]
         count, dtype, width = accessor_layout(accessor, f"accessors[{index}]")
         view = index_field(accessor, "bufferView", self.views, "bufferViews")
@@ -123,7 +123,7 @@ class GltfDocument:
 
 
 def open_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> GltfDocument:
-    """Open GLB or glTF JSON, and what buffers it names.
+    """Open GLB or glTF JSON, and the buffers that it names.
 
     Raises:
         FormatError: truncated, not glTF 2.0, needs an extension that is not read, or a file that was not sent along.
@@ -153,10 +153,10 @@ def open_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> GltfDocumen
 
 
 def glb_json(stream: ByteReader) -> JsonObject:
-    """Read the JSON of a GLB file, and nothing behind it.
+    """Read the JSON of a GLB file, and nothing after it.
 
     Raises:
-        FormatError: not GLB 2, truncated, or JSON that is none.
+        FormatError: not GLB 2, truncated, or invalid JSON.
     """
     max_json_bytes = 64 << 20
     head = stream.read(20)
@@ -171,7 +171,7 @@ def glb_json(stream: ByteReader) -> JsonObject:
 
 
 def uri_bytes(uri: str, companions: Mapping[str, bytes]) -> bytes:
-    """Content of a URI: data in the file, or a companion by its name; never anything else."""
+    """Return the content of a URI: embedded data, or a companion by its name; nothing else is opened."""
     if uri.startswith("data:"):
         head, _, body = uri.partition(",")
         try:
@@ -189,7 +189,7 @@ def uri_bytes(uri: str, companions: Mapping[str, bytes]) -> bytes:
 
 
 def accessor_layout(accessor: JsonObject, name: str) -> tuple[int, np.dtype[np.generic], int]:
-    """Count, component type and width of an accessor, from its JSON alone."""
+    """Return count, component type and width of an accessor, from its JSON alone."""
     kind = text_field(accessor, "type")
     if kind not in WIDTHS:
         raise FormatError(f"{name} is of type {kind[:20]!r}; {', '.join(WIDTHS)} are read")
@@ -204,7 +204,7 @@ def _component_type(accessor: JsonObject) -> np.dtype[np.generic]:
 
 
 def _split_glb(content: bytes) -> tuple[bytes, bytes | None]:
-    """The JSON chunk and the binary chunk."""
+    """Return the JSON chunk and the binary chunk."""
     if len(content) < 20:
         raise FormatError(f"the GLB has {len(content)} bytes; it is truncated")
     version, length = (int.from_bytes(content[at : at + 4], "little") for at in (4, 8))

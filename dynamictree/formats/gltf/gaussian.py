@@ -25,11 +25,11 @@ MAX_FILE_BYTES = 3 << 30  # 10 million Gaussians of the third degree
 
 
 def read_gltf_gaussian(stream: ByteReader) -> GaussianCloud:
-    """Read all splats of the default scene as one cloud, where their nodes place them.
+    """Read all splats of the default scene as one cloud, placed by their nodes.
 
     Raises:
         FormatError: not GLB, no splats in it, accessors outside of the file, a node that shears.
-        InputError: a rotation that is none, too many Gaussians.
+        InputError: a rotation of length zero, too many Gaussians.
     """
     document = open_gltf(read_all(stream, MAX_FILE_BYTES), companions={})
     primitives = [
@@ -41,13 +41,13 @@ def read_gltf_gaussian(stream: ByteReader) -> GaussianCloud:
         raise FormatError(f"the GLB file has no primitive with {EXTENSION} in its scene; it is no Gaussian splat")
     check_count(sum(_count(document, primitive) for _, primitive in primitives))
     stored = [_read_primitive(document, primitive) for _, primitive in primitives]
-    if min(cloud.scales.min() for cloud in stored) < 0:  # a length is never negative: an early draft's logarithms
+    if min(cloud.scales.min() for cloud in stored) < 0:  # negative scales are logarithms, as in an early draft
         stored = [replace(cloud, scales=scales_from_log(cloud.scales)) for cloud in stored]
     return joined([_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)])
 
 
 def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
-    """Write one primitive of 32-bit floats, in the source's units and +Y up, as glTF demands."""
+    """Write one primitive of 32-bit floats, in the source's units and +Y up, as glTF requires."""
     source = to_source_axes(cloud, UP_AXIS)
     attributes = {
         "POSITION": source.means,
@@ -84,7 +84,7 @@ def _count(document: GltfDocument, primitive: JsonObject) -> int:
 
 
 def _rows(document: GltfDocument, attributes: JsonObject, name: str) -> tuple[int, int, int]:
-    """The accessor of an attribute, its count and its width, from the JSON alone."""
+    """Return the accessor of an attribute, its count and its width, from the JSON alone."""
     accessor = index_field(attributes, name, document.accessors, "accessors")
     if accessor is None:
         raise FormatError(f"a splat of the GLB file has no attribute {name}; found are {', '.join(sorted(attributes))}")
@@ -124,14 +124,14 @@ def _harmonic_name(index: int) -> str:
 
 
 def _to_srgb(sh: Float32[np.ndarray, "G H 3"]) -> Float32[np.ndarray, "G H 3"]:
-    """Linear colour to display colour: the mean exactly, what depends on the view to first order about it."""
+    """Convert linear to display colour: the mean exactly, the view-dependent part to first order."""
     linear = np.clip(sh[:, 0] * SH_0 + 0.5, 0, 1).astype(np.float64)
     mean = (linear_to_srgb(linear) - 0.5) / SH_0
     return np.concatenate([mean[:, None], sh[:, 1:] * srgb_slope(linear)[:, None]], axis=1).astype(np.float32)
 
 
 def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> GaussianCloud:
-    max_shear = 1e-3  # of a node's scale; a Gaussian keeps its shape only under rotation and one scale
+    max_shear = 1e-3  # share of a node's scale; a Gaussian keeps its shape only under rotation and uniform scale
     linear = transform[:3, :3]
     volume = float(np.linalg.det(linear))
     scale = float(np.cbrt(volume))

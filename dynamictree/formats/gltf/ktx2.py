@@ -21,12 +21,12 @@ def has_ktx2() -> bool:
 
 
 def ktx2_as_png(content: bytes, name: str) -> bytes:
-    """The largest level of the texture.
+    """Convert the largest level of a texture to PNG.
 
     Raises:
         FormatError: no Basis Universal texture, damaged, or of more than `MAX_PIXELS`.
     """
-    size_at = 20  # after the identifier, the format, and the size of a type
+    size_at = 20  # offset after the identifier, the format and the type's size
     import opengl_basisu
 
     if len(content) >= size_at + _SIZE.size:

@@ -1,4 +1,4 @@
-"""Numbers and names of glTF 2.0 for what an accessor holds (specification, section 3.6.2.2)."""
+"""Component and element types of glTF 2.0 accessors (specification, section 3.6.2.2)."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 def component_number(dtype: np.dtype[np.generic] | type[np.generic]) -> int:
-    """The number of a type of components."""
+    """Return glTF's number of a component type."""
     return next(number for number, kind in COMPONENTS.items() if kind == np.dtype(dtype))
 
 
 def type_name(width: int) -> str:
-    """The name of a type with so many components."""
+    """Return the name of the element type with that many components."""
     return next(name for name, own in WIDTHS.items() if own == width)

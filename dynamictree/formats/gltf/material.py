@@ -1,4 +1,4 @@
-"""Materials and texture coordinates of glTF, as far as the base colour goes."""
+"""Materials and texture coordinates of glTF, for the base colour alone."""
 
 from collections.abc import Mapping
 from urllib.parse import unquote
@@ -25,7 +25,7 @@ from dynamictree.mesh import Material, SourceWarning, refuse_many_materials
 
 
 def gltf_materials(document: GltfDocument) -> tuple[Material, ...]:
-    """The file's materials in its order; each image is decoded once."""
+    """Read the file's materials in order; each image is decoded once."""
     entries, images = object_list(document.root, "materials"), dict[int, bytes | None]()
     refuse_many_materials(len(entries))
     return tuple(_material(document, entry, images) for entry in entries)
@@ -34,7 +34,7 @@ def gltf_materials(document: GltfDocument) -> tuple[Material, ...]:
 def texture_coordinates(
     attributes: Mapping[str, Shaped[np.ndarray, "n width"]], material: JsonObject | None, count: int
 ) -> Float32[np.ndarray, "n 2"] | None:
-    """The set that the base colour's texture asks for, KHR_texture_transform applied."""
+    """Return the coordinates that the base colour's texture uses, with KHR_texture_transform applied."""
     texture = {} if material is None else _base_texture(material)
     transform = object_field(object_field(texture, "extensions"), "KHR_texture_transform")
     default_set = integer_field(texture, "texCoord", high=15, default=0)
@@ -54,7 +54,7 @@ def texture_coordinates(
 
 
 def texture_placement(material: JsonObject) -> str:
-    """What distinguishes the texture coordinates of two materials."""
+    """Return a key that is equal for materials with the same texture coordinates."""
     texture = _base_texture(material)
     return repr((texture.get("texCoord"), texture.get("extensions")))
 
@@ -65,7 +65,7 @@ def _base_texture(material: JsonObject) -> JsonObject:
 
 
 def _surface(material: JsonObject) -> tuple[JsonObject, str, str]:
-    """The fields of a material's surface, with the names of its colour and of its texture."""
+    """Return the fields of a material's surface, and the names of its colour and its texture."""
     glossy = object_field(object_field(material, "extensions"), "KHR_materials_pbrSpecularGlossiness")  # Sketchfab's
     if glossy:
         return glossy, "diffuseFactor", "diffuseTexture"
@@ -73,7 +73,7 @@ def _surface(material: JsonObject) -> tuple[JsonObject, str, str]:
 
 
 def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes | None]) -> Material:
-    blend_cutoff = 0.5  # our pictures cut out leaves that are drawn by blending; files that are written blend them
+    blend_cutoff = 0.5  # our pictures cut out blended leaves; written files blend them
     surface, color, _ = _surface(entry)
     red, green, blue, alpha = (min(max(v, 0.0), 1.0) for v in numbers_field(surface, color, 4, (1.0,) * 4))
     mode = text_field(entry, "alphaMode", "OPAQUE")
@@ -108,7 +108,7 @@ def _texture(document: GltfDocument, reference: JsonObject, images: dict[int, by
 
 
 def _image(document: GltfDocument, image: JsonObject, name: str) -> bytes | None:
-    """As PNG; None, with a warning, where the file is not there or of a kind that is not decoded."""
+    """Return an image as PNG; None, with a warning, if the file is missing or cannot be decoded here."""
     view = index_field(image, "bufferView", document.views, "bufferViews")
     uri = text_field(image, "uri")
     if view is not None:

@@ -1,7 +1,7 @@
 """GLB with EXT_meshopt_compression: vertices, faces and keys packed by meshoptimizer.
 
 Positions and texture coordinates become floats of fewer bits, normals become octahedral. Colours, joints, weights,
-faces and keys stay as they are. A reader gets plain views back, by `decompressed`.
+faces and keys are lossless. For readers, `decompressed` restores plain views.
 """
 
 from collections.abc import Sequence
@@ -28,23 +28,23 @@ from dynamictree.formats.json_fields import (
 MESHOPT, KHR_MESHOPT, QUANTIZATION = "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_mesh_quantization"
 INSTALL = "needs the Python module meshopt, which is not installed: pip install 'dynamictree[meshopt]'"
 MAX_DECODED_BYTES = 1 << 30
-"""Of all views of a file that is read: what a file without compression may have."""
+"""Limit of all views of a file together, the same as of a file without compression."""
 
 _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 20, 15, 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stream:
-    """A view as it is stored, and what its accessor becomes."""
+    """A view as it is stored, and the changes to its accessor."""
 
-    rows: Shaped[np.ndarray, "count stride"]  # before the encoder, filtered if there is a filter
+    rows: Shaped[np.ndarray, "count stride"]  # input of the encoder, after the filter if there is one
     mode: str = "ATTRIBUTES"
     filter: str = "NONE"
     accessor: tuple[tuple[str, object], ...] = ()  # fields that change
 
 
 def load_meshopt() -> ModuleType:
-    """The binding of meshoptimizer.
+    """Import the Python binding of meshoptimizer.
 
     Raises:
         InputError: it is not installed.
@@ -57,9 +57,9 @@ def load_meshopt() -> ModuleType:
 
 
 def compress(writer: GlbWriter) -> Float32[np.ndarray, "N 3"]:
-    """Replace the views of a document of one mesh by compressed ones; give the changes of its positions.
+    """Compress the views of a document of one mesh, and return the changes of its positions.
 
-    Each accessor has a view of its own but for those of keys, which may share one.
+    Each accessor has a view of its own, except those of keys, which may share one.
 
     Raises:
         InputError: the binding of meshoptimizer is not installed.
@@ -106,7 +106,7 @@ def compress(writer: GlbWriter) -> Float32[np.ndarray, "N 3"]:
 
 
 def decompressed(root: JsonObject, buffers: Sequence[bytes]) -> tuple[JsonObject, tuple[bytes, ...]]:
-    """The document with plain views in place of compressed ones, which lie in a buffer of their own.
+    """Return the document with its compressed views replaced by plain ones, in a buffer of their own.
 
     Raises:
         FormatError: the binding is not installed, or a stream is damaged or too large.
@@ -143,7 +143,7 @@ def decompressed(root: JsonObject, buffers: Sequence[bytes]) -> tuple[JsonObject
 
 
 def is_fallback(buffer: JsonObject) -> bool:
-    """Whether a buffer only stands for what compressed views hold, without bytes of its own."""
+    """Whether a buffer is a placeholder of compressed views, without bytes of its own."""
     extensions = object_field(buffer, "extensions")
     return any(object_field(extensions, name).get("fallback") is True for name in (MESHOPT, KHR_MESHOPT))
 
@@ -192,7 +192,7 @@ def _positions(root: dict[str, Any], content: bytes) -> Float32[np.ndarray, "N 3
 
 
 def _stream(meshopt: ModuleType, accessor: dict[str, Any], name: str, content: bytes) -> _Stream:
-    """How the view of an accessor is stored, by the name of its attribute."""
+    """Choose how an accessor's view is stored, by the name of its attribute."""
     values = np.frombuffer(content, COMPONENTS[accessor["componentType"]]).reshape(-1, WIDTHS[accessor["type"]])
     if name == "faces":
         return _Stream(rows=values, mode="TRIANGLES")

@@ -21,13 +21,13 @@ from dynamictree.up_axis import up_rotation
 
 @dataclass(frozen=True, kw_only=True)
 class MorphSummary:
-    """Summary of the file: number of targets, and how far they are from the frames."""
+    """Summary of the file: number of targets, and their error against the frames."""
 
     num_targets: int
     num_keys: int
-    relative_error: float  # root mean square of what is missing over that of the motion
+    relative_error: float  # root mean square of the error over that of the motion
     rms_error_m: float  # over all vertices and frames
-    max_error_m: float  # of any vertex at any frame
+    max_error_m: float  # largest error of any vertex at any frame
 
 
 def write_motion_glb(
@@ -41,8 +41,8 @@ def write_motion_glb(
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
-    `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
-    How far the file is from the frames of `truth`, by default those of the spectrum, it tells in its `asset.extras`.
+    `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys per second of the file.
+    Its `asset.extras` state the error against the frames of `truth`, by default those of the spectrum.
     """
     parts, moduli = loop_parts(coefficients, num_frames), loop_weights(coefficients.shape[1], num_frames)
     writer, rotation = GlbWriter(), up_rotation("+Y").astype(np.float32)
@@ -69,7 +69,7 @@ def write_motion_glb(
 
 
 def loop_parts(coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int) -> Float32[np.ndarray, "M N3"]:
-    """Re c_0, then w_k Re c_k and w_k Im c_k of each further bin, as rows [m]."""
+    """Return Re c_0, then w_k Re c_k and w_k Im c_k of each further bin, as rows [m]."""
     by_bin = coefficients.transpose(1, 0, 2).reshape(coefficients.shape[1], -1)  # [K, 3N]
     by_bin = by_bin * bin_weights(len(by_bin), num_frames).astype(np.float32)[:, None]
     pairs = np.stack([by_bin.real, by_bin.imag], axis=1).reshape(2 * len(by_bin), -1)  # [2K, 3N]
@@ -79,7 +79,7 @@ def loop_parts(coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int) ->
 def loop_weights(
     num_frequencies: int, num_frames: int, turn: Float64[np.ndarray, " K"] | None = None
 ) -> Float64[np.ndarray, "T M"]:
-    """Weight of each part at each frame, in [-1, 1], the first always 1; `turn` adds to each phase [rad]."""
+    """Return each part's weight at each frame, in [-1, 1], the first always 1; `turn` adds to each phase [rad]."""
     angle = 2 * np.pi * np.outer(np.arange(num_frames), np.arange(num_frequencies)) / num_frames  # [T, K]
     if turn is not None:
         angle = angle + turn
@@ -88,14 +88,14 @@ def loop_weights(
 
 
 def clipped_targets(parts: Float32[np.ndarray, "M N3"]) -> Float32[np.ndarray, "M N3"]:
-    """Targets that weights in [0, 1] move as `parts` with weights in [-1, 1] do; the first has weight 1."""
+    """Return targets whose weights are in [0, 1], for `parts` with weights in [-1, 1]; the first has weight 1."""
     targets = 2 * parts
     targets[0] = parts[0] - parts[1:].sum(axis=0, dtype=np.float64)
     return targets
 
 
 def clipped_weights(weights: Float64[np.ndarray, "T M"]) -> Float64[np.ndarray, "T M"]:
-    """Weights in [0, 1] for `clipped_targets`; the first column is 1."""
+    """Return weights in [0, 1] for `clipped_targets`; the first column is 1."""
     clipped = (1 + weights) / 2
     clipped[:, 0] = 1
     return clipped
@@ -106,7 +106,7 @@ def _distances(
     parts: Float32[np.ndarray, "M N3"],
     weights: Float64[np.ndarray, "T M"],
 ) -> tuple[float, float, float]:
-    """How far parts are from frames: as a share of the motion, rms and largest [m]."""
+    """Return the error of parts against frames: relative to the motion, root mean square [m] and largest [m]."""
     total = squares = largest = 0.0
     for frame, row in zip(frames, weights.astype(np.float32), strict=True):
         lengths = ((frame.ravel() - row @ parts).reshape(-1, 3) ** 2).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Normals of a mesh for shading: those of its source, else smooth ones; and how they turn while it moves."""
+"""Normals of a mesh for shading: the source's, else smooth ones; and their rotation while the mesh moves."""
 
 from collections.abc import Iterable, Iterator
 
@@ -12,7 +12,7 @@ _SMOOTH = 0.5
 
 
 def rest_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
-    """A unit vector per vertex: the source's own, or the mean of the faces around its place; +Z where there is none."""
+    """Return a unit normal per vertex: the source's, else the mean of the faces around its place, else +Z."""
     normals = _smooth_normals(mesh)
     if mesh.look.normals is not None:
         stated = (mesh.look.normals != 0).any(axis=1, keepdims=True)
@@ -24,7 +24,7 @@ def rest_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
 def iter_normals(
     mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]]
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """The normals at each frame: those at rest, turned as the faces around the vertex turn.
+    """Yield the normals of each frame: those at rest, turned with the faces around each vertex.
 
     `frames` are displacements [m].
     """
@@ -36,10 +36,10 @@ def iter_normals(
 def turn_normals(
     normals: Float32[np.ndarray, "N 3"], matrices: Float64[np.ndarray, "*n 3 3"]
 ) -> Float32[np.ndarray, "N 3"]:
-    """Normals of a surface whose points the matrices move, one for all or one per vertex: by the inverse transpose."""
+    """Transform normals by the inverse transpose of the matrices of the points, one for all or one per vertex."""
     x, y, z = (matrices[..., i, :] for i in range(3))
     cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-2)  # det · inverse transpose
-    sign = np.where((x * cofactors[..., 0, :]).sum(axis=-1) < 0, -1.0, 1.0)  # of the determinant
+    sign = np.where((x * cofactors[..., 0, :]).sum(axis=-1) < 0, -1.0, 1.0)  # sign of the determinant
     return unit_vectors(
         np.einsum("...,...ij,nj->ni" if matrices.ndim == 2 else "n,nij,nj->ni", sign, cofactors, normals)
     )
@@ -51,7 +51,7 @@ def _face_normals(mesh: TriangleMesh, displacement: Float32[np.ndarray, "N 3"] |
 
 
 def _smooth_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
-    """Files split vertices at seams of the texture: vertices at one place share a normal unless there is an edge."""
+    """Average normals over vertices at one place, which files split at texture seams, unless there is a sharp edge."""
     neighbours = 32  # vertices at one place that are compared; more are leaves that cross there
     own = _face_normals(mesh, None)
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -70,7 +70,7 @@ def _smooth_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
 def _turned(
     normals: Float32[np.ndarray, "N 3"], before: Float32[np.ndarray, "N 3"], after: Float32[np.ndarray, "N 3"]
 ) -> Float32[np.ndarray, "N 3"]:
-    """The normals, turned by the smallest rotation from one direction to another; not turned where one is 0."""
+    """Turn normals by the smallest rotation from `before` to `after`; where one of these is 0, leave them."""
     axis = np.cross(before, after)
     cosine = (before * after).sum(axis=1, keepdims=True)
     once = np.cross(axis, normals)

@@ -1,7 +1,7 @@
 """glTF and GLB to one triangle mesh: parts, materials, textures, placed and instanced nodes, skins at rest, Draco.
 
-Vertices follow the nodes in the order of the file (parents before children), a mesh's primitives in their order, and
-their accessors'; primitives of a node that share their accessors share their vertices.
+Vertices are ordered by node, as in the file (parents before children), then by primitive of a mesh, then as in their
+accessor. Primitives of a node that share their accessors share their vertices.
 """
 
 from collections.abc import Mapping
@@ -34,10 +34,10 @@ class _Primitive:
 
 
 def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh:
-    """Read, in the file's own axes and units; material indices count the file's materials.
+    """Read a mesh in the file's axes and units; material indices are those of the file.
 
     Raises:
-        FormatError: see `open_gltf`; an accessor that leaves its buffer; nodes that are no tree; a damaged texture.
+        FormatError: see `open_gltf`; an accessor beyond its buffer; nodes that form no tree; a damaged texture.
         MeshError: no triangles, or more than `mesh.py` allows, which is found before any is read.
     """
     document = open_gltf(content, companions=companions)
@@ -47,7 +47,7 @@ def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMes
         raise MeshError("the glTF file has no triangles in its scene; a mesh with faces is needed, not points or lines")
     _refuse_too_many(document, drawn)
     materials = gltf_materials(document)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found by validate_mesh
+    with np.errstate(over="ignore", invalid="ignore"):  # validate_mesh finds values that are not finite
         parts = _placed_parts(document, drawn)
         starts = first_vertices(parts)
         rows = [
@@ -89,7 +89,7 @@ def _refuse_too_many(document: GltfDocument, drawn: list[tuple[MeshInstance, tup
 
 
 def _placed_parts(document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[int, JsonObject]]]) -> list[MeshPart]:
-    """The parts in their order."""
+    """Read the parts in order, at their places."""
     parts: list[MeshPart] = []
     shared: dict[tuple[int, str, str], int] = {}
     materials = object_list(document.root, "materials")
@@ -111,7 +111,7 @@ def _placed_parts(document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[
 def _part(
     document: GltfDocument, instance: MeshInstance, primitive: JsonObject, read: _Primitive, material: int | None
 ) -> MeshPart:
-    """The primitive at its place."""
+    """Convert a primitive to a part at its place."""
     positions = read.attributes["POSITION"].astype(np.float64)
     if positions.shape[1] != 3:
         raise FormatError(f"POSITION has {positions.shape[1]} numbers a vertex; 3 are needed")
@@ -120,7 +120,7 @@ def _part(
     turn: Float64[np.ndarray, "*n 3 3"] = instance.transform[:3, :3]
     if instance.joints is None:
         placed = positions @ turn.T + instance.transform[:3, 3]
-    else:  # a skin alone places its vertices
+    else:  # a skin replaces its node's transform
         matrices = _skin_matrices(read.attributes, instance.joints, len(positions))
         turn = matrices[:, :, :3]
         placed = np.einsum("nij,nj->ni", turn, positions) + matrices[:, :, 3]
@@ -193,7 +193,7 @@ def _faces(indices: Shaped[np.ndarray, " M"] | None, num_vertices: int, mode: in
 def _skin_matrices(
     attributes: Mapping[str, Shaped[np.ndarray, "n width"]], joints: Float64[np.ndarray, "J 4 4"], num_vertices: int
 ) -> Float64[np.ndarray, "N 3 4"]:
-    """The mean matrix of each vertex' joints."""
+    """Return the weighted sum of the matrices of each vertex's joints."""
     if "JOINTS_0" not in attributes or "WEIGHTS_0" not in attributes:
         raise FormatError("a skinned primitive has no JOINTS_0 or WEIGHTS_0")
     rows, weights = attributes["JOINTS_0"].astype(np.int64), attributes["WEIGHTS_0"].astype(np.float64)
@@ -208,7 +208,7 @@ def _skin_matrices(
 def _normals(
     attributes: Mapping[str, Shaped[np.ndarray, "n width"]], matrices: Float64[np.ndarray, "*n 3 3"], count: int
 ) -> Float32[np.ndarray, "N 3"] | None:
-    """NORMAL as the node or the skin turns it; 0 where that has no direction."""
+    """Return NORMAL, turned by the node or the skin; 0 where it has no direction."""
     if "NORMAL" not in attributes:
         return None
     stored = attributes["NORMAL"].astype(np.float64)

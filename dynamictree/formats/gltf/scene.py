@@ -1,4 +1,4 @@
-"""Nodes of a glTF scene: which mesh stands where, and skins at rest."""
+"""Nodes of a glTF scene: placed meshes, instances, and skins at rest."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ _INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
 
 @dataclass(frozen=True, kw_only=True)
 class MeshInstance:
-    """One mesh of the scene, at one place; `joints` are the matrices of its skin, which then place it alone."""
+    """One mesh of the scene at one place; `joints` are the matrices of its skin, which replace `transform`."""
 
     node: int
-    path: str  # names of the node and of those above it, joined by slashes
+    path: str  # names from the root to the node, joined by slashes
     mesh: JsonObject
     transform: Float64[np.ndarray, "4 4"]
     joints: Float64[np.ndarray, "J 4 4"] | None
 
 
 def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
-    """The meshes of the default scene, parents before children, in the order of the file.
+    """Yield the meshes of the default scene, parents before children, in the order of the file.
 
     Raises:
-        FormatError: a node that is its own ancestor or has two parents, or a matrix that is none.
+        FormatError: a node that is its own ancestor or has two parents, or an invalid matrix.
     """
     nodes, meshes = object_list(document.root, "nodes"), object_list(document.root, "meshes")
     skins = object_list(document.root, "skins")
@@ -61,8 +61,8 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
 
 
 def _paths(nodes: list[JsonObject], order: Iterable[int]) -> dict[int, str]:
-    """Path of names from the root to each node of the scene, parents first. A slash in a name becomes a space."""
-    most_names = 16  # of a node's path
+    """Return the path of names from the root to each node, parents first; a slash in a name becomes a space."""
+    most_names = 16  # names per path
     above = {child: index for index in order for child in index_list(nodes[index], "children", nodes)}
     names: dict[int, tuple[str, ...]] = {}
     for index in order:
@@ -92,9 +92,9 @@ def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[i
 
 
 def local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
-    """A node's own matrix."""
+    """Return a node's local matrix."""
     if "matrix" in node:
-        return np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4, order="F")  # stored by columns
+        return np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4, order="F")  # column-major
     if not node.keys() & {"translation", "rotation", "scale"}:
         return np.eye(4)
     local: Float64[np.ndarray, "4 4"] = _compose(
@@ -107,7 +107,7 @@ def local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
 
 def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> None:
     """Check the number of instances by the counts of the accessors, before any is read."""
-    max_instances = 200_000  # Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh.
+    max_instances = 200_000  # instances of EXT_mesh_gpu_instancing in a scene; each is a matrix and a part of the mesh
     total = 0
     for node in nodes:
         extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
@@ -120,7 +120,7 @@ def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> N
 
 
 def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"] | None:
-    """Places of EXT_mesh_gpu_instancing; None for a plain node."""
+    """Return the matrices of EXT_mesh_gpu_instancing; None for a plain node."""
     extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
     attributes = object_field(extension, "attributes")
     parts = {}
@@ -146,7 +146,7 @@ def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np
 def _compose(
     translation: Float64[np.ndarray, "I 3"], rotation: Float64[np.ndarray, "I 4"], scale: Float64[np.ndarray, "I 3"]
 ) -> Float64[np.ndarray, "I 4 4"]:
-    """Translation · rotation · scale; quaternions are xyzw."""
+    """Compose matrices: translation · rotation · scale; quaternions are xyzw."""
     length = np.linalg.norm(rotation, axis=1, keepdims=True)
     if not (length > 0).all():
         raise FormatError("a rotation of the file is a quaternion of length 0")

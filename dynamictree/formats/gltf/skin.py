@@ -1,6 +1,6 @@
-"""A motion as a GLB with a skeleton: joints that turn, four of them a vertex, keys of one period in 16 bits.
+"""A motion as a GLB with a skeleton: joints that turn, four per vertex, with keys of one period in 16 bits.
 
-What engines play most cheaply. The file tells in its `asset.extras` how far it is from the motion.
+It is the cheapest to play in engines. The file's `asset.extras` state its error against the motion.
 """
 
 from dataclasses import asdict, replace
@@ -34,14 +34,14 @@ class Packing(NamedTuple):
 def write_skinned_glb(
     mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float, packing: Packing
 ) -> SkinSummary:
-    """Write one period with linear keys, the last equal to the first; give the errors with those of the packing.
+    """Write one period with linear keys, the last equal to the first; return the errors, packing included.
 
-    A mesh that was read from glTF stays in its document, unless that has a skin of its own or is packed, or is to be.
+    A mesh that was read from glTF stays in its document, unless that cannot carry joints or the file is to be packed.
     """
     document = None if any(packing) or mesh.gltf is None or not can_carry_joints(mesh.gltf) else mesh.gltf
     writer = plain_document(mesh, as_webp=packing.as_webp) if document is None else open_document(mesh)
     source, rest = mesh.source, _rest(skin)
-    if document is not None:  # to the document's own origin
+    if document is not None:  # the document has an origin of its own
         rest = rest + source.scale * up_rotation(source.up_axis) @ np.array(source.offset) @ up_rotation("+Y")
     skeleton, first = _add_joints(writer, skin.parent, rest)
     if document is not None:
@@ -63,7 +63,7 @@ def write_skinned_glb(
 
 
 def _with_change(summary: SkinSummary, change_m: Float64[np.ndarray, " N"]) -> SkinSummary:
-    """Errors with what the mesh at rest is off by, which its joints carry with it: the largest is an upper bound."""
+    """Add the error of the mesh at rest, which moves with the joints, to a summary; the largest is an upper bound."""
     rms_m = float(np.hypot(summary.rms_error_m, np.sqrt((change_m**2).mean())))
     return replace(
         summary,
@@ -74,21 +74,21 @@ def _with_change(summary: SkinSummary, change_m: Float64[np.ndarray, " N"]) -> S
 
 
 def joint_name(joint: int) -> str:
-    """Name of a joint's node."""
+    """Return the name of a joint's node."""
     return f"joint_{joint}"
 
 
 def _rest(skin: Skin) -> np.ndarray:
-    """Where the joints are at rest, in the file's axes."""
+    """Return the joints' rest positions in the file's axes."""
     return np.asarray(skin.joint_m.astype(np.float64) @ up_rotation("+Y"))
 
 
 def _add_sway(writer: GlbWriter, skin: Skin, fps: float, first: int) -> None:
     w, x, y, z = np.moveaxis(skin.turns, 2, 0)
-    turns = np.rint(32767 * np.stack([x, z, -y, w], axis=2)).astype(np.int16)  # of the file's axes, in its order
+    turns = np.rint(32767 * np.stack([x, z, -y, w], axis=2)).astype(np.int16)  # xyzw in the file's axes
     looped = np.concatenate([turns, turns[:1]])
     clock = writer.add_accessor((np.arange(len(looped)) / fps).astype(np.float32)[:, None], bounds=True)
-    moving = np.flatnonzero(turns[:, :, :3].any(axis=(0, 2))).tolist()  # parents carry the others as at rest
+    moving = np.flatnonzero(turns[:, :, :3].any(axis=(0, 2))).tolist()  # the others do not turn against their parents
     view = writer.add_view(np.ascontiguousarray(looped[:, moving].swapaxes(0, 1)).tobytes())
     keys = {"bufferView": view, "componentType": 5122, "normalized": True, "count": len(looped), "type": "VEC4"}
     samplers, channels = list[object](), list[object]()
@@ -101,7 +101,7 @@ def _add_sway(writer: GlbWriter, skin: Skin, fps: float, first: int) -> None:
 
 
 def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.ndarray) -> tuple[int, int]:
-    """A node per joint under one that holds them all; gives the numbers of this one and of joint 0."""
+    """Add a node per joint, below one for the skeleton; return the indices of that one and of joint 0."""
     first = len(writer.root.get("nodes", [])) + 1
     children: list[list[int]] = [[] for _ in parent]
     for joint, above in enumerate(parent.tolist()):
@@ -117,10 +117,10 @@ def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.nda
 
 
 def _add_skin(writer: GlbWriter, rest: np.ndarray, first: int, placed: Float64[np.ndarray, "4 4"]) -> int:
-    """A skin for meshes that a matrix places at rest; gives its number."""
+    """Add a skin for meshes that a matrix places at rest; return its index."""
     inverse = np.tile(placed, (len(rest), 1, 1))
     inverse[:, :3, 3] -= rest
-    columns = inverse.swapaxes(1, 2).reshape(-1, 16)  # as glTF has it
+    columns = inverse.swapaxes(1, 2).reshape(-1, 16)  # column-major
     matrices = writer.add_accessor(columns.astype(np.float32))
     joints = list(range(first, first + len(rest)))
     return writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": first - 1})

@@ -1,7 +1,7 @@
-"""The document that a mesh was read from, with all of its files inside, so that a writer can return everything in it.
+"""The glTF document that a mesh was read from, with its files embedded, so that a writer preserves all of it.
 
-Buffers become one, and images move into it. Materials, textures, attributes, nodes, names, extras, extensions, skins
-and animations stay as they are.
+Buffers are merged into one, and images move into it. Materials, textures, attributes, nodes, names, extras, extensions,
+skins and animations do not change.
 """
 
 import base64
@@ -21,11 +21,11 @@ from dynamictree.formats.json_fields import object_field, object_list, text_fiel
 from dynamictree.mesh import SourceGltf, SourceWarning
 
 MAX_SOURCE_PRIMITIVES = 4000
-"""A skin per primitive is JSON that players take seconds to parse."""
+"""Limit of primitives: players take seconds to parse the JSON of a skin for each."""
 _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
 )
-"""A white pixel that stands where an image was not sent along, so that the others keep their numbers."""
+"""A white pixel that replaces a missing image, so that the others keep their indices."""
 _IMAGE_MAGIC = (
     (b"\x89PNG\r\n\x1a\n", "image/png"),
     (b"\xff\xd8\xff", "image/jpeg"),
@@ -34,11 +34,11 @@ _IMAGE_MAGIC = (
 
 
 def keep_source(document: GltfDocument, primitives: Int32[np.ndarray, "P 4"]) -> SourceGltf | None:
-    """The document for writers; None, with a warning, where it is too large or breaks the specification.
+    """Return the document for writers; None, with a warning, if it is too large or breaks the specification.
 
     `primitives` are those of the mesh, as in `SourceGltf`.
     """
-    max_source_bytes = 256 << 20  # of a document with its files: what a job can hold in memory beside the motion
+    max_source_bytes = 256 << 20  # size of a document with its files that a job has memory for beside the motion
     try:
         files = _files(document)
         num_bytes = sum(map(len, document.buffers)) + sum(map(len, files.values()))
@@ -68,13 +68,13 @@ def _source(document: GltfDocument, primitives: Int32[np.ndarray, "P 4"], files:
 
 
 def _number(text: str) -> int | float:
-    """Convert a JSON number to an integer; some writers write indices as 3.0."""
+    """Parse a JSON number, whole ones as integers: some writers write indices as 3.0."""
     value = float(text)
     return int(value) if value.is_integer() and abs(value) < 2**53 else value
 
 
 def _files(document: GltfDocument) -> dict[int, bytes]:
-    """Content of the images that lie outside of the buffers and were sent along, by their index."""
+    """Return the content of images outside the buffers that were sent along, by index."""
     files = {}
     for index, image in enumerate(object_list(document.root, "images")):
         uri = text_field(image, "uri")
@@ -104,7 +104,7 @@ def _embed_images(merged: GlbWriter, files: Mapping[int, bytes]) -> None:
 
 
 def _drop_dead_images(merged: GlbWriter, files: Mapping[int, bytes]) -> None:
-    """Take the textures of images that were not sent along from the materials: a name without a file is an error."""
+    """Remove the textures of missing images from the materials: a reference without a file is an error."""
     images = merged.root.get("images", [])
     dead = {index for index, image in enumerate(images) if "uri" in image and index not in files}
     if not dead:
@@ -143,7 +143,7 @@ def _mime_type(content: bytes, stated: str, uri: str) -> str:
 
 
 def _warn_of_motion(document: GltfDocument) -> None:
-    """Say that a file's own animations, and its coarser levels of detail, are no part of ours."""
+    """Warn that a file's own animations and its coarser levels of detail are not part of the motion."""
     levels = [node for node in object_list(document.root, "nodes") if "MSFT_lod" in object_field(node, "extensions")]
     if levels:
         message = (

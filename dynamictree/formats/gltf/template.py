@@ -15,7 +15,7 @@ from dynamictree.up_axis import up_rotation
 
 
 def open_document(mesh: TriangleMesh) -> GlbWriter:
-    """The document of the mesh's source, upright in metres; else one mesh in one node."""
+    """Return the document of the mesh's source, upright and in metres; without one, `plain_document`."""
     if mesh.gltf is None:
         return plain_document(mesh)
     chunks = list(mesh.gltf.binary)
@@ -26,7 +26,7 @@ def open_document(mesh: TriangleMesh) -> GlbWriter:
 
 
 def plain_document(mesh: TriangleMesh, *, as_webp: bool = False) -> GlbWriter:
-    """One mesh in one node, +Y up and in metres."""
+    """Return a document of one mesh in one node, +Y up and in metres."""
     writer = GlbWriter()
     add_mesh(writer, mesh, as_webp=as_webp)
     writer.append("nodes", {"mesh": 0, "name": "tree"})
@@ -34,7 +34,7 @@ def plain_document(mesh: TriangleMesh, *, as_webp: bool = False) -> GlbWriter:
 
 
 def can_carry_joints(source: SourceGltf) -> bool:
-    """Whether a document's nodes place each of its meshes once, in plain accessors, and none by a skin."""
+    """Whether joints can be attached: no skin, no instancing, no levels of detail and no Draco in the document."""
     otherwise = (b"EXT_mesh_gpu_instancing", b"KHR_draco_mesh_compression", b"MSFT_lod")
     root = json.loads(source.document)
     skinned = any("mesh" in node and "skin" in node for node in root["nodes"])
@@ -44,9 +44,9 @@ def can_carry_joints(source: SourceGltf) -> bool:
 def attach_joints(
     writer: GlbWriter, source: SourceGltf, skin: Skin, skin_for: Callable[[Float64[np.ndarray, "4 4"]], int]
 ) -> list[int]:
-    """Attach joints and weights to what moves of a source's document; gives the nodes, which the scene itself has.
+    """Attach joints and weights to the moving meshes of a source's document; return their new nodes, for the scene.
 
-    `skin_for` adds a skin for meshes that a matrix places in the scene, and gives its number.
+    `skin_for` adds a skin for meshes that a matrix places in the scene, and returns its index.
     """
     root, world = writer.root, _placed(writer.root)
     by_node: dict[int, dict[int, slice]] = {}
@@ -70,7 +70,7 @@ def attach_joints(
 
 
 def add_mesh_joints(writer: GlbWriter, skin: Skin, rows: slice | None = slice(None), count: int = 0) -> dict[str, int]:
-    """Attributes of some vertices; without rows, of `count` vertices that joint 0 carries, which never moves."""
+    """Add joints and weights of the vertices `rows`; if None, of `count` vertices on joint 0, which never moves."""
     if rows is None:
         joints, weights = np.zeros((count, 4), np.int32), np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
     else:
@@ -85,7 +85,7 @@ def add_mesh_joints(writer: GlbWriter, skin: Skin, rows: slice | None = slice(No
 
 
 def _own_mesh(writer: GlbWriter, node: int) -> dict[str, Any]:
-    """The node's mesh; a copy of it if other nodes show it too."""
+    """Return the node's mesh; a copy of it if other nodes use it too."""
     root = writer.root
     index = root["nodes"][node]["mesh"]
     if sum(other.get("mesh") == index for other in root["nodes"]) > 1:
@@ -95,7 +95,7 @@ def _own_mesh(writer: GlbWriter, node: int) -> dict[str, Any]:
 
 
 def _placed(root: dict[str, Any]) -> dict[int, Float64[np.ndarray, "4 4"]]:
-    """Where each node of the scene is."""
+    """Return the world matrix of each node of the scene."""
     waiting = [(node, np.eye(4)) for node in root["scenes"][root.get("scene", 0)]["nodes"]]
     placed: dict[int, Float64[np.ndarray, "4 4"]] = {}
     while waiting:
@@ -106,7 +106,7 @@ def _placed(root: dict[str, Any]) -> dict[int, Float64[np.ndarray, "4 4"]]:
 
 
 def _stand_upright(root: dict[str, Any], to_z_up: Float64[np.ndarray, "3 3"]) -> None:
-    """Put the scene below a node that turns and scales it to metres and +Y up, where the caller says it is not."""
+    """Put the scene below a new node that turns and scales it to metres and +Y up."""
     scene = root["scenes"][root.get("scene", 0)]
     matrix = np.eye(4)
     matrix[:3, :3] = up_rotation("+Y").T @ to_z_up

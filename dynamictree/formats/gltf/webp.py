@@ -1,7 +1,7 @@
-"""Textures of a GLB as WebP (EXT_texture_webp), each only where that is smaller.
+"""Textures of a GLB as WebP (EXT_texture_webp), each only if that is smaller.
 
-Colours are rounded (libwebp's quality 90, transparency and what lies under it exact). All else, such as normals and
-roughness, is stored without loss: WebP halves the resolution of colour differences, which hold directions there.
+Colours are lossy (libwebp's quality 90; transparency and colours under it are exact). All else, such as normals and
+roughness, is lossless: lossy WebP halves the resolution of chroma, which stores directions there.
 """
 
 import io
@@ -15,13 +15,13 @@ WEBP = "EXT_texture_webp"
 _COLORS = frozenset(
     {"baseColorTexture", "emissiveTexture", "diffuseTexture", "specularColorTexture", "sheenColorTexture"}
 )
-_FORMATS = ("PNG", "JPEG")  # what glTF has without an extension
+_FORMATS = ("PNG", "JPEG")  # formats of glTF without extensions
 
 
 def webp_textures(root: dict[str, Any], contents: list[bytes]) -> None:
-    """Replace the contents of a document's images by smaller ones, and name the extension where there are any.
+    """Replace a document's images by smaller WebP ones, and declare the extension if there are any.
 
-    What is damaged, too large, or has another extension's image beside it stays.
+    Images that are damaged, too large, or shared with another extension stay.
     """
     uses = dict[int, set[str]]()
     for name, entry in named_textures(root.get("materials", [])):
@@ -42,7 +42,7 @@ def webp_textures(root: dict[str, Any], contents: list[bytes]) -> None:
 
 
 def named_textures(entry: object) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Where materials name a texture, and under which name."""
+    """Yield the references to textures in materials, with the name of each."""
     below = entry.items() if isinstance(entry, dict) else enumerate(entry) if isinstance(entry, list) else ()
     for name, one in below:
         if str(name).endswith("Texture") and isinstance(one, dict):
@@ -51,7 +51,7 @@ def named_textures(entry: object) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _plain_images(root: dict[str, Any]) -> dict[int, list[int]]:
-    """Textures of each image that nothing but textures without extensions uses."""
+    """Return the textures of each image that is used only by textures without extensions."""
     textures: dict[int, list[int]] = {}
     other = set[int]()
     for number, texture in enumerate(root.get("textures", [])):
@@ -63,9 +63,9 @@ def _plain_images(root: dict[str, Any]) -> dict[int, list[int]]:
 
 
 def _encoded(content: bytes, *, lossless: bool) -> bytes | None:
-    """The picture as WebP; None if it cannot be decoded, or is too large."""
+    """Encode an image as WebP; None if it cannot be decoded or is too large."""
     quality = 90
-    max_side_px = 16_383  # of the format
+    max_side_px = 16_383  # limit of the format
     try:
         image = decoded_image(content, "image", formats=_FORMATS)
     except FormatError:

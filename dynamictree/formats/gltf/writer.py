@@ -1,4 +1,4 @@
-"""Meshes as GLB: +Y up, metres, one primitive a material over one list of vertices, in the mesh's vertex order."""
+"""Meshes as GLB: +Y up, metres, one primitive per material over shared vertices, in the mesh's vertex order."""
 
 import io
 import json
@@ -24,28 +24,28 @@ VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 
 @dataclass(kw_only=True)
 class GlbWriter:
-    """The document under construction and the bytes of its one buffer."""
+    """A glTF document under construction, and the bytes of its buffer."""
 
     root: dict[str, Any] = field(default_factory=dict)
     chunks: list[bytes] = field(default_factory=list)
     num_bytes: int = 0
-    extras: dict[str, object] = field(default_factory=dict)  # of the asset
+    extras: dict[str, object] = field(default_factory=dict)  # extras of the asset
 
     def append(self, name: str, entry: object) -> int:
-        """Add to a list of the document; gives the index there."""
+        """Append to a list of the document and return the index."""
         entries: list[object] = self.root.setdefault(name, [])
         entries.append(entry)
         return len(entries) - 1
 
     def add_bytes(self, content: bytes) -> int:
-        """Add bytes, padded to four; gives their offset."""
+        """Add bytes, padded to a multiple of four, and return their offset."""
         start, padding = self.num_bytes, b"\0" * (-len(content) % 4)
         self.chunks += [content, padding] if padding else [content]
         self.num_bytes += len(content) + len(padding)
         return start
 
     def add_view(self, content: bytes, target: int | None = None) -> int:
-        """Add a view of bytes; gives its index."""
+        """Add a view of bytes and return its index."""
         view = {"buffer": 0, "byteOffset": self.add_bytes(content), "byteLength": len(content)}
         return self.append("bufferViews", view | ({} if target is None else {"target": target}))
 
@@ -57,7 +57,7 @@ class GlbWriter:
         bounds: bool = False,
         normalized: bool = False,
     ) -> int:
-        """Add an array; gives the accessor's index."""
+        """Add an array and return the accessor's index."""
         accessor: dict[str, object] = {
             "bufferView": self.add_view(np.ascontiguousarray(elements).tobytes(), target),
             "componentType": component_number(elements.dtype),
@@ -71,7 +71,7 @@ class GlbWriter:
         return self.append("accessors", accessor)
 
     def finish(self, stream: ByteWriter) -> None:
-        """Write the file."""
+        """Write the GLB file."""
         scene: dict[str, object] = {"scene": 0, "scenes": [{"nodes": [0]}]}
         asset: dict[str, Any] = {"version": "2.0", "generator": GENERATOR, **self.root.get("asset", {})}
         extras = asset.get("extras", {})
@@ -91,7 +91,7 @@ class GlbWriter:
 def write_glb(
     mesh: TriangleMesh, stream: ByteWriter, writer: GlbWriter | None = None, attributes: Mapping[str, int] | None = None
 ) -> None:
-    """Write a mesh at rest, with its materials, textures, colours and further attributes that a writer has begun."""
+    """Write a mesh at rest with materials, textures and colours; `attributes` are further accessors of `writer`."""
     writer = writer or GlbWriter()
     add_mesh(writer, mesh, more_attributes=attributes)
     writer.append("nodes", {"mesh": 0, "name": "tree"})
@@ -99,7 +99,7 @@ def write_glb(
 
 
 def rest_glb(mesh: TriangleMesh, lookup: Float32[np.ndarray, "N 2"]) -> bytes:
-    """The mesh at rest in one node, with a shader's lookup as TEXCOORD_1."""
+    """Return a GLB of the mesh at rest in one node, with a shader's lookup as TEXCOORD_1."""
     writer, stream = GlbWriter(), io.BytesIO()
     sets = {"TEXCOORD_1": lookup} | ({"TEXCOORD_0": np.zeros_like(lookup)} if mesh.look.uv is None else {})
     attributes = {name: writer.add_accessor(values, target=VERTEX_BUFFER) for name, values in sets.items()}
@@ -115,7 +115,7 @@ def add_mesh(
     more_attributes: Mapping[str, int] | None = None,
     as_webp: bool = False,
 ) -> None:
-    """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share."""
+    """Add the mesh, with morph targets and further attributes (accessors) that all of its primitives share."""
     attributes = {
         "POSITION": writer.add_accessor(vertices_in_source_axes(mesh.vertices, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
@@ -144,7 +144,7 @@ def add_mesh(
 
 
 def _add_materials(writer: GlbWriter, mesh: TriangleMesh, *, as_webp: bool) -> None:
-    """The mesh's materials: as its glTF has them where their textures lie as the mesh's one, else the base colours."""
+    """Add the materials: the source glTF's if their textures use the mesh's only coordinates, else base colours."""
     source = {} if mesh.gltf is None else json.loads(mesh.gltf.document)
     has_uv = mesh.look.uv is not None
 
@@ -178,7 +178,7 @@ def _add_materials(writer: GlbWriter, mesh: TriangleMesh, *, as_webp: bool) -> N
 
 
 def _material(root: dict[str, Any], contents: list[bytes], material: Material, *, has_uv: bool) -> dict[str, object]:
-    """A material of the base colour alone, whose texture is added."""
+    """Return a material of only a base colour, and add its texture."""
     surface: dict[str, object] = {
         "baseColorFactor": list(material.base_color),
         "metallicFactor": 0.0,
@@ -201,7 +201,7 @@ def _material(root: dict[str, Any], contents: list[bytes], material: Material, *
 
 
 def linear_colors(colors: UInt8[np.ndarray, "N 4"]) -> Shaped[np.ndarray, "N 4"]:
-    """SRGB bytes to the linear 16 bits that glTF asks for; bytes would lose the dark shades."""
+    """Convert sRGB bytes to linear 16 bits: glTF's colours are linear, and linear bytes would lose dark shades."""
     rgba: Float32[np.ndarray, "N 4"] = colors.astype(np.float32) / 255
     rgba[:, :3] = srgb_to_linear(rgba[:, :3])
     return np.round(rgba * 65535).astype(np.uint16)

@@ -1,4 +1,4 @@
-"""Mesh formats that trimesh reads for us: OFF, 3MF and COLLADA. Counts and sizes are checked before it parses."""
+"""Mesh formats that trimesh reads: OFF, 3MF and COLLADA. Counts and sizes are checked before it parses a file."""
 
 import io
 import re
@@ -30,7 +30,7 @@ _DAE_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([-+0-9.eE]+)[\"']")
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignMesh:
-    """A mesh in its file's axes and units, and what the file says of them; None where it says nothing."""
+    """Mesh in its file's axes and units, and these as the file states them; None where it does not."""
 
     mesh: TriangleMesh
     up_axis: str | None
@@ -58,7 +58,7 @@ def read_foreign_mesh(content: bytes, *, file_type: str, companions: Mapping[str
         axis = "+Y" if up is None else f"+{up[1].decode()}"
         unit = _positive(declared[1]) if declared else 1.0
     mesh = _parsed(content, file_type, companions, _dae_names(content) if file_type == "dae" else {})
-    if mesh.num_faces < num_faces:  # trimesh reads what is there
+    if mesh.num_faces < num_faces:  # trimesh does not check the header's counts
         raise FormatError(f"the OFF header says {num_faces:,} faces, but {mesh.num_faces:,} are there; it is truncated")
     return ForeignMesh(mesh=mesh, up_axis=axis, unit_m=unit)
 
@@ -67,7 +67,7 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes], nam
     import trimesh
 
     class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]
-        """Files beside the model; nothing else can be opened."""
+        """Resolver for the files beside the model; nothing else can be opened."""
 
         def __init__(self) -> None:
             pass
@@ -108,13 +108,13 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes], nam
 
 
 def _with_names(mesh: TriangleMesh, sizes: list[tuple[str, int]], names: _Names) -> TriangleMesh:
-    """The mesh with the names of its parts, which have the geometries and numbers of faces of `sizes`."""
+    """Return the mesh with part names; `sizes` lists the geometry and number of faces of each part."""
     if not names:
         return mesh
     waiting = {geometry: list(pairs) for geometry, pairs in names.items()}
     parts = []
     for geometry, _ in sizes:
-        own = geometry if geometry in waiting else geometry.rpartition("_")[0]  # trimesh numbers those after the first
+        own = geometry if geometry in waiting else geometry.rpartition("_")[0]  # trimesh numbers repeated names
         parts.append(waiting[own].pop(0) if waiting.get(own) else ("", ""))
     part_names = tuple(dict.fromkeys(name for name, _ in parts))
     numbers = np.array([part_names.index(name) for name, _ in parts], np.int32)
@@ -131,8 +131,8 @@ def _with_names(mesh: TriangleMesh, sizes: list[tuple[str, int]], names: _Names)
 
 
 def _dae_names(content: bytes) -> _Names:
-    """By the identity of a geometry, the path and the material of each of its primitives, as often as it is placed."""
-    most_names = 16  # of a node's path, as of glTF
+    """Return, by geometry id, the node path and the material of each primitive, once per instance."""
+    most_names = 16  # names in a node's path, as in glTF
     try:
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
@@ -167,7 +167,7 @@ def _dae_names(content: bytes) -> _Names:
 
 
 def _check_off(content: bytes) -> int:
-    """Check the header; gives its number of faces."""
+    """Check the header and return its number of faces."""
     lines = (line.split(b"#")[0].split() for line in content[:65536].splitlines())
     words = [word for line in lines for word in line][:4]
     counts = words[1:3]
@@ -183,9 +183,9 @@ def _check_off(content: bytes) -> int:
 
 
 def _check_3mf(content: bytes) -> bytes:
-    """Check the archive's sizes; gives the unit of its model."""
-    max_xml_bytes = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
-    max_ratio = 100  # of an archive's content to its size
+    """Check the archive's sizes and return the unit of its model."""
+    max_xml_bytes = 1 << 30  # all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
+    max_ratio = 100  # largest ratio of unpacked to packed bytes
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             declared = sum(entry.file_size for entry in archive.infolist())

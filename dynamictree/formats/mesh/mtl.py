@@ -1,4 +1,4 @@
-"""Materials of Wavefront MTL files: the base colour, its texture, and whether it is cut out."""
+"""Materials of Wavefront MTL files: base colour, texture and alpha cutoff."""
 
 import re
 import unicodedata
@@ -20,7 +20,7 @@ _OPTIONS = re.compile(
 def read_materials(
     names: Sequence[str], libraries: Sequence[str], companions: Mapping[str, bytes]
 ) -> tuple[tuple[Material, ...], list[SourceWarning]]:
-    """The materials of these names, grey where no library describes one, and what was missing.
+    """Read the named materials, grey where no library describes them; return them with warnings.
 
     Raises:
         FormatError: a damaged texture.
@@ -46,7 +46,7 @@ def read_materials(
 
 
 def text_of(content: bytes) -> str:
-    """UTF-8, or Latin-1 as programs on Windows write names with umlauts."""
+    """Decode UTF-8, or Latin-1, in which programs on Windows write names with umlauts."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -54,7 +54,7 @@ def text_of(content: bytes) -> str:
 
 
 def _libraries(library: str, names: Sequence[str], companions: Mapping[str, bytes]) -> list[bytes]:
-    """Files of a `mtllib` line: one name with blanks, several names, or the one MTL there is if its names are ours."""
+    """Find the files of a `mtllib` line: one name with blanks, several names, or the only MTL if its names match."""
     whole = find_companion(library, companions)
     if whole is not None:
         return [whole]
@@ -72,7 +72,7 @@ def _key(name: str) -> str:
 
 
 def _fields(text: str) -> dict[str, dict[str, str]]:
-    """Keyword and rest of each line, by the material's name."""
+    """Return the value of each keyword, by material name."""
     fields: dict[str, dict[str, str]] = {}
     current: dict[str, str] = {}
     for line in text.splitlines():
@@ -91,8 +91,8 @@ def _material(
     images: dict[str, bytes],
     warnings: list[SourceWarning],
 ) -> Material:
-    """Build one material; `images` has the textures that are decoded already."""
-    cutoff = 0.5  # of a material with a map_d
+    """Build one material; `images` caches decoded textures."""
+    cutoff = 0.5  # alpha cutoff of a material with a map_d
     red, green, blue = (_numbers(entry.get("kd", "")) * 3)[:3] or (0.8, 0.8, 0.8)
     opaque = _numbers(entry.get("d", "")) or [1 - number for number in _numbers(entry.get("tr", ""))] or [1.0]
     given = entry.get("map_kd", "").strip('"')
@@ -116,7 +116,7 @@ def _material(
 
 
 def _numbers(text: str) -> list[float]:
-    """The numbers of a line, clipped to [0, 1]; none where it has something else, such as a spectral curve."""
+    """Parse the numbers of a line, clipped to [0, 1]; empty if it contains anything else, such as a spectral curve."""
     try:
         return [min(max(float(word), 0.0), 1.0) for word in text.removeprefix("-halo").split()]
     except ValueError:

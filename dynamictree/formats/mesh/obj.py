@@ -1,7 +1,7 @@
 """Wavefront OBJ with its MTL and textures, which are looked up only among the files that were sent along.
 
-Vertices follow the `v` lines. A vertex with several texture coordinates or normals retains its first; copies with the
-others follow after the last `v`. Polygons are cut into fans; points, lines and faces of two corners are left out.
+Vertices have the order of the `v` lines. A vertex with several texture coordinates or normals retains its first; copies
+with the others follow after the last `v`. Polygons become triangle fans; points, lines and 2-corner faces are skipped.
 """
 
 import re
@@ -34,26 +34,26 @@ _UNREADABLE_NORMAL = re.compile(rb"(/[^/ ]*/)(?!-?[0-9]+ )[^ ]*")
 
 @dataclass(kw_only=True)
 class _Statements:
-    """The lines of a file by their keyword, numbers still text."""
+    """Lines of a file by keyword; their numbers are not parsed yet."""
 
     vertices: list[bytes] = field(default_factory=list)
     texture_places: list[bytes] = field(default_factory=list)
     normals: list[bytes] = field(default_factory=list)
-    faces: list[bytes] = field(default_factory=list)  # corners as "v/vt/vn ", 0 for what a corner has not
+    faces: list[bytes] = field(default_factory=list)  # corners as "v/vt/vn ", 0 for a missing number
     face_sizes: list[int] = field(default_factory=list)
-    above: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # v, vt, vn lines above a face that needs them
+    above: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # lines of v, vt, vn above a relative face
     face_materials: list[int] = field(default_factory=list)
     material_names: dict[str, int] = field(default_factory=dict)
     face_parts: list[int] = field(default_factory=list)
-    part_names: dict[str, int] = field(default_factory=dict)  # of objects and groups
+    part_names: dict[str, int] = field(default_factory=dict)  # names of objects and groups
     libraries: list[str] = field(default_factory=list)
 
 
 def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh:
-    """Read, in the file's own axes and units. A library or texture that was not sent along leaves its default.
+    """Read a mesh in the file's axes and units; defaults replace a library or texture that was not sent along.
 
     Raises:
-        FormatError: a line that cannot be read, a face that names what is not there, a damaged texture.
+        FormatError: a line that cannot be read, a face with an index out of range, a damaged texture.
         MeshError: no faces, or more than `mesh.py` allows.
     """
     statements = _sort_lines(_CONTINUED.sub(b" ", content.removeprefix(b"\xef\xbb\xbf")).splitlines())
@@ -76,7 +76,7 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         materials, warnings = read_materials(tuple(statements.material_names), statements.libraries, companions)
     vertices, offset = near_origin(table[:, :3])
     part = np.array(statements.face_parts, np.int32)
-    part[part < 0] = len(statements.part_names)  # faces above the first name are of the last part, which has none
+    part[part < 0] = len(statements.part_names)  # faces above the first name belong to a last, unnamed part
     return TriangleMesh(
         vertices=vertices[original],
         faces=faces,
@@ -136,7 +136,7 @@ def _sort_lines(lines: list[bytes]) -> _Statements:
 
 
 def _three_numbers(corners: list[bytes]) -> bytes:
-    """The corners with 0 for each number that is not there."""
+    """Return the corners with 0 for each missing number."""
     given = {corner.count(b"/") for corner in corners}
     if len(given) > 1:
         return b"".join(corner + b"/0" * (2 - corner.count(b"/")) + b" " for corner in corners)
@@ -147,11 +147,11 @@ def _three_numbers(corners: list[bytes]) -> bytes:
 def _numbers(
     lines: list[bytes], keyword: str, fewest: int
 ) -> tuple[Float64[np.ndarray, "n w"], Int64[np.ndarray, " n"]]:
-    """The numbers of lines, not a number where a line is shorter than others, and how many each has."""
+    """Parse lines to a table, padded with NaN, and count the numbers per line."""
     if not lines:
         return np.zeros((0, fewest)), np.zeros(0, np.int64)
     widths = np.fromiter((len(line.split()) for line in lines), np.int64, len(lines))
-    values = numbers_of(b" ".join(lines).replace(b",", b"."))  # some programs write a comma in Germany
+    values = numbers_of(b" ".join(lines).replace(b",", b"."))  # some programs write decimal commas
     if values is None or len(values) != widths.sum() or widths.min() < fewest:
         odd = next((line for line in lines if not _is_row(line, fewest)), lines[0])
         raise FormatError(f"a `{keyword}` line of the OBJ file is {odd[:60]!r}; {fewest} numbers or more are needed")
@@ -166,7 +166,7 @@ def _is_row(line: bytes, fewest: int) -> bool:
 
 
 def _directions(lines: list[bytes]) -> Float64[np.ndarray, "n 3"]:
-    """The `vn` lines; none where they cannot be read, as a shape needs no normals."""
+    """Parse the `vn` lines; empty if they cannot be read, as normals are optional."""
     try:
         return _numbers(lines, "vn", 3)[0][:, :3]
     except FormatError:
@@ -174,21 +174,21 @@ def _directions(lines: list[bytes]) -> Float64[np.ndarray, "n 3"]:
 
 
 def _corner_numbers(text: bytes) -> Int64[np.ndarray, " n"] | None:
-    """The numbers of corners such as `1/2/3`, 0 for those that are missing; None if something is no number."""
+    """Parse corners such as `1/2/3`, with 0 for missing numbers; None if anything is not a number."""
     return numbers_of(text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" "), np.int64)
 
 
 def _corner_rows(statements: _Statements, counts: tuple[int, int, int]) -> Int64[np.ndarray, "C 3"]:
-    """Row of the vertex, the texture place and the normal of every corner; -1 where it has none."""
+    """Return the row of each corner's vertex, texture coordinates and normal; -1 where it has none."""
     text, sizes = b"".join(statements.faces), np.array(statements.face_sizes)
     numbers = _corner_numbers(text)
-    if numbers is None:  # a shape needs no normals
+    if numbers is None:  # normals are optional
         numbers = _corner_numbers(_UNREADABLE_NORMAL.sub(rb"\g<1>0", text))
     if numbers is None or len(numbers) != 3 * sizes.sum():
         odd = next((face for face in statements.faces if not _FACE.fullmatch(face)), b"")
         raise FormatError(f"a face of the OBJ file is {odd[:60]!r}, which is not understood")
     rows = numbers.reshape(-1, 3)
-    if statements.above:  # negative numbers count back from where they stand
+    if statements.above:  # negative numbers count back from their line
         above = np.zeros((len(sizes), 3), np.int64)
         above[list(statements.above)] = list(statements.above.values())
         rows = np.where(rows < 0, rows + np.repeat(above, sizes, axis=0) + 1, rows)
@@ -201,12 +201,12 @@ def _corner_rows(statements: _Statements, counts: tuple[int, int, int]) -> Int64
             f"a face of the OBJ file has the corner {corner}, but there are {counts[0]:,} vertices and {counts[1]:,} "
             "texture coordinates to choose from"
         )
-    rows[beyond] = 0  # a normal that is not there
+    rows[beyond] = 0  # texture coordinates and normals that do not exist
     return rows - 1
 
 
 def _alike(directions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " m"]:
-    """Of each normal, the first that is the same within a degree; -1 after the last, for corners without one."""
+    """Map each normal to the first that is equal within a degree; a last entry of -1 is for corners without one."""
     units = np.round(unit_vectors(directions).astype(np.float64), 2) if len(directions) else directions
     _, first, inverse = np.unique(units, axis=0, return_index=True, return_inverse=True)
     return np.append(first[inverse.ravel()], -1).astype(np.int64)
@@ -215,12 +215,12 @@ def _alike(directions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " m"]:
 def _split(
     rows: Int64[np.ndarray, " C"], looks: Int64[np.ndarray, "C 2"], num_vertices: int
 ) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, "N 2"], Int32[np.ndarray, " C"]]:
-    """Source row, and texture place and normal, of each vertex that is made, and the vertex at each corner."""
+    """Return each new vertex's source row, its texture and normal rows, and the new vertex of each corner."""
     keys, first, inverse = np.unique(np.column_stack([rows, looks]), axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")  # in the order of faces
+    order = np.argsort(first, kind="stable")  # order of first use by faces
     owner = np.full(num_vertices, -1, np.int64)
     vertex, position = np.unique(keys[order, 0], return_index=True)
-    owner[vertex] = order[position]  # the look that a vertex came with first
+    owner[vertex] = order[position]  # first look of each vertex
     is_copy = np.ones(len(keys), bool)
     is_copy[owner[vertex]] = False
     copies = order[is_copy[order]]
@@ -237,7 +237,7 @@ def _split(
 def fans(
     corners: Int32[np.ndarray, " C"], sizes: Int64[np.ndarray, " P"]
 ) -> tuple[Int32[np.ndarray, "F 3"], Int64[np.ndarray, " F"]]:
-    """Triangles of polygons that lie one after the other, and the polygon of each."""
+    """Split concatenated polygons into triangle fans; return the triangles and the polygon of each."""
     polygon = np.repeat(np.arange(len(sizes)), sizes - 2)
     start = (np.cumsum(sizes) - sizes)[polygon]
     step = np.arange(len(polygon)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
@@ -257,7 +257,7 @@ def _normals(
 
 
 def _uv(places: Float64[np.ndarray, "n w"], rows: Int64[np.ndarray, " N"]) -> Float32[np.ndarray, "N 2"] | None:
-    """Texture coordinates with v downward, 0 where a vertex has none."""
+    """Return texture coordinates with v downward; 0 where a vertex has none."""
     if not len(places):
         return None
     uv = np.zeros((len(rows), 2), np.float32)
@@ -270,9 +270,9 @@ def _uv(places: Float64[np.ndarray, "n w"], rows: Int64[np.ndarray, " N"]) -> Fl
 def _colors(
     table: Float64[np.ndarray, "n width"], widths: Int64[np.ndarray, " n"], rows: Int64[np.ndarray, " N"]
 ) -> UInt8[np.ndarray, "N 4"] | None:
-    """Colours behind the position, from 0 to 1 or to 255, as scanners write them; white where a line has none.
+    """Read colours after the positions, up to 1 or to 255, as scanners write them; white where a line has none.
 
-    Of four numbers behind the position the first is a weight if it is 1 everywhere, else the last is an alpha.
+    If four numbers follow the position, the first is a weight if it is 1 everywhere; else the last is alpha.
     """
     colored = widths >= 6
     if not colored.any():

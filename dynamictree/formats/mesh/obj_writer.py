@@ -9,9 +9,9 @@ from dynamictree.mesh import TriangleMesh
 
 
 def write_obj(mesh: TriangleMesh, stream: ByteWriter, *, library: str = "") -> dict[str, bytes]:
-    """Write the mesh with its groups, colours and normals; gives MTL and textures by name, if `library` is one.
+    """Write the mesh with groups, colours and normals; return MTL and textures by name if `library` is set.
 
-    Positions have nine digits, which is what float32 needs to come back the same.
+    Positions have nine digits, so that float32 values round-trip exactly.
     """
     lines = [f"mtllib {library}"] if library else []
     places = mesh.vertices.tolist()
@@ -39,7 +39,7 @@ def _rows(keyword: str, rows: list[list[float]]) -> list[str]:
 
 
 def _belongings(mesh: TriangleMesh) -> Iterator[tuple[str, ...]]:
-    """The lines that say the group and the material of each face."""
+    """Yield the lines that set the group and the material of each face."""
     groups = [f"g {name}".rstrip() for name in mesh.parts.names] if mesh.parts.of_face is not None else [""]
     materials = [f"usemtl {_name(mesh, number)}" for number in range(len(mesh.look.materials))] or [""]
     group_of = np.zeros(mesh.num_faces, np.int32) if mesh.parts.of_face is None else mesh.parts.of_face

@@ -13,7 +13,7 @@ from dynamictree.source import Source
 
 @dataclass(frozen=True, kw_only=True)
 class MeshPart:
-    """One primitive of a file; `vertices_of` is the earlier part whose vertices it uses, if it brings none."""
+    """One primitive of a file; `vertices_of` is the earlier part whose vertices it uses, if it has none of its own."""
 
     vertices: Float64[np.ndarray, "N 3"]
     faces: Int32[np.ndarray, "F 3"]
@@ -22,11 +22,11 @@ class MeshPart:
     material: int  # -1: none
     vertices_of: int | None = None
     normals: Float32[np.ndarray, "N 3"] | None = None
-    name: str = ""  # of its node, after those above it
+    name: str = ""  # path of its node
 
 
 def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> TriangleMesh:
-    """One mesh; what has no material gets a white one, a vertex without texture place 0, one without colour white."""
+    """Join parts into one mesh; missing materials and colours become white, missing texture coordinates 0."""
     white = 255
     default_material = Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False)
     own, starts = [part for part in parts if part.vertices_of is None], first_vertices(parts)
@@ -59,7 +59,7 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
 
 
 def first_vertices(parts: Sequence[MeshPart]) -> list[int]:
-    """Where the vertices of each part begin in the joined mesh."""
+    """Return the index of each part's first vertex in the joined mesh."""
     starts: list[int] = []
     total = 0
     for part in parts:

@@ -1,4 +1,4 @@
-"""PLY meshes, ASCII and binary of both byte orders. Vertices follow the file; polygons are cut into fans."""
+"""PLY meshes, ASCII and binary of both byte orders. Vertices keep the file's order; polygons become triangle fans."""
 
 import io
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ _LIST_NAMES = ("vertex_indices", "vertex_index")
 
 
 def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh:
-    """Read, in the file's own axes and units.
+    """Read a mesh in the file's axes and units.
 
     Raises:
         FormatError: not PLY, shorter than its header says, no faces (a point cloud or a splat), a damaged texture.

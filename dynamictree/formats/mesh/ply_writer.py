@@ -9,14 +9,14 @@ from dynamictree.mesh import TriangleMesh
 
 
 def write_ply(mesh: TriangleMesh, stream: ByteWriter) -> None:
-    """Write vertices, texture coordinates, colours and faces; materials have no place in PLY."""
+    """Write vertices, texture coordinates, colours and faces; PLY stores no materials."""
     stream.write(ply_head(mesh))
     stream.write(ply_vertices(mesh, mesh.vertices))
     stream.write(ply_faces(mesh))
 
 
 def ply_head(mesh: TriangleMesh) -> bytes:
-    """The header, with the up axis and the unit in comments."""
+    """Return the header, with the up axis and the unit in comments."""
     lines = ["ply", "format binary_little_endian 1.0", *axis_comments("+Z", 1.0, mesh.source.offset)]
     lines += [f"element vertex {mesh.num_vertices}"]
     lines += [f"property float {name}" for name in "xyz"]
@@ -29,7 +29,7 @@ def ply_head(mesh: TriangleMesh) -> bytes:
 
 
 def ply_vertices(mesh: TriangleMesh, positions: Float32[np.ndarray, "N 3"]) -> bytes:
-    """The mesh's vertices at other positions."""
+    """Return the rows of the mesh's vertices at new positions."""
     fields: list[tuple[str, str, tuple[int]]] = [("position", "<f4", (3,))]
     fields += [("uv", "<f4", (2,))] if mesh.look.uv is not None else []
     fields += [("color", "u1", (4,))] if mesh.look.vertex_colors is not None else []
@@ -43,7 +43,7 @@ def ply_vertices(mesh: TriangleMesh, positions: Float32[np.ndarray, "N 3"]) -> b
 
 
 def ply_faces(mesh: TriangleMesh) -> bytes:
-    """The mesh's triangles."""
+    """Return the rows of the mesh's triangles."""
     rows = np.empty(mesh.num_faces, [("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, mesh.faces
     return rows.tobytes()

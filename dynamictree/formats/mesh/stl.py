@@ -1,4 +1,4 @@
-"""STL, binary and ASCII. Its triangles share no vertices; equal positions are made one, in their order in the file."""
+"""STL, binary and ASCII. Triangles in a file share no vertices; equal positions are merged, in the file's order."""
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -11,7 +11,7 @@ from dynamictree.source import Source
 
 
 def read_stl(content: bytes) -> TriangleMesh:
-    """Read, in the file's own axes and units.
+    """Read a mesh in the file's axes and units.
 
     Raises:
         FormatError: truncated, or neither kind of STL.

@@ -19,7 +19,7 @@ from dynamictree.up_axis import up_rotation, vertices_in_source_axes
 def write_motion_alembic(
     mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, fps: float
 ) -> None:
-    """Write displacements [m]; the first frame is at time 0."""
+    """Write the mesh and its displacements [m]; the first frame is at time 0."""
     with tempfile.TemporaryDirectory(prefix="dynamictree-alembic-") as folder:
         path = Path(folder) / "tree.abc"
         _write_archive(mesh, frames, str(path), fps)  # the file is complete when the archive is no longer referenced
@@ -63,7 +63,7 @@ def _add_face_sets(schema: Any, mesh: TriangleMesh) -> None:
 
 
 def face_set_names(names: list[str]) -> list[str]:
-    """Names of face sets for materials: unique, and without the characters that paths in Alembic cannot have."""
+    """Return names of face sets for materials: unique, and without characters that Alembic's paths cannot have."""
     given: list[str] = []
     for number, name in enumerate(names):
         plain = name.replace("/", "_") or f"material_{number}"

@@ -1,4 +1,4 @@
-"""OpenEXR pictures of half floats, ZIP compressed."""
+"""OpenEXR images of half floats, ZIP compressed."""
 
 import tempfile
 from pathlib import Path
@@ -8,8 +8,8 @@ from jaxtyping import Float16
 
 
 def exr_of(pixels: Float16[np.ndarray, "H W 3"]) -> bytes:
-    """A linear picture, first row on top."""
-    import OpenEXR  # 5 MB of code that only this needs
+    """Encode a linear image, first row on top."""
+    import OpenEXR  # 5 MB of code, loaded only on use
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with tempfile.TemporaryDirectory(prefix="dynamictree-exr-") as folder:

@@ -1,4 +1,4 @@
-"""A moving tree as one HTML file that plays from disk: viewer, its libraries and the tree, all inside."""
+"""A moving tree as one HTML file that plays from disk: it contains the viewer, its libraries and the tree."""
 
 import base64
 import gzip
@@ -16,7 +16,7 @@ from dynamictree.gaussian.animate import AnimatedSplat
 from web.vendor import FOLDER, LIBRARIES
 
 MAX_SPLAT_BYTES = 256 * 1024**2
-"""Of the splat inside a page: in base64 it has to stay below the longest text that browsers allow, 512 MiB."""
+"""Largest splat inside a page: its base64 text must stay below the longest that browsers allow, 512 MiB."""
 _THREE, _SPARK, _FFLATE = (
     next(one for one in LIBRARIES if one.name == name) for name in ("three", "@sparkjsdev/spark", "fflate")
 )
@@ -53,7 +53,7 @@ _PLAYERS = {
     "player_mesh.js": (_CORE | _MESH, ("three.js",)),
     "player_splat.js": (_CORE | _SPLAT, tuple(_LICENCES)),
 }
-"""The pages' scripts; their modules by name in the import map, with places in `web/`; whose licences they state."""
+"""By a page's script: its modules, from name in the import map to path in `web/`, and the licences to include."""
 _IMPORT = re.compile(r"""(from\s*|import\s*)(["'])(\.{1,2}/[^"']*)\2""")
 
 
@@ -88,7 +88,7 @@ def _write_page(player: str, tree: bytes, stream: BinaryIO, title: str) -> None:
 
 @cache
 def _viewer(player: str) -> str:
-    """Licences and modules of a page, whose script `player` lies beside this one."""
+    """Return the licences and modules of a page; its script `player` is beside this module."""
     modules, licences = _PLAYERS[player]
     texts = [f"<!-- {name}:\n{_of_web(f'vendor/{_LICENCES[name]}').strip()}\n-->\n" for name in licences]
     names = {PurePosixPath(place).name: name for name, place in modules.items()}
@@ -101,7 +101,7 @@ def _viewer(player: str) -> str:
 
 
 def _with_names(source: str, names: dict[str, str]) -> str:
-    """A module whose imports of neighbours name them as the page's import map does."""
+    """Replace a module's relative imports by the names in the page's import map."""
     return _IMPORT.sub(lambda match: f'{match[1]}"{names[PurePosixPath(match[3]).name]}"', source)
 
 

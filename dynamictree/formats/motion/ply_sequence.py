@@ -1,4 +1,4 @@
-"""A mesh's motion as one PLY a frame."""
+"""A mesh's motion as one PLY per frame."""
 
 from collections.abc import Iterable, Iterator
 
@@ -12,9 +12,9 @@ from dynamictree.mesh import TriangleMesh
 def iter_ply_files(
     mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], *, first_number: int = 0
 ) -> Iterator[tuple[str, tuple[bytes, ...]]]:
-    """Name and content, in parts, of frame_0000.ply and so on; `frames` are displacements [m], asked for one by one.
+    """Yield name and content, in parts, of frame_0000.ply, …; `frames` are displacements [m], consumed one by one.
 
-    They are binary little-endian, metres, +Z up, in the input's vertex order.
+    The files are binary little-endian, in metres, +Z up, in the input's vertex order.
     """
     head, faces = ply_head(mesh), ply_faces(mesh)
     for number, displacement in enumerate(frames, first_number):

@@ -1,7 +1,7 @@
-"""A cloud's motion as one 3DGS PLY a frame: the paper's output.
+"""A cloud's motion as one 3DGS PLY per frame: the paper's output.
 
-Frames are in the source's axes and units, so that they lie where the capture lay. Only what moves is worked out anew;
-500,000 Gaussians × 100 frames of SH degree 3 are 12.4 GB and never in memory.
+Frames are in the source's axes and units, at the place of the capture. Only moving Gaussians are computed anew. Files
+are produced one by one: 500,000 Gaussians × 100 frames of SH degree 3 are 12.4 GB.
 """
 
 from collections.abc import Iterable, Iterator
@@ -22,10 +22,10 @@ from dynamictree.up_axis import up_rotation
 def iter_splat_files(
     binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]], *, first_number: int = 0
 ) -> Iterator[tuple[str, tuple[bytes, ...]]]:
-    """Name and content, in parts, of frame_0000.ply and so on, in the cloud's order.
+    """Yield name and content, in parts, of frame_0000.ply, …, in the cloud's order.
 
-    Displacements of the mesh's vertices [m] are asked for one by one. For a level of detail or a lower SH degree, see
-    `animate.lighter`; for a range of frames, give only their displacements and the first one's number.
+    Displacements of the mesh's vertices [m] are consumed one by one. For a level of detail or a lower SH degree, see
+    `animate.lighter`; for a range of frames, pass only their displacements and the first frame's number.
     """
     source, to_source = _in_source_axes(binding)
     header = ply_header(source.cloud.num_gaussians, source.cloud.sh.shape[1])
@@ -36,7 +36,7 @@ def iter_splat_files(
 
 
 def _frame(binding: Binding, pose: Pose, rows: Float32[np.ndarray, "G P"]) -> bytes:
-    """Body of one file; `rows` are those of rest and are overwritten where something moves."""
+    """Return the body of one file; `rows` are those at rest and are overwritten where something moves."""
     from dynamictree.gaussian.turn import turn_sh_rows
 
     cloud = binding.cloud
@@ -48,7 +48,7 @@ def _frame(binding: Binding, pose: Pose, rows: Float32[np.ndarray, "G P"]) -> by
 
 
 def _in_source_axes(binding: Binding) -> tuple[Binding, Float64[np.ndarray, "3 3"]]:
-    """The same binding where the capture lay, and what takes a displacement there (as a row, from the right)."""
+    """Return the binding in the source's axes and units, and the matrix that converts displacements (rows) to them."""
     cloud = binding.cloud
     to_source = up_rotation(cloud.source.up_axis) / cloud.source.scale
     source = replace(binding, cloud=to_source_axes(cloud), vertices=(binding.vertices @ to_source).astype(np.float32))

@@ -1,4 +1,4 @@
-"""A motion as USD: a mesh whose points have a time sample a frame, with its materials and textures, in one USDZ.
+"""A motion as USD: a mesh with a time sample of its points per frame, its materials and textures, in one USDZ.
 
 +Z up, metres, vertices in the source's order. Needs usd-core, the extra `usd`.
 """
@@ -34,12 +34,12 @@ def write_motion_usdz(
 
 @contextmanager
 def packed_stage(stream: BinaryIO, fps: float) -> Iterator[tuple[Any, Path]]:
-    """An empty stage in metres and +Z up, a time code per frame from 0, and the folder of its files.
+    """Yield an empty stage in metres and +Z up, with a time code per frame from 0, and the folder of its files.
 
-    At the end all files of the folder are packed, the layer first, under their own names and with times of change in
+    At the end all files of the folder are packed, the layer first, under their own names and with modification times in
     1980, so that equal input gives equal bytes.
     """
-    no_time_s = 315_576_000  # 1 January 1980 at noon: the first day that a ZIP can name
+    no_time_s = 315_576_000  # 1 January 1980 at noon, the first day that ZIP can store
     from pxr import Sdf, Usd, UsdGeom
 
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as name:
@@ -64,7 +64,7 @@ def packed_stage(stream: BinaryIO, fps: float) -> Iterator[tuple[Any, Path]]:
 
 
 def set_root(stage: Any, root: Any) -> None:
-    """Make a prim the one that others reference."""
+    """Make a prim the stage's default, which other files reference."""
     from pxr import Kind, Usd
 
     stage.SetDefaultPrim(root.GetPrim())
@@ -72,7 +72,7 @@ def set_root(stage: Any, root: Any) -> None:
 
 
 def define_surface(stage: Any, root: str, mesh: TriangleMesh, folder: Path) -> None:
-    """The mesh at rest as `Surface` below `root`, its materials as `Looks`; textures are written into the folder."""
+    """Define the mesh at rest as `Surface` below `root`, its materials as `Looks`; write textures into the folder."""
     _define_mesh(stage, root, mesh)
     for number, material in enumerate(mesh.look.materials):
         texture = None if material.texture_png is None else f"texture_{number}.png"
@@ -86,7 +86,7 @@ def _looks(root: str, number: int) -> str:
 
 
 def _define_mesh(stage: Any, root: str, mesh: TriangleMesh) -> None:
-    """The mesh at rest, with its faces bound to its materials."""
+    """Define the mesh at rest, with its faces bound to its materials."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     surface = UsdGeom.Mesh.Define(stage, f"{root}/Surface")
@@ -116,7 +116,7 @@ def _define_mesh(stage: Any, root: str, mesh: TriangleMesh) -> None:
 
 
 def set_points(stage: Any, path: str, mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> int:
-    """Write every frame of a surface; gives the last one's time code."""
+    """Write every frame of a surface and return the last time code."""
     from pxr import Gf, UsdGeom, Vt
 
     surface = UsdGeom.Mesh.Get(stage, path)
@@ -131,7 +131,7 @@ def set_points(stage: Any, path: str, mesh: TriangleMesh, frames: Iterable[Float
 
 
 def _define_material(stage: Any, path: str, material: Material, texture: str | None) -> None:
-    """Base color, as glTF has it, as a UsdPreviewSurface."""
+    """Define glTF's base colour as a UsdPreviewSurface."""
     from pxr import Gf, Sdf, UsdShade
 
     looks = UsdShade.Material.Define(stage, path)

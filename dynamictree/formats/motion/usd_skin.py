@@ -17,7 +17,7 @@ _SKELETON, _SWAY = f"{ROOT}/Skeleton", f"{ROOT}/Skeleton/Sway"
 
 
 def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps: float) -> None:
-    """Write one period, a time code a frame; the last of T + 1 shows the first frame again."""
+    """Write one period with a time code per frame; the last of T + 1 repeats the first frame."""
     from pxr import UsdSkel
 
     with packed_stage(stream, fps) as (stage, folder):
@@ -31,7 +31,7 @@ def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps:
 
 
 def _joint_paths(skin: Skin) -> list[str]:
-    """Of each joint its name below those of its parents, which come before it."""
+    """Return each joint's path: its name below those of its parents, which come before it."""
     paths = list[str]()
     for joint, parent in enumerate(skin.parent.tolist()):
         paths.append(f"{paths[parent]}/{joint_name(joint)}" if parent >= 0 else joint_name(joint))
@@ -65,7 +65,7 @@ def _define_sway(stage: Any, skin: Skin, joints: list[str]) -> None:
 
 
 def _offsets(skin: Skin) -> Float32[np.ndarray, "B 3"]:
-    """Where the joints are at rest, as their parents see it [m]."""
+    """Return the joints' rest positions relative to their parents [m]."""
     return np.asarray(skin.joint_m - np.where(skin.parent[:, None] >= 0, skin.joint_m[skin.parent], 0))
 
 

@@ -1,8 +1,8 @@
-"""A motion as a vertex animation texture: what engines play in the vertex shader, instance by instance.
+"""A motion as a vertex animation texture, which engines play in the vertex shader, per instance.
 
-A ZIP of `tree.glb` (at rest; its last texture coordinates say where in the texture a vertex is), `displacement.exr`
-(half floats), `vat.json` and, where asked for, `normal.exr` in the same layout. A frame takes `rows_per_frame` rows of
-texels, frame 0 on top.
+A ZIP of `tree.glb` (at rest; its last texture coordinates are the place of each vertex in the texture),
+`displacement.exr` (half floats), `vat.json` and, if requested, `normal.exr` in the same layout. A frame takes
+`rows_per_frame` rows of texels, frame 0 on top.
 
 A texel is added to the position of a vertex: +Y up, metres.
 """
@@ -21,12 +21,12 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.up_axis import up_rotation
 
 VERSION = 3
-MAX_SIDE = 8192  # texels; what Unreal takes without further settings, and every desktop GPU
+MAX_SIDE = 8192  # texels; Unreal accepts it without further settings, and so does every desktop GPU
 
 
 @dataclass(frozen=True, kw_only=True)
 class TextureLayout:
-    """Where a vertex and a frame are: texel (n % width, frame · rows_per_frame + n // width)."""
+    """Layout of vertices and frames: vertex n is at texel (n % width, frame · rows_per_frame + n // width)."""
 
     width: int
     rows_per_frame: int
@@ -39,10 +39,10 @@ class TextureLayout:
 
 
 def texture_layout(num_vertices: int, num_frames: int) -> TextureLayout:
-    """The narrowest texture, its width a power of two, that is no higher than `MAX_SIDE`, and rather square.
+    """Return the narrowest layout that is no higher than wide; its width is a power of two up to `MAX_SIDE`.
 
     Raises:
-        InputError: there is none.
+        InputError: the vertices and frames need a larger texture.
     """
     for width in (256, 512, 1024, 2048, 4096, MAX_SIDE):
         rows = -(-num_vertices // width)
@@ -64,7 +64,7 @@ def vertex_texture_files(
     loop: bool,
     normals: Iterable[Float32[np.ndarray, "N 3"]] | None = None,
 ) -> list[tuple[str, list[bytes]]]:
-    """The archive's files, name and content; `frames` are displacements [m], `normals` the unit normals at each frame.
+    """Return name and content of the archive's files; `frames` are displacements [m], `normals` unit normals per frame.
 
     Raises:
         InputError: the mesh and its frames do not fit into one texture.
@@ -89,7 +89,7 @@ def vertex_texture_files(
         "lookup": "TEXCOORD_1 is a vertex' texel in frame 0; add frame * rows_per_frame / height to v",
         "space": "+Y up, metres",
         "max_displacement_m": float(largest),
-        "half_float_error_m": float(np.spacing(largest)) / 2,  # in any direction
+        "half_float_error_m": float(np.spacing(largest)) / 2,  # largest error of a coordinate
     }
     files = [("displacement.exr", [exr_of(texels)])]
     if normals is not None:
@@ -100,7 +100,7 @@ def vertex_texture_files(
 
 
 def _texels(layout: TextureLayout, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> Float16[np.ndarray, "H W 3"]:
-    """The picture of vectors at all frames, in glTF's axes."""
+    """Return the texture of the vectors of all frames, in glTF's axes."""
     rotation = up_rotation("+Y").astype(np.float32)
     texels = np.zeros((layout.num_frames, layout.rows_per_frame * layout.width, 3), np.float16)
     for number, vectors in enumerate(frames):
@@ -109,7 +109,7 @@ def _texels(layout: TextureLayout, frames: Iterable[Float32[np.ndarray, "N 3"]])
 
 
 def _lookup(layout: TextureLayout, num_vertices: int) -> Float32[np.ndarray, "N 2"]:
-    """Middle of the texel of each vertex in frame 0."""
+    """Return texture coordinates: the middle of each vertex's texel in frame 0."""
     number = np.arange(num_vertices)
     column, row = number % layout.width, number // layout.width
     return np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.height], axis=1).astype(np.float32)

@@ -1,7 +1,7 @@
-"""LAS and LAZ scans: points that are no noise, in metres by the file's coordinate system.
+"""LAS and LAZ scans: points without noise, with the unit of the file's coordinate system.
 
-False counts in a header cost laspy and lazrs minutes, all memory, or a crash, so they are checked first (LAS 1.4 R15,
-sections 2.4 and 2.5; the chunk table is LASzip's).
+With wrong counts in a header, laspy and lazrs take minutes or all memory, or crash; so counts are checked first
+(LAS 1.4 R15, sections 2.4 and 2.5; the chunk table is LASzip's).
 """
 
 import re
@@ -15,7 +15,7 @@ from dynamictree.formats.scan.points import Scan
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.gaussian.cloud import check_count
 
-_HEADER_BYTES = 227  # of version 1.2, the shortest that is read
+_HEADER_BYTES = 227  # header size of version 1.2, the shortest that is read
 _PROJECTION = "LASF_Projection"  # LAS 1.4 R15, section 3
 _GEOGRAPHIC, _USER_DEFINED = 2, 32767
 _DEGREES = (
@@ -30,7 +30,7 @@ _GEOGRAPHIC_WKT = re.compile(r"\s*(GEOGCS|GEOGCRS|GEODCRS|GEOGRAPHICCRS|COMPD_?C
 
 @dataclass(frozen=True, kw_only=True)
 class _Units:
-    """Metres in a unit of x and y, and of z."""
+    """Metres per unit of x and y, and of z."""
 
     horizontal_m: float = 1.0
     vertical_m: float = 1.0
@@ -39,8 +39,8 @@ class _Units:
 def read_las(stream: SeekableReader, *, unit_m: float | None = None) -> Scan:
     """Read LAS, or LAZ, with colours if the points have them.
 
-    Points of the classes of noise, and those that are marked as withheld, are left out. `unit_m` comes before what the
-    file's coordinate system (WKT or GeoTIFF keys) says.
+    Points that are classified as noise or marked as withheld are left out. `unit_m` overrides the unit of the file's
+    coordinate system (WKT or GeoTIFF keys).
 
     Raises:
         FormatError: not LAS, truncated, damaged.
@@ -54,7 +54,7 @@ def read_las(stream: SeekableReader, *, unit_m: float | None = None) -> Scan:
         raise FormatError(f"the file is {size} bytes; a LAS header alone is {_HEADER_BYTES}; it is truncated")
     check_las_header(stream, size)
     try:
-        with laspy.open(stream, closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:  # its one-thread twin
+        with laspy.open(stream, closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:  # single-threaded
             check_count(reader.header.point_count)
             las = reader.read()
         records = {
@@ -77,10 +77,10 @@ def read_las(stream: SeekableReader, *, unit_m: float | None = None) -> Scan:
 
 
 def _units(records: dict[int, bytes]) -> _Units:
-    """What the coordinate system says of its units; metres where it says nothing.
+    """Return the units of the coordinate system; metres where it states none.
 
     Raises:
-        InputError: they are degrees.
+        InputError: the units are degrees.
     """
     wkt_record, keys_record = 2112, 34735
     model_key, unit_key, vertical_unit_key = 1024, 3076, 4099  # GeoTIFF 1.1, section 7
@@ -102,7 +102,7 @@ def _units(records: dict[int, bytes]) -> _Units:
 
 
 def _unit_of_system(code: int) -> float | None:
-    """Metres in a unit of the coordinate system with an EPSG code; None where it is unknown, or pyproj is not there.
+    """Return metres per unit of the coordinate system with an EPSG code; None if it or pyproj is not available.
 
     Raises:
         InputError: its unit is an angle.
@@ -124,20 +124,20 @@ def _unit_of_system(code: int) -> float | None:
 
 
 def _last_unit(wkt: str) -> float | None:
-    """Metres of the last unit of length: a system names those of its parts before its own."""
+    """Return metres per unit of the last length unit in WKT: a system lists the units of its parts before its own."""
     units = [float(metres) for name, metres in _LINEAR_UNIT.findall(wkt) if not _ANGLES.match(name)]
     return units[-1] if units and 1e-6 < units[-1] < 1e6 else None
 
 
 def check_las_header(stream: SeekableReader, size: int) -> None:
-    """Hold the header's counts against the file's size; the stream is left where it stood.
+    """Check the header's counts against the file's size; the stream's position does not change.
 
     Raises:
         FormatError: a count that the file has no room for.
     """
     evlrs_place, header_1_4 = 235, 375
     vlr_bytes, evlr_bytes = 54, 60
-    compressed = 0x80  # set in the point format of LAZ
+    compressed = 0x80  # bit that LAZ sets in the point format
     start = stream.tell()
     head = stream.read(header_1_4)
     if len(head) < _HEADER_BYTES or head[:4] != b"LASF":
@@ -158,14 +158,14 @@ def _check_chunks(stream: SeekableReader, start: int, points_at: int, row_bytes:
     stream.seek(start + points_at)
     stored = stream.read(8)
     table_at = int.from_bytes(stored, "little", signed=True)
-    if len(stored) == 8 and table_at == -1:  # written to a pipe: the offset stands at the end
+    if len(stored) == 8 and table_at == -1:  # written to a pipe: the offset is at the end
         stream.seek(start + size - 8)
         table_at = int.from_bytes(stream.read(8), "little", signed=True)
     if not points_at + len(stored) <= table_at <= size - 8:
         raise FormatError(f"the chunks of the LAZ file are listed at byte {table_at:,} of {size:,}; it is damaged")
     stream.seek(start + table_at + 4)
     num_chunks = int.from_bytes(stream.read(4), "little")
-    _require_room("chunks", num_chunks, max(row_bytes, 1), table_at - points_at)  # each begins with a whole point
+    _require_room("chunks", num_chunks, max(row_bytes, 1), table_at - points_at)  # each begins with a full point
 
 
 def _require_room(what: str, count: int, each: int, room: int) -> None:

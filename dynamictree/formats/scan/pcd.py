@@ -14,7 +14,7 @@ _COLOR = ("rgb", "rgba")
 
 
 def read_pcd(stream: SeekableReader) -> Scan:
-    """Read x, y, z and, if there, `rgb`; points that are not finite are places where nothing was measured.
+    """Read x, y, z and, if present, `rgb`; points that are not finite are missing measurements.
 
     Raises:
         FormatError: not PCD, compressed, no positions, shorter than its header says.
@@ -29,7 +29,7 @@ def read_pcd(stream: SeekableReader) -> Scan:
 
 
 def _read_header(stream: SeekableReader) -> PlyHeader:
-    """The header as that of a PLY file with one element; each number of a field of several has a name of its own."""
+    """Read the header as that of a PLY file with one element; a field of several numbers becomes several properties."""
     allowed_sizes = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
     max_header_bytes = 64 * 1024
     max_width = 10_000  # numbers per point
@@ -70,7 +70,7 @@ def _read_header(stream: SeekableReader) -> PlyHeader:
 
 
 def _colors(packed: np.ndarray) -> UInt8[np.ndarray, "G 3"]:
-    """Red, green and blue of integers 0xRRGGBB, which PCL often stores as the bits of a float."""
+    """Unpack red, green and blue from integers 0xRRGGBB, which PCL often stores as the bits of a float."""
     bits = packed.view(np.uint32) if packed.dtype == np.float32 else packed.astype(np.uint32)
     colors: UInt8[np.ndarray, "G 3"] = np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(
         np.uint8

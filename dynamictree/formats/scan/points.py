@@ -1,9 +1,9 @@
-"""Points of a scan as Gaussians: one per point, as wide as its neighbours are far; and PLY without faces."""
+"""Points of a scan as Gaussians, one per point, scaled by the distance of its neighbours; and PLY without faces."""
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load on first use, so the service starts without them
 from jaxtyping import Float32, Float64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, InputError
@@ -22,16 +22,16 @@ _COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_b
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """Points as a file has them."""
+    """Points with the values of their file."""
 
     points: Float64[np.ndarray, "G 3"]
     colors: Shaped[np.ndarray, "G 3"] | None = None  # bytes, 16 bits, or floats in [0, 1]
     dropped: int = 0  # points that are marked as noise
-    unit_m: float = 1.0  # metres per unit, as far as the file says
+    unit_m: float = 1.0  # metres per unit; 1 if the file states none
 
 
 def read_points_ply(stream: SeekableReader) -> Scan:
-    """Read x, y, z and, if there, a colour, of the vertices of a PLY file.
+    """Read x, y, z and, if present, a colour of the vertices of a PLY file.
 
     Raises:
         FormatError: not PLY, no positions, shorter than its header says.
@@ -50,9 +50,9 @@ def read_points_ply(stream: SeekableReader) -> Scan:
 
 
 def cloud_of_points(scan: Scan, *, up_axis: str = UP_AXIS) -> GaussianCloud:
-    """A round Gaussian per point that is finite; points far from the origin are moved to it.
+    """Return a round Gaussian per finite point; points far from the origin are shifted to it.
 
-    Where there are no colours, or all are 0 as of LAS files that have none, the points are shaded.
+    Points without colours are shaded, and so are points that are all black, as in LAS files without colours.
 
     Raises:
         InputError: no point, all points at one place, or positions in degrees.
@@ -86,12 +86,12 @@ def cloud_of_points(scan: Scan, *, up_axis: str = UP_AXIS) -> GaussianCloud:
 
 
 def refuse_degrees(points: Float64[np.ndarray, "G 3"], extent: Float64[np.ndarray, " 3"]) -> None:
-    """Refuse longitude and latitude: in two axes the points lie within the globe's degrees, and are hardly apart.
+    """Refuse longitude and latitude: x and y in the range of degrees, with an extent far below the height.
 
     Raises:
-        InputError: they do.
+        InputError: x and y are degrees.
     """
-    degrees = 1e-3  # width over height: a tree of 10 m is 1e-4 degrees wide, a pole of 10 m 1e-2 of that high
+    degrees = 1e-3  # width over height: 1e-5 for a 10 m tree in degrees, 1e-2 for a pole in metres
     largest = np.abs(points[:, :2]).max(axis=0)
     on_globe = (largest <= 180).all() and largest.min() <= 90 and largest.max() > 1
     if on_globe and 0 < extent[:2].max() < degrees * extent[2]:
@@ -103,9 +103,9 @@ def refuse_degrees(points: Float64[np.ndarray, "G 3"], extent: Float64[np.ndarra
 
 
 def color_columns(table: Float64[np.ndarray, "G columns"], labels: float) -> list[int] | None:
-    """Three columns behind x, y and z that are a colour by their range; None if none are.
+    """Find three columns after x, y and z that are a colour by their range; None if there are none.
 
-    Whole numbers to 255 or 65,535 of like size that reach beyond `labels`, or shares between 0 and 1 that are no unit
+    A colour has integers up to 255 or 65,535, of similar size and beyond `labels`, or values in [0, 1] that are no unit
     vectors. Of four columns the last three are taken, as in PTS, unless the last is an alpha.
     """
     last = table.shape[1] - 3
@@ -118,7 +118,7 @@ def color_columns(table: Float64[np.ndarray, "G columns"], labels: float) -> lis
 
 
 def _is_color(values: Float64[np.ndarray, "G 3"], labels: float) -> bool:
-    alike = 8.0  # the largest of three channels of one colour in the smallest, at most
+    alike = 8.0  # largest ratio of the maxima of a colour's channels
     low, high = float(values.min(initial=0)), values.max(axis=0, initial=0)
     if low < 0 or not np.isfinite(high).all() or high.max() > 65_535:
         return False
@@ -128,10 +128,10 @@ def _is_color(values: Float64[np.ndarray, "G 3"], labels: float) -> bool:
 
 
 def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
-    """Half of the root mean square distance to the nearest points, not more than a few medians [the points' unit]."""
-    most_neighbours = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
-    largest_spacing = 4.0  # in medians: a stray point stays small
-    from scipy.spatial import KDTree  # 0.3 s that readers of other formats do without
+    """Return half the root mean square distance to the nearest points, clipped to a few medians [the points' unit]."""
+    most_neighbours = 3  # Kerbl et al. 2023, section 5.2: scale by the distance of the three nearest neighbours
+    largest_spacing = 4.0  # medians; a stray point stays small
+    from scipy.spatial import KDTree  # takes 0.3 s, which readers of other formats save
 
     num_neighbours = min(most_neighbours, len(points) - 1)
     distances = np.asarray(KDTree(points).query(points, num_neighbours + 1, workers=-1)[0])  # [G, 1 + neighbours]
@@ -141,7 +141,7 @@ def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
 
 
 def _byte_color(values: Shaped[np.ndarray, "G 3"]) -> UInt8[np.ndarray, "G 3"]:
-    """Colours of 16 bits and of floats in [0, 1] to 8 bits; the largest value decides which they are."""
+    """Convert colours of 16 bits or floats in [0, 1] to 8 bits; the largest value decides which they are."""
     largest = float(values.max(initial=0))
     if values.dtype.kind == "f" and largest <= 1:
         values = values * 255.0
@@ -151,18 +151,18 @@ def _byte_color(values: Shaped[np.ndarray, "G 3"]) -> UInt8[np.ndarray, "G 3"]:
 
 
 def shaded_colors(points: Float64[np.ndarray, "G 3"], *, spacing: float) -> UInt8[np.ndarray, "G 3"]:
-    """A grey per point, sRGB: facing the sun it is bright; below, behind and inside others it is dark.
+    """Shade points in grey, sRGB: bright towards the sun; dark below, behind and inside others.
 
-    +Z is up; `spacing` is the usual distance of neighbours, in the points' unit.
+    +Z is up; `spacing` is the typical distance of neighbours, in the points' unit.
     """
     grey = (150, 162, 128)  # sRGB of a point in full light
-    cells = 160  # along the cloud's longest side
-    most_cells = 6_000_000  # of the grid
-    least_spacings = 2.0  # wide is a cell: the surface then is closed
+    cells = 160  # cells along the cloud's longest side
+    most_cells = 6_000_000  # limit of the grid
+    least_spacings = 2.0  # smallest cell in spacings, so that the surface is closed
     blur = 1.0  # cells
-    sun = np.array([-0.45, -0.55, 0.70])  # from where the previews have it
+    sun = np.array([-0.45, -0.55, 0.70])  # direction to the sun, as in the previews
     darkest = 0.42
-    deep = 12.0  # cells of points above, that halve the light
+    deep = 12.0  # occupied cells above that halve the light
     low = points.min(axis=0)
     extent = np.ptp(points, axis=0)
     size = max(float(extent.max()) / cells, least_spacings * spacing)

@@ -1,4 +1,4 @@
-"""Point clouds as text: XYZ, TXT, CSV, ASC and PTS, with columns of any program."""
+"""Point clouds as text: XYZ, TXT, CSV, ASC and PTS, with columns in any order."""
 
 import re
 
@@ -29,14 +29,14 @@ _HEAD_BYTES = 1 << 16
 
 
 def read_points_text(stream: SeekableReader) -> Scan:
-    """Read lines of numbers, divided by blanks, tabs, commas, semicolons or bars.
+    """Read lines of numbers, separated by blanks, tabs, commas, semicolons or bars.
 
-    Lines before the first number are passed over; the last of them that names x, y and z, behind a comment sign or
-    not, says what the columns are. Without names the first three are x, y and z, and a colour is found by its range.
-    Rows that are not finite, and rows of zeros where a scanner saw nothing, are left out.
+    Lines before the first number are skipped; the last of them that names x, y and z, commented or not, gives the
+    columns. Without names the first three columns are x, y and z, and a colour is detected by its range.
+    Rows that are not finite, and rows of zeros where a scanner measured nothing, are left out.
 
     Raises:
-        FormatError: lines that are not numbers, or of less than three; columns that are named, none of them x, y or z.
+        FormatError: lines that are not numbers, or of fewer than three; named columns without x, y and z.
         InputError: too many points.
     """
     size = remaining_bytes(stream)
@@ -46,7 +46,7 @@ def read_points_text(stream: SeekableReader) -> Scan:
     lines = [line for line in raw.translate(bytes.maketrans(b',;\t|"', b"     ")).splitlines() if line.strip()]
     start = next((number for number, line in enumerate(lines) if numbers_of(line) is not None), len(lines))
     head = [line for line in raw[:_HEAD_BYTES].splitlines() if line.strip()][:start]
-    # the number of points stands before each scan in PTS
+    # PTS has the number of points before each scan
     rows = [line for line in lines[start:] if not (line.strip().isdigit() or _COMMENT.match(line))]
     check_count(len(rows))
     widths = {len(line.split()) for line in rows}
@@ -63,9 +63,9 @@ def read_points_text(stream: SeekableReader) -> Scan:
 
 
 def _is_empty(points: Float64[np.ndarray, "G 3"]) -> Bool[np.ndarray, " G"]:
-    """Rows of zeros, where they are many or lie apart from all other points."""
-    far = 0.02  # of the extent: neighbouring points of a scan are nearer than this to each other
-    many = 0.05  # of the rows: more points at the very origin than a scan has there
+    """Mask rows of zeros, if they are many or far from all other points."""
+    far = 0.02  # share of the extent; neighbouring points of a scan are nearer to each other
+    many = 0.05  # share of the rows; a scan has fewer points at the exact origin
     empty: Bool[np.ndarray, " G"] = (points == 0).all(axis=1)
     others = points[~empty]
     if len(others) == 0:
@@ -76,16 +76,16 @@ def _is_empty(points: Float64[np.ndarray, "G 3"]) -> Bool[np.ndarray, " G"]:
 
 
 def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tuple[list[int], list[int] | None]:
-    """The columns of positions and of colours.
+    """Find the columns of positions and of colours.
 
     Raises:
-        FormatError: the columns are named, and none is x, y or z; or the rows are Gaussians.
+        FormatError: the columns have names, but not x, y and z; or the rows are Gaussians.
     """
-    labels = 16.0  # whole numbers up to here are classes or returns, not colours
+    labels = 16.0  # integers up to this value are classes or returns, not colours
     for line in reversed(head):
         names = _column_names(line)
         unnamed = table.shape[1] - len(names)
-        if unnamed not in (0, int(line.startswith(b'"'))):  # R writes the numbers of rows, without a name
+        if unnamed not in (0, int(line.startswith(b'"'))):  # R writes an unnamed column of row numbers
             continue
         names = [""] * unnamed + names
         if {"scale0", "rot0"} <= set(names):
@@ -102,13 +102,13 @@ def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tupl
 
 
 def _positions(names: list[str], options: tuple[re.Pattern[str], ...]) -> list[int] | None:
-    """Where each of three names stands; None if one is missing."""
+    """Return the column of each of three names; None if one is missing."""
     places = [next((place for place, name in enumerate(names) if option.fullmatch(name)), -1) for option in options]
     return None if min(places) < 0 else places
 
 
 def _with_decimal_points(text: bytes) -> bytes:
-    """The text with points for decimal commas, where its first line of numbers has them."""
+    """Replace decimal commas by points, if the first line of numbers has them."""
     lines = text[:_HEAD_BYTES].splitlines()
     first = next((line for line in lines if line.strip() and line[:1].strip(b"-+ \t0123456789") == b""), b"")
     words = re.split(rb"[;\s]+", first.strip())
@@ -118,7 +118,7 @@ def _with_decimal_points(text: bytes) -> bytes:
 
 
 def _column_names(line: bytes) -> list[str]:
-    """The words of a line of names, without comment signs, units, quotes and signs, in lower case."""
+    """Split a header line into names in lower case, without comment signs, units, quotes and other signs."""
     comment = _COMMENT.match(line)
     text = re.sub(r"\(.*?\)|\[.*?\]", "", line[comment.end() if comment else 0 :].decode("utf-8", "replace"))
     delimiter = next((sign for sign in ",;|\t" if sign in text), None)

@@ -1,4 +1,4 @@
-"""Few values for many: 256 numbers that stand for all, and a palette of rows that stand for all rows."""
+"""Vector quantization: a codebook of 256 numbers for all values, and a palette of rows for all rows."""
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
@@ -9,7 +9,7 @@ CODES = 256
 def codes_of(
     values: Float32[np.ndarray, "G C"],
 ) -> tuple[UInt8[np.ndarray, "G C"], Float64[np.ndarray, " 256"]]:
-    """The nearest of 256 numbers for each value, and the numbers, ascending; 256 values or fewer stay as they are."""
+    """Return each value's code and a codebook of 256 ascending numbers; exact for at most 256 distinct values."""
     distinct = np.unique(values).astype(np.float64)
     if len(distinct) <= CODES:
         book = np.concatenate([distinct, np.full(CODES - len(distinct), distinct[-1])])
@@ -20,8 +20,8 @@ def codes_of(
 
 
 def _fitted(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " 256"]:
-    """k-means in one dimension, from as many quantiles as equal steps, so that rare large values are near one too."""
-    rounds = 20  # of Lloyd's; later ones change the error by less than a hundredth
+    """Fit a codebook by 1D k-means, started from quantiles and from equal steps, which cover rare large values."""
+    rounds = 20  # iterations of Lloyd's algorithm; later ones change the error by less than a hundredth
     even = np.linspace(ascending[0], ascending[-1], CODES // 2)
     book = np.sort(np.concatenate([even, np.quantile(ascending, np.linspace(0, 1, CODES // 2))]))
     sums = np.concatenate([[0.0], np.cumsum(ascending)])
@@ -37,9 +37,9 @@ def _fitted(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " 256"]
 def palette_of(
     rows: Float32[np.ndarray, "G C"], most: int
 ) -> tuple[Float32[np.ndarray, "P C"], Int64[np.ndarray, " G"]]:
-    """At most so many rows, and which of them stands for each: the means of boxes that hold equally many.
+    """Return a palette of at most `most` rows and each row's entry, by median cut: means of equally full boxes.
 
-    Boxes are halved at the median of the column that varies most, all at once; `most` is a power of two.
+    All boxes are halved at once, each at the median of the column that varies most; `most` is a power of two.
     """
     count = len(rows)
     if count <= most:
@@ -62,7 +62,7 @@ def palette_of(
 def _widest(
     rows: Float32[np.ndarray, "G C"], order: Int64[np.ndarray, " G"], starts: Int64[np.ndarray, " boxes"]
 ) -> Int64[np.ndarray, " boxes"]:
-    """The column that varies most in each box."""
+    """Return the column that varies most in each box."""
     count = np.diff(starts, append=len(order))
     spread = np.empty((rows.shape[1], len(starts)))
     for column in range(rows.shape[1]):

@@ -1,4 +1,4 @@
-"""Compressed PLY files of PlayCanvas' SuperSplat: 16 bytes a Gaussian, rounded within the bounds of chunks of 256."""
+"""Compressed PLY files of PlayCanvas' SuperSplat: 16 bytes per Gaussian, quantized in the bounds of chunks of 256."""
 
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt32
@@ -20,7 +20,7 @@ _COLOR_BOUNDS = tuple(f"{side}_{name}" for name in "rgb" for side in ("min", "ma
 
 
 def is_compressed(header: PlyHeader) -> bool:
-    """Whether a PLY file is of this kind."""
+    """Whether a PLY file is a compressed splat."""
     vertex = header.element("vertex")
     return header.element("chunk") is not None and vertex is not None and vertex.names.issuperset(_PACKED)
 
@@ -29,7 +29,7 @@ def read_compressed_ply(stream: SeekableReader) -> GaussianCloud:
     """Read a cloud with or without harmonics.
 
     Raises:
-        FormatError: not of this kind, chunks that do not fit the vertices, or truncated.
+        FormatError: not a compressed splat, chunks that do not fit the vertices, or truncated.
         InputError: too many Gaussians.
     """
     header = read_header(stream)
@@ -61,7 +61,7 @@ def read_compressed_ply(stream: SeekableReader) -> GaussianCloud:
 def _between(
     chunks: Shaped[np.ndarray, " chunks"], names: tuple[str, ...], share: Float32[np.ndarray, "G 3"]
 ) -> Float32[np.ndarray, "G 3"]:
-    """From a share of the chunk's range to a value."""
+    """Convert shares of each chunk's range to values."""
     of = np.arange(len(share)) // _CHUNK
     low, high = (np.stack([chunks[f"{side}_{name}"] for name in names], axis=1)[of] for side in ("min", "max"))
     result: Float32[np.ndarray, "G 3"] = (low + (high - low) * share).astype(np.float32)
@@ -74,7 +74,7 @@ def _unpack_11_10_11(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3
 
 
 def _rotation(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 4"]:
-    """Two bits name the largest of w, x, y, z; ten bits are each of the others, within ±1/√2."""
+    """Unpack quaternions: 2 bits give the index of the largest of w, x, y, z; 10 bits each of the others, in ±1/√2."""
     others = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1).astype(np.float32)
     others = (others / np.float32(1023) - 0.5) * np.float32(np.sqrt(2))  # [G, 3]
     return with_largest(others, (bits >> 30).astype(np.intp))
@@ -92,7 +92,7 @@ def _color(
 
 
 def _harmonics(rows: Shaped[np.ndarray, " G"], names: list[str]) -> Float32[np.ndarray, "G D 3"]:
-    """Bytes to coefficients; 0 and 255 stand for the ends of the range, the others for the middles of their bins."""
+    """Convert bytes to coefficients: 0 and 255 are the ends of the range, others the middles of their bins."""
     sh_range = 8.0  # harmonics lie within ±4
     stored = np.stack([rows[name] for name in names], axis=1).astype(np.float32)
     share = np.where(stored == 0, 0, np.where(stored == 255, 1, (stored + 0.5) / 256))

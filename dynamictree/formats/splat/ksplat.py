@@ -1,6 +1,6 @@
-""".ksplat files of GaussianSplats3D, version 0.1: sections of Gaussians, whose places are steps within buckets.
+""".ksplat files of GaussianSplats3D, version 0.1: sections of Gaussians, with positions quantized in buckets.
 
-Level 0 of compression is floats, level 1 halves with 16-bit steps, level 2 the same with harmonics of 8 bits.
+Compression level 0 stores floats, level 1 half floats and 16-bit positions, level 2 the same with 8-bit harmonics.
 """
 
 import struct
@@ -22,8 +22,8 @@ _HEADER_BYTES = 4096
 _SECTION = struct.Struct("<IIIIfHxxI4xIIH")
 _SECTION_BYTES = 1024
 _PLACE_BYTES = {0: ("<f4", "<f4", "<f4"), 1: ("<u2", "<f2", "<f2"), 2: ("<u2", "<f2", "u1")}
-"""Of a level: the types of places, of scales and rotations, and of harmonics."""
-_FARTHEST = 1e6  # of a bucket's size and of what harmonics of 8 bits may be
+"""Types of positions, of scales and rotations, and of harmonics, by compression level."""
+_FARTHEST = 1e6  # limit of a bucket's size and of 8-bit harmonics
 
 
 class _Section(NamedTuple):
@@ -42,9 +42,9 @@ class _Section(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Where the parts of a section begin in the file [bytes]."""
+    """Offsets of the parts of a section in the file [bytes]."""
 
-    buckets: int  # behind the sizes of the buckets that are not full
+    buckets: int  # bucket middles, which follow the sizes of the partial buckets
     rows: int
 
 
@@ -53,9 +53,9 @@ def read_ksplat(stream: SeekableReader) -> GaussianCloud:
 
     Raises:
         FormatError: an unknown version or level, sections that do not fit into the file or their buckets.
-        InputError: a rotation that is none, too many Gaussians.
+        InputError: a rotation of length zero, too many Gaussians.
     """
-    range = 1.5  # of harmonics of 8 bits, where the header does not say
+    range = 1.5  # default limit of 8-bit harmonics
     content = stream.read(remaining_bytes(stream))
     if len(content) < _HEADER_BYTES:
         raise FormatError(f"the .ksplat file has {len(content):,} bytes; its header alone has {_HEADER_BYTES:,}")
@@ -109,7 +109,7 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
 def _read_section(
     content: bytes, section: _Section, place: _Place, level: int, bounds: tuple[float, float]
 ) -> GaussianCloud:
-    usual_steps = 32_767  # to either side of a bucket's middle, where the section does not say
+    usual_steps = 32_767  # default number of steps to either side of a bucket's middle
     rows = np.frombuffer(content, _row(level, section.degree), section.num_rows, place.rows)
     means = rows["mean"].astype(np.float32)
     if level:
@@ -120,7 +120,7 @@ def _read_section(
         rest = bounds[0] + rest / np.float32(255) * (bounds[1] - bounds[0])
     sh = np.zeros((section.num_rows, (section.degree + 1) ** 2, 3), np.float32)
     sh[:, 0] = harmonic_from_color(rows["rgba"][:, :3] / np.float32(255))
-    for band in range(1, section.degree + 1):  # a band after another, in each all of red, then green, then blue
+    for band in range(1, section.degree + 1):  # bands in order; in each all of red, then green, then blue
         own = rest[:, 3 * (band**2 - 1) : 3 * ((band + 1) ** 2 - 1)]
         sh[:, band**2 : (band + 1) ** 2] = own.reshape(section.num_rows, 3, -1).transpose(0, 2, 1)
     return GaussianCloud(
@@ -133,7 +133,7 @@ def _read_section(
 
 
 def _bucket_middles(content: bytes, section: _Section, place: _Place) -> Float32[np.ndarray, "G 3"]:
-    """The middle of the bucket of each Gaussian: first the full buckets, then the others with their own sizes."""
+    """Return the middle of each Gaussian's bucket: full buckets come first, then partial ones with their sizes."""
     partial = np.frombuffer(content, "<u4", section.num_partial, place.buckets - 4 * section.num_partial)
     sizes = np.concatenate([np.full(section.num_full, section.per_bucket), partial.astype(np.int64)])
     if sizes.sum() != section.num_rows:

@@ -1,4 +1,4 @@
-"""Which Gaussians of a cloud may move, as NumPy's `.npy`: one bool or 0 and 1 a Gaussian, in the cloud's order."""
+"""Masks of the Gaussians that may move: NumPy's `.npy`, one bool, or 0 or 1, per Gaussian in the cloud's order."""
 
 import numpy as np
 from jaxtyping import Bool

@@ -23,11 +23,11 @@ from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
-"""A scene reconstructed from photos has y downward, as its first camera had."""
+"""Scenes reconstructed from photos have y downward, as their first camera has."""
 _NORMALS = ("nx", "ny", "nz")
 _POSITION = ("x", "y", "z")
 _COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
-_BYTE_COLOR = ("red", "green", "blue")  # in place of harmonics, as nerfstudio can export
+_BYTE_COLOR = ("red", "green", "blue")  # colours in place of harmonics, an option of nerfstudio's export
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*_POSITION, *_COLOR, "opacity", *_SCALE, *_ROTATION)
@@ -38,7 +38,7 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
 
     Raises:
         FormatError: not a PLY file, properties missing (they are named), or shorter than its header says.
-        InputError: a rotation that is none, too many Gaussians.
+        InputError: a rotation of length zero, too many Gaussians.
     """
     header = read_header(stream)
     vertex = header.element("vertex")
@@ -69,7 +69,7 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
 
 
 def _sound(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], int]:
-    """The rows that are finite and have a rotation, as training leaves some without; all of them if none is sound."""
+    """Drop rows that are not finite or have no rotation, which training can leave; drop none if all are such."""
     sound = (_columns(rows, _ROTATION) != 0).any(axis=1)
     for name in rows.dtype.names or ():
         sound &= np.isfinite(rows[name])
@@ -77,34 +77,34 @@ def _sound(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], in
 
 
 def _scales(rows: Shaped[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3"]:
-    """Logarithms of scales; those of 2D Gaussian splatting (Huang et al. 2024) are two, of a disc."""
+    """Return logarithms of scales; 2D Gaussian splatting (Huang et al. 2024) stores two per disc, the third is flat."""
     if "scale_2" in (rows.dtype.names or ()):
         return _columns(rows, _SCALE)
     return np.pad(_columns(rows, _SCALE[:2]), ((0, 0), (0, 1)), constant_values=np.float32(np.log(MIN_SCALE)))
 
 
 def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:
-    """Write what every splat viewer reads, in the source's axes and units; undone by `read_gaussian_ply`."""
+    """Write a file for any splat viewer, in the source's axes and units; `read_gaussian_ply` is the inverse."""
     comments = axis_comments(cloud.source.up_axis, cloud.source.scale, cloud.source.offset)
     stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1], comments=comments))
     stream.write(ply_rows(to_source_axes(cloud)).tobytes())
 
 
 def ply_header(num_gaussians: int, num_harmonics: int, *, comments: Sequence[str] = ()) -> bytes:
-    """Header of the file that `ply_rows` is the body of."""
+    """Return the header of a file with the body `ply_rows`."""
     lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {num_gaussians}"]
     lines += [f"property float {name}" for name in property_names(num_harmonics)]
     return ("\n".join([*lines, "end_header"]) + "\n").encode()
 
 
 def property_names(num_harmonics: int) -> list[str]:
-    """Names in the order of Kerbl et al."""
+    """Return the property names in the order of Kerbl et al."""
     rest = [f"f_rest_{i}" for i in range(3 * (num_harmonics - 1))]
     return [*_POSITION, *_NORMALS, *_COLOR, *rest, "opacity", *_SCALE, *_ROTATION]
 
 
 def ply_rows(cloud: GaussianCloud) -> Float32[np.ndarray, "G P"]:
-    """Body of the file, of a cloud in the file's axes and units. Normals are zero, as in Kerbl et al."""
+    """Return the body of a file, for a cloud in the file's axes and units. Normals are 0, as in Kerbl et al."""
     num_rest = cloud.sh.shape[1] - 1
     rows = np.zeros((cloud.num_gaussians, 17 + 3 * num_rest), "<f4")
     rows[:, 0:3] = cloud.means
@@ -118,10 +118,10 @@ def ply_rows(cloud: GaussianCloud) -> Float32[np.ndarray, "G P"]:
 
 
 def rest_names(names: frozenset[str]) -> list[str]:
-    """The properties f_rest_0, f_rest_1, … in order.
+    """Return the names f_rest_0, f_rest_1, … in order.
 
     Raises:
-        FormatError: their number is not that of a whole SH degree from 0 to 3.
+        FormatError: their number does not match an SH degree from 0 to 3.
     """
     count = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
     rest = [f"f_rest_{i}" for i in range(count)]

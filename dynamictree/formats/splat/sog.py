@@ -1,7 +1,7 @@
-"""SOG files of PlayCanvas, version 2: lossless WebP pictures of one pixel a Gaussian, and `meta.json`, in a ZIP.
+"""SOG files of PlayCanvas, version 2: lossless WebP images with one pixel per Gaussian, and `meta.json`, in a ZIP.
 
-Places are 16-bit steps of sign(x) ln(1 + |x|), logarithms of scales and first harmonics bytes that name one of 256
-numbers, further harmonics 16 bits that name a row of a palette of such bytes.
+Positions are 16-bit steps of sign(x) ln(1 + |x|). Logarithms of scales and harmonics of degree 0 are bytes that index a
+codebook of 256 numbers. Higher harmonics are 16-bit indices of a palette, whose rows are such bytes.
 """
 
 import io
@@ -41,23 +41,23 @@ from dynamictree.voxel.grid import morton_order
 
 META = SOG_FOLDER_FILE
 UP_AXIS = "-Y"
-"""As a PLY of the same scene."""
+"""The same as in a PLY file of the scene."""
 _VERSION = 2
 _PARTS = ("means", "scales", "quats", "sh0", "shN")
 _MAX_META_BYTES = 1 << 20
 _MAX_FILES = 64
-_ROW = 64  # palette entries beside each other
+_ROW = 64  # palette entries per row of the image
 _MAX_PALETTE = 1 << 16
 _STEPS = 65_535
-_FIRST_TAG = 252  # alpha of a rotation: this and the place of the largest of w, x, y, z
+_FIRST_TAG = 252  # alpha of a rotation: this plus the index of the largest of w, x, y, z
 _UNREADABLE = (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, OSError, EOFError)
 
 
 def read_sog(stream: SeekableReader) -> GaussianCloud:
-    """Read a bundle.
+    """Read a SOG bundle.
 
     Raises:
-        FormatError: no ZIP of a SOG of version 2, pictures that are missing or do not fit, or damaged.
+        FormatError: not a ZIP with SOG version 2, images that are missing or do not fit, or damaged.
         InputError: too many Gaussians.
     """
     files = _unpacked(stream)
@@ -90,10 +90,10 @@ def is_folder_file(stream: SeekableReader) -> bool:
 
 
 def bundled(meta: SeekableReader, beside: Mapping[str, bytes]) -> SeekableReader:
-    """The files of a SOG folder as one bundle; pictures that are not there are left to `read_sog` to name.
+    """Bundle the files of a SOG folder; `read_sog` reports missing images.
 
     Raises:
-        FormatError: `meta.json` is larger than is allowed, or no JSON.
+        FormatError: `meta.json` is too large, or no JSON.
     """
     content = read_all(meta, _MAX_META_BYTES)
     described = parse_object(content, META)
@@ -104,12 +104,12 @@ def bundled(meta: SeekableReader, beside: Mapping[str, bytes]) -> SeekableReader
 
 
 def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
-    """Write a bundle in the source's units and −Y up, its Gaussians in Morton order; harmonics lose most."""
+    """Write a bundle in the source's units and −Y up, in Morton order; harmonics lose the most precision."""
     source = to_source_axes(cloud, UP_AXIS)
     log_places = np.sign(source.means) * np.log1p(np.abs(source.means.astype(np.float64)))
     low, high = log_places.min(axis=0), log_places.max(axis=0)
     steps = np.rint((log_places - low) / np.maximum(high - low, 1e-30) * _STEPS).astype(np.int64)
-    order = morton_order(steps)  # neighbours in space are neighbours in the pictures, which then take less
+    order = morton_order(steps)  # neighbours in space are neighbours in the images, which then compress better
     source, steps = source.subset(order), steps[order]
     scale_codes, scale_book = codes_of(log_from_scales(source.scales))
     color_codes, color_book = codes_of(source.sh[:, 0])
@@ -137,7 +137,7 @@ def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
-    """A stored archive without zip64 records, which PlayCanvas' readers do not know, and without a date."""
+    """Return an uncompressed archive without dates, and without zip64 records, which PlayCanvas' readers reject."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, part in files.items():
@@ -146,7 +146,7 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 
 
 def _unpacked(stream: SeekableReader) -> dict[str, bytes]:
-    """The archive's files by name, in memory."""
+    """Read all files of the archive, by name."""
     size = remaining_bytes(stream)
     try:
         with zipfile.ZipFile(io.BytesIO(stream.read())) as archive:
@@ -166,15 +166,15 @@ def _unpacked(stream: SeekableReader) -> dict[str, bytes]:
 def _picture(
     files: Mapping[str, bytes], meta: JsonObject, name: str, count: int, place: int = 0
 ) -> UInt8[np.ndarray, "G 4"]:
-    """RGBA of the first `count` pixels of a picture that `meta` names."""
+    """Return the RGBA of the first `count` pixels of an image that `meta` names."""
     return _pixels(files, meta, name, place, count).reshape(-1, 4)[:count]
 
 
 def _pixels(
     files: Mapping[str, bytes], meta: JsonObject, name: str, place: int, count: int
 ) -> UInt8[np.ndarray, "H W 4"]:
-    """All pixels of a picture, which has at least `count`, and not many more."""
-    spare_pixels = 1 << 16  # of a picture beyond one a Gaussian: rows are filled up
+    """Return all pixels of an image, which must have at least `count` and not many more."""
+    spare_pixels = 1 << 16  # pixels beyond one per Gaussian, which complete the last rows
     names = text_list(object_field(meta, name), "files")
     if place >= len(names) or names[place] not in files:
         raise FormatError(f"the SOG file lacks picture {place + 1} of {name}: {META} names {', '.join(names)[:80]!r}")
@@ -186,7 +186,7 @@ def _pixels(
 
 
 def _codebook(meta: JsonObject, name: str) -> Float32[np.ndarray, " 256"]:
-    largest = 1e30  # of a codebook's numbers; larger ones overflow
+    largest = 1e30  # limit of a codebook's numbers; larger ones overflow
     numbers = np.array(numbers_field(object_field(meta, name), "codebook", CODES, []), np.float64)
     return np.clip(numbers, -largest, largest).astype(np.float32)
 
@@ -194,7 +194,7 @@ def _codebook(meta: JsonObject, name: str) -> Float32[np.ndarray, " 256"]:
 def _means(
     bounds: JsonObject, low: UInt8[np.ndarray, "G 4"], high: UInt8[np.ndarray, "G 4"]
 ) -> Float32[np.ndarray, "G 3"]:
-    far = 80.0  # exponents beyond overflow float32, and are refused as not finite
+    far = 80.0  # larger exponents overflow float32, and are refused as not finite
     least, most = (np.array(numbers_field(bounds, name, 3, [])) for name in ("mins", "maxs"))
     steps = low[:, :3] + 256.0 * high[:, :3]
     logs = least + (most - least) * (steps / _STEPS)
@@ -203,7 +203,7 @@ def _means(
 
 
 def _rotations(pixels: UInt8[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
-    """Three bytes are the smaller components over 1/√2; alpha names the largest. Others are no turn."""
+    """Unpack quaternions: bytes are the smaller components times √2, alpha names the largest; untagged are identity."""
     others = (pixels[:, :3] / np.float32(127.5) - 1) / np.float32(np.sqrt(2))
     tagged = pixels[:, 3] >= _FIRST_TAG
     largest = np.where(tagged, pixels[:, 3], _FIRST_TAG).astype(np.intp) - _FIRST_TAG
@@ -217,7 +217,7 @@ def _packed_rotations(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarr
 
 
 def _harmonics(files: Mapping[str, bytes], meta: JsonObject, count: int) -> Float32[np.ndarray, "G D 3"]:
-    """Those above degree 0."""
+    """Read the harmonics above degree 0."""
     described = object_field(meta, "shN")
     degree = integer_field(described, "bands", high=3, default=0)
     if degree == 0:
@@ -241,7 +241,7 @@ def _harmonics(files: Mapping[str, bytes], meta: JsonObject, count: int) -> Floa
 
 
 def _write_harmonics(cloud: GaussianCloud, files: dict[str, bytes]) -> dict[str, object]:
-    """Add the pictures of the harmonics above degree 0; gives their entry in `meta.json`."""
+    """Add the images of the harmonics above degree 0 to `files`; return their entry in `meta.json`."""
     width = cloud.sh.shape[1] - 1
     palette, labels = palette_of(cloud.sh[:, 1:].reshape(cloud.num_gaussians, -1), _MAX_PALETTE)
     codes, book = codes_of(palette)
@@ -264,12 +264,12 @@ def _opaque(channels: Shaped[np.ndarray, "P 3"]) -> UInt8[np.ndarray, "P 4"]:
 
 
 def _width(count: int) -> int:
-    """Of a picture that is about square, in whole blocks of four."""
+    """Return the width of an approximately square image, a multiple of 4 [px]."""
     return 4 * int(np.ceil(np.sqrt(count) / 4))
 
 
 def _webp(pixels: UInt8[np.ndarray, "P 4"], width: int) -> bytes:
-    """The pixels row by row; `exact` keeps the colours of what is transparent."""
+    """Encode pixels row by row; `exact` keeps the colours of transparent ones."""
     rows = -(-len(pixels) // width)
     padded = np.zeros((rows * width, 4), np.uint8)
     padded[: len(pixels)] = pixels

@@ -1,4 +1,4 @@
-""".splat files: 32 bytes a Gaussian, no header. Position 3 × f32, scale 3 × f32, RGBA 4 × u8, rotation wxyz 4 × u8."""
+""".splat: 32 bytes per Gaussian, no header. Position 3 × f32, scale 3 × f32, RGBA 4 × u8, rotation wxyz 4 × u8."""
 
 import numpy as np
 
@@ -18,8 +18,8 @@ def read_splat(stream: SeekableReader) -> GaussianCloud:
     """Read a cloud of degree 0.
 
     Raises:
-        FormatError: the size is no multiple of 32 bytes.
-        InputError: a rotation that is none, too many Gaussians.
+        FormatError: the size is not a multiple of 32 bytes.
+        InputError: a rotation of length zero, too many Gaussians.
     """
     size = remaining_bytes(stream)
     if size % _RECORD.itemsize:
@@ -42,7 +42,7 @@ def read_splat(stream: SeekableReader) -> GaussianCloud:
 
 
 def write_splat(cloud: GaussianCloud, stream: ByteWriter) -> None:
-    """Write in the source's axes and units. Colour, opacity and rotation become bytes, harmonics above 0 go."""
+    """Write a cloud in the source's axes and units; colour, opacity and rotation become bytes, degree 0 remains."""
     source = to_source_axes(cloud.with_sh_degree(0))
     rows = np.empty(source.num_gaussians, _RECORD)
     rows["mean"], rows["scale"] = source.means, source.scales

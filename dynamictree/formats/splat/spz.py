@@ -1,6 +1,6 @@
-"""SPZ files of Niantic Labs: a cloud rounded to 16 to 20 bytes a Gaussian and its harmonics to 8 bits, then compressed.
+"""SPZ files of Niantic Labs: 16 to 20 bytes per Gaussian, and harmonics in 8 bits, then compressed.
 
-Versions 2 and 3 are one gzip stream, version 4 a plain header and a zstandard stream an attribute. Axes are +Y up.
+Versions 2 and 3 are one gzip stream, version 4 a plain header and one zstandard stream per attribute. +Y is up.
 """
 
 import struct
@@ -30,12 +30,12 @@ UP_AXIS = "+Y"
 _MAGIC = 0x5053474E  # "NGSP"
 _LEGACY_HEADER = struct.Struct("<IIIBBBB")
 _HEADER = struct.Struct("<IIIBBBBI12x")
-_COLOR_SCALE = 0.15  # of the first harmonic's coefficient over the colour's range
-_SMALLEST_THREE = (1 << 9) - 1  # steps of the magnitude of a quaternion's smaller component
+_COLOR_SCALE = 0.15  # scale from the coefficient of degree 0 to the stored colour
+_SMALLEST_THREE = (1 << 9) - 1  # steps per magnitude of a quaternion's smaller component
 
 
 def read_spz(stream: SeekableReader) -> GaussianCloud:
-    """Read version 2, 3 or 4; extensions are passed over.
+    """Read version 2, 3 or 4; extensions are ignored.
 
     Raises:
         FormatError: not SPZ, an unknown version, damaged or truncated.
@@ -50,9 +50,9 @@ def read_spz(stream: SeekableReader) -> GaussianCloud:
 
 
 def write_spz(cloud: GaussianCloud, stream: ByteWriter) -> None:
-    """Write version 3, which every reader knows, in the source's units and +Y up.
+    """Write version 3, which every reader supports, in the source's units and +Y up.
 
-    Positions are rounded to 1/4096 of a unit, or coarser where they reach beyond ±2048.
+    Positions are rounded to 1/4096 of a unit, or more coarsely if they reach beyond ±2048.
     """
     source = to_source_axes(cloud, UP_AXIS)
     reach = max(float(np.abs(source.means).max()), 1e-30)
@@ -124,7 +124,7 @@ def _decompressed(packed: bytes, size: int) -> UInt8[np.ndarray, " bytes"]:
 
 
 def _sizes(count: int, degree: int, version: int) -> list[int]:
-    """Bytes of positions, alphas, colours, scales, rotations, harmonics."""
+    """Return the sizes of positions, alphas, colours, scales, rotations and harmonics [bytes]."""
     if degree > 3:
         raise FormatError(f"the SPZ file has harmonics of degree {degree}; 0 to 3 are understood")
     check_count(count)
@@ -152,7 +152,7 @@ def _unpacked(parts: list[UInt8[np.ndarray, "..."]], fractional_bits: int, versi
 
 
 def _packed(cloud: GaussianCloud, fractional_bits: int) -> list[UInt8[np.ndarray, "..."]]:
-    sh_bits = {1: 5, 2: 4, 3: 4}  # precision by degree, as the reference writes
+    sh_bits = {1: 5, 2: 4, 3: 4}  # precision by degree, as in the reference writer
     fixed = np.rint(cloud.means.astype(np.float64) * (1 << fractional_bits)).astype(np.int32)
     positions = np.stack([fixed & 0xFF, fixed >> 8 & 0xFF, fixed >> 16 & 0xFF], axis=2)  # [G, 3, 3]
     color = (color_from_harmonic(cloud.sh[:, 0]) - 0.5) / SH_0 * _COLOR_SCALE + 0.5
@@ -188,7 +188,7 @@ def _first_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 
 
 
 def _smallest_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
-    """Two bits name the largest of x, y, z, w; ten bits (sign, magnitude) are each of the others, the last lowest."""
+    """Unpack quaternions: 2 bits give the index of the largest of x, y, z, w; 10 bits (sign, magnitude) each other."""
     bits = packed.view("<u4").astype(np.uint32)
     stored = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1)
     magnitude = (stored & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))

@@ -1,6 +1,6 @@
-"""`*.animated-splat.safetensors`: a cloud at rest, what it hangs on, and the spectrum that moves it.
+"""`*.animated-splat.safetensors`: a cloud at rest, its binding to a mesh, and the spectrum that moves it.
 
-Described for other readers in docs/formats-splat.md. Everything is in metres and +Z up. A capture of 500,000 Gaussians
+The format is described in docs/formats-splat.md. Everything is in metres and +Z up. A capture of 500,000 Gaussians
 of SH degree 3 takes about 85 MB, its 100 frames as PLY 12.4 GB.
 """
 
@@ -18,10 +18,10 @@ _HALF = float(np.finfo(np.float16).max)
 
 
 def write_animated_splat(splat: AnimatedSplat, stream: ByteWriter) -> None:
-    """Write; positions and scales as float32, the rest as float16.
+    """Write a splat; positions and scales as float32, the rest as float16.
 
     Raises:
-        NumericsError: a coefficient or harmonic is not finite, or larger than float16 can hold.
+        NumericsError: a coefficient or harmonic is not finite, or too large for float16.
     """
     compact = without_idle_vertices(splat)
     binding, cloud = compact.binding, compact.binding.cloud

@@ -1,6 +1,6 @@
-"""A mesh or a capture as one process hands it to another: its value types, field by field, as safetensors.
+"""Transfer of a mesh or a capture between processes: its dataclasses, field by field, as safetensors.
 
-Internal: written by the process that parses an upload, read by those that must not parse it again.
+Internal format, written by the process that parses an upload, and read by those that must not parse it.
 """
 
 import json
@@ -23,14 +23,14 @@ from dynamictree.plant.capture import Capture
 VERSION = 3
 MAX_BYTES = {TriangleMesh: 1 << 30, Capture: 3 << 30}
 _FIELDS, _TENSOR, _BYTES = "fields", "tensor", "bytes"
-"""Name of the tensor that is the JSON of the fields; and in it, of what stands for an array and for bytes."""
+"""Name of the tensor with the JSON of the fields; keys in this JSON that refer to an array and to bytes."""
 
 Tensors = Mapping[str, Shaped[np.ndarray, "..."]]
 Value = TypeVar("Value", TriangleMesh, Capture)
 
 
 def write_bundle(value: TriangleMesh | Capture, stream: ByteWriter) -> None:
-    """Write all fields, exactly."""
+    """Write all fields without loss."""
     tensors: dict[str, Shaped[np.ndarray, ...]] = {}
 
     def plain(part: object) -> object:
@@ -47,21 +47,21 @@ def write_bundle(value: TriangleMesh | Capture, stream: ByteWriter) -> None:
 
 
 def read_mesh_bundle(stream: ByteReader, *, with_source: bool = False) -> TriangleMesh:
-    """Undo `write_bundle`; the document that the mesh was read from is large and only for writers of GLB.
+    """Read a mesh of `write_bundle`; `with_source` adds its glTF document, which is large and only for GLB writers.
 
     Raises:
-        FormatError: it is no such file, or of another version.
+        FormatError: the file is no such bundle, or of another version.
         MeshError: the mesh in it cannot be used.
     """
     return _checked(_read(stream, TriangleMesh, leave_out=() if with_source else ("gltf",)))
 
 
 def read_cloud_bundle(stream: ByteReader) -> Capture:
-    """Undo `write_bundle`.
+    """Read a capture of `write_bundle`.
 
     Raises:
-        FormatError: it is no such file, or of another version.
-        InputError: what is in it cannot be used.
+        FormatError: the file is no such bundle, or of another version.
+        InputError: the content cannot be used.
     """
     capture = _read(stream, Capture)
     validate_cloud(capture.cloud)

@@ -20,7 +20,7 @@ from dynamictree.voxel.grid import VoxelGrid
 
 MAX_FILE_BYTES = 1 << 30
 MAX_FRAMES = 1_000_000
-MAX_RESOLUTION = 4096  # its keys still fit int64 many times over
+MAX_RESOLUTION = 4096  # keys of its voxels are far below the limit of int64
 
 _DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32, "I16": np.int16, "U8": np.uint8}
 _NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
@@ -29,10 +29,10 @@ _NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
 def read_tensors(
     stream: ByteReader, *, file_format: str, version: str, max_bytes: int = MAX_FILE_BYTES
 ) -> tuple[dict[str, Shaped[np.ndarray, "..."]], dict[str, str]]:
-    """Tensors and metadata of a file that says that it is of this format and version.
+    """Read tensors and metadata of a file that states this format and version.
 
     Raises:
-        FormatError: not safetensors, too large, another format, an unknown version, a dtype of no use here.
+        FormatError: not safetensors, too large, another format, an unknown version, an unsupported dtype.
     """
     content = read_all(stream, max_bytes)
     try:
@@ -57,7 +57,7 @@ def read_tensors(
 
 
 def tensor_format(stream: SeekableReader) -> str | None:
-    """The format that a file's metadata name; None where it is no safetensors. The stream is left at its start."""
+    """Return the format that a file's metadata state; None if it is no safetensors. The stream is left at its start."""
     max_header_bytes = 1 << 20
     stream.seek(0)
     length = int.from_bytes(stream.read(8), "little")
@@ -73,15 +73,15 @@ def tensor_format(stream: SeekableReader) -> str | None:
 def write_tensors(
     stream: ByteWriter, tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mapping[str, str]
 ) -> None:
-    """The same values give the same bytes, which safetensors' own writer does not: it shuffles the metadata."""
-    ordered = sorted(tensors.items(), key=lambda item: (-item[1].itemsize, item[0]))  # so that all are aligned
+    """Write tensors; equal values give equal bytes, whereas safetensors' own writer shuffles the metadata."""
+    ordered = sorted(tensors.items(), key=lambda item: (-item[1].itemsize, item[0]))  # this order aligns all
     stream.write(file_head({name: (tensor.dtype.name, tensor.shape) for name, tensor in ordered}, metadata))
     for _, tensor in ordered:
         stream.write(np.ascontiguousarray(tensor).tobytes())
 
 
 def file_head(tensors: Mapping[str, tuple[str, tuple[int, ...]]], metadata: Mapping[str, str]) -> bytes:
-    """All that stands before the tensors' bytes, which follow in the order given here."""
+    """Return the bytes before the tensors' own, which follow in the given order."""
     header: dict[str, object] = {"__metadata__": dict(metadata)}
     start = 0
     for name, (dtype, shape) in tensors.items():
@@ -100,10 +100,10 @@ def take_tensor(
     dtypes: tuple[str, ...],
     shape: tuple[int | None, ...],
 ) -> Shaped[np.ndarray, "..."]:
-    """One tensor of a file, checked; None in `shape` stands for any length.
+    """Return one tensor of a file after checks; None in `shape` allows any length.
 
     Raises:
-        FormatError: it is missing, or of another dtype or shape, or holds values that are not finite.
+        FormatError: it is missing, of another dtype or shape, or has values that are not finite.
     """
     if name not in tensors:
         raise FormatError(f"the file has no tensor {name!r}; it has {sorted(tensors)[:8]}")
@@ -120,7 +120,7 @@ def take_tensor(
 
 
 def grid_metadata(grid: VoxelGrid) -> dict[str, str]:
-    """The grid's frame as strings; undone by `read_grid`."""
+    """Return the grid's frame as strings; `read_grid` is the inverse."""
     return {
         "resolution": str(grid.resolution),
         "origin_m": json.dumps(grid.origin_m),
@@ -129,10 +129,10 @@ def grid_metadata(grid: VoxelGrid) -> dict[str, str]:
 
 
 def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], facts: "GridFacts") -> VoxelGrid:
-    """The grid of a file.
+    """Return the grid of a file.
 
     Raises:
-        InputError: the voxels are none, outside of the cube, not unique or not in order.
+        InputError: there are no voxels, or they are outside of the cube, not unique or not in order.
     """
     coords = take_tensor(tensors, "coords", dtypes=("int32",), shape=(None, 3))
     return VoxelGrid(
@@ -141,7 +141,7 @@ def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], facts: "GridFact
 
 
 def tree_numbers(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Int32[np.ndarray, " V"] | None:
-    """Of several trees the one that each voxel is of; None where the file names none.
+    """Return the index of each voxel's tree; None if the file has none.
 
     Raises:
         FormatError: a number is out of range.
@@ -155,7 +155,7 @@ def tree_numbers(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: i
 
 
 def source_metadata(source: Source) -> dict[str, str]:
-    """What a shape was read from as strings; undone by `SourceFacts`."""
+    """Return the source of a shape as strings; `SourceFacts` is the inverse."""
     if not source.up_axis:
         return {"source_sha256": source.sha256}
     return {
@@ -171,10 +171,10 @@ Facts = TypeVar("Facts", bound=BaseModel)
 
 
 def facts_of(metadata: Mapping[str, str], model: type[Facts]) -> Facts:
-    """The fields of a file's metadata, which are texts, some of them JSON; others are passed over.
+    """Validate the fields of a file's metadata, which are strings, some of them JSON; unknown ones are ignored.
 
     Raises:
-        FormatError: one is missing, or not what it may be.
+        FormatError: a field is missing or invalid.
     """
     max_field_chars = 4096  # a hostile field must not exhaust the JSON parser
     for name in model.model_fields:
@@ -189,17 +189,17 @@ def facts_of(metadata: Mapping[str, str], model: type[Facts]) -> Facts:
 
 
 class SourceFacts(BaseModel):
-    """What the shape of a file was read from."""
+    """Source of the shape in a file."""
 
     source_sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
     source_up_axis: Annotated[str, Field(pattern=f"^({UP_AXIS_PATTERN})?$")] = ""
     source_up_confidence: Json[Finite | None] = None
     source_scale: Json[Finite | None] = None
-    source_offset: Json[tuple[Finite, Finite, Finite]] = (0.0, 0.0, 0.0)  # files of before it was written have none
+    source_offset: Json[tuple[Finite, Finite, Finite]] = (0.0, 0.0, 0.0)  # absent from older files
 
     @property
     def source(self) -> Source:
-        """The same as a value."""
+        """The source as a value."""
         return Source(
             sha256=self.source_sha256,
             up_axis=self.source_up_axis,
@@ -210,7 +210,7 @@ class SourceFacts(BaseModel):
 
 
 class GridFacts(SourceFacts):
-    """The frame of a grid as well; undoes `grid_metadata`."""
+    """Source and frame of a grid; inverse of `grid_metadata`."""
 
     resolution: Annotated[int, Field(ge=1, le=MAX_RESOLUTION)]
     origin_m: Json[tuple[Finite, Finite, Finite]]

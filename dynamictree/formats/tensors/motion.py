@@ -16,7 +16,7 @@ VERSION = "1"
 def write_motion(
     mesh: Surface, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: ByteWriter, *, num_frames: int, fps: float
 ) -> None:
-    """Write frame after frame as they come, never the whole motion in memory."""
+    """Write frames one by one, without the whole motion in memory."""
     shapes = {
         "vertices": ("float32", mesh.vertices.shape),
         "faces": ("int32", mesh.faces.shape),

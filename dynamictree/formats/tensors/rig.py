@@ -1,4 +1,4 @@
-"""`tree.rig.safetensors`: bones, their turn modes, and what they carry. See docs/formats.md."""
+"""`tree.rig.safetensors`: bones, their turn modes, and weights of vertices and voxels. See docs/formats.md."""
 
 from typing import Annotated
 
@@ -20,7 +20,7 @@ class _Facts(BaseModel):
 
 
 def write_rig(rig: Rig, stream: ByteWriter) -> None:
-    """Write; undone bit by bit by `read_rig` for rigs of `rig_of`, whose numbers are in the file's steps."""
+    """Write a rig; `read_rig` restores rigs of `rig_of` exactly, as these are quantized like the file."""
     turns, steps = in_steps(rig.turns)
     tensors = {
         "parent": rig.skeleton.parent,
@@ -38,7 +38,7 @@ def write_rig(rig: Rig, stream: ByteWriter) -> None:
 
 
 def read_rig(stream: ByteReader) -> Rig:
-    """Read.
+    """Read a rig.
 
     Raises:
         FormatError: the file is no rig of a known version, or its bones do not fit together.

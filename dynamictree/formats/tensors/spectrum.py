@@ -31,7 +31,7 @@ VERSION = "1"
 
 
 class _WindFacts(BaseModel):
-    """Any wind, also one that no request may ask for."""
+    """Wind without the limits of requests."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -53,10 +53,10 @@ class _Facts(GridFacts):
 def write_spectrum(
     spectrum: SparseVoxelSpectrum, stream: ByteWriter, *, dtype: Literal["float16", "float32"] = "float16"
 ) -> None:
-    """Write; float16 keeps three digits of each coefficient and halves the file.
+    """Write a spectrum; float16 keeps three digits of each coefficient and halves the file.
 
     Raises:
-        NumericsError: a coefficient is not finite, or larger than float16 can hold.
+        NumericsError: a coefficient is not finite, or too large for float16.
     """
     limit = float(np.finfo(dtype).max)
     parts = np.ascontiguousarray(spectrum.coefficients)[..., None].view(np.float32)  # [V, K, 3, 2]
@@ -78,7 +78,7 @@ def write_spectrum(
         **({} if spectrum.foliage is None else {"foliage": repr(float(spectrum.foliage))}),
         **source_metadata(spectrum.source),
     }
-    if dtype == "float16":  # below 2^-13 its steps are 2^-24, and numpy reports each number that it rounds there
+    if dtype == "float16":  # steps are 2^-24 below 2^-13, where numpy reports each number that it rounds
         parts = np.where(np.abs(parts) < 2.0**-13, np.rint(parts * 2.0**24) / 2.0**24, parts)
     tensors = {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}
     if spectrum.tree is not None:
@@ -87,7 +87,7 @@ def write_spectrum(
 
 
 def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
-    """Read; undoes `write_spectrum` to the precision of its dtype.
+    """Read a spectrum; inverse of `write_spectrum` to the precision of its dtype.
 
     Raises:
         InputError: the file is no spectrum of a known version, or anything in it is out of range.

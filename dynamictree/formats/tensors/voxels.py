@@ -26,7 +26,7 @@ VERSION = "1"
 
 
 def write_voxels(voxels: SurfaceVoxels, stream: ByteWriter) -> None:
-    """Write; undone by `read_voxels` bit by bit."""
+    """Write voxels; `read_voxels` restores them exactly."""
     metadata = {"format": FORMAT, "version": VERSION, **grid_metadata(voxels.grid), **source_metadata(voxels.source)}
     moments = {} if voxels.moments is None else {"moments": voxels.moments}
     tree = {} if voxels.tree is None else {"tree": voxels.tree}
@@ -34,12 +34,12 @@ def write_voxels(voxels: SurfaceVoxels, stream: ByteWriter) -> None:
 
 
 def read_voxels(stream: ByteReader) -> SurfaceVoxels:
-    """Read.
+    """Read voxels.
 
     Raises:
-        InputError: the file holds no voxels of a known version, or anything in it is out of range.
+        InputError: the file has no voxels of a known version, or anything in it is out of range.
     """
-    longest_normal = 1.01  # unit length and rounding; zero says that the direction is not known
+    longest_normal = 1.01  # unit length plus rounding; zero is an unknown direction
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
     facts = facts_of(metadata, GridFacts)
     grid = read_grid(tensors, facts)
@@ -52,7 +52,7 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
 
 
 def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Float32[np.ndarray, "V 16"] | None:
-    largest_moment = 1.01  # of all but the area: offsets and spreads lie inside a voxel, normals have unit length
+    largest_moment = 1.01  # moments except the area: offsets and spreads lie inside a voxel, normals have unit length
     if "moments" not in tensors:
         return None
     moments = take_tensor(tensors, "moments", dtypes=("float32",), shape=(num_voxels, NUM_MOMENTS))
