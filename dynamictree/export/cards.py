@@ -1,4 +1,4 @@
-"""The last level of detail: upright cards with a picture of the tree, which move as what they show."""
+"""Last level of detail: upright cards with a picture of the tree, which move with the tree."""
 
 import io
 from dataclasses import replace
@@ -11,13 +11,13 @@ from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 
 CARD_VIEWS_DEG = (0.0, 90.0)
-MOST_SAMPLES = 200_000  # points of a tree that its motion is compared or averaged at
+MOST_SAMPLES = 200_000  # vertices at which motions are compared or averaged
 
 
 def cards_of(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
-    """Upright cards that cross at the tree's axis, one per view, with the motion of what they show."""
+    """Return upright cards that cross at the tree's axis, one per view, and their spectra, averaged over the tree's."""
     card_rows, card_columns = 6, 4  # faces of a card
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     middle, height = (low + high) / 2, float(high[2] - low[2])
@@ -57,7 +57,7 @@ def cards_of(
 def _mean_motion(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], places: Float64[np.ndarray, "P 3"], reach_m: float
 ) -> Complex64[np.ndarray, "P K 3"]:
-    """Mean motion of the vertices around each place, the nearer the more."""
+    """Return the mean motion of the vertices around each place, weighted by nearness."""
     from scipy.spatial.distance import cdist
 
     some = slice(None, None, -(-mesh.num_vertices // MOST_SAMPLES))
@@ -70,7 +70,7 @@ def _mean_motion(
 
 
 def _card_picture(mesh: TriangleMesh, middle: Float64[np.ndarray, "3"], half: float, height: float) -> bytes:
-    """PNG with a view per card side by side, cut out along the tree's outline."""
+    """Render the views of all cards side by side as PNG, cut out along the tree's outline."""
     far = 40.0  # distance of the card's camera over the tree's height: nearly parallel rays
     card_px = 512  # height of the picture on a card
     width = max(16, round(card_px * 2 * half / height / 16) * 16)

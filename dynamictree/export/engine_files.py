@@ -22,7 +22,7 @@ COVERAGE = (0.5, 0.25, 0.1, 0.04, 0.0)
 
 
 def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """Four levels of detail and cards, one GLB each, and their errors as JSON."""
+    """Write four levels of detail and cards, one GLB each, and their errors as JSON."""
     from dynamictree.export.levels import levels_of
 
     num_frames = tree.spectrum.num_frames
@@ -50,8 +50,8 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 
 def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """A skin whose joints lie in the branches, Unreal's wind groups of its joints, and collision capsules."""
-    engine_joints = 256  # what Unity, Unreal and Godot take in one skinned mesh
+    """Write a skin with joints in the branches, Unreal's wind groups of its joints, and collision capsules."""
+    engine_joints = 256  # joints per skinned mesh that Unity, Unreal and Godot accept
     from dynamictree.export.levels import wood_vertices
     from dynamictree.rig.branch_groups import capsules
     from dynamictree.rig.skin import reduced, skin_of
@@ -72,10 +72,10 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 
 def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """Wind that an engine evaluates itself: bones, cosines and shaders.
+    """Write wind that an engine evaluates itself: bones, cosines and shaders.
 
     Raises:
-        InputError: no texture holds the bones.
+        InputError: the bones do not fit into a texture.
     """
     from dynamictree.export.engine_wind import engine_wind_files
     from dynamictree.modal.turbulence import turbulent_wind
@@ -85,9 +85,9 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:
-    """The file that Unreal 5.7's Dynamic Wind imports for a skeletal mesh: a group per branch order.
+    """Return the JSON that Unreal 5.7's Dynamic Wind imports for a skeletal mesh: a group per branch order.
 
-    A group's influence is how far its joints bend in the motion, over the largest of all groups.
+    A group's influence is the bending of its joints in the motion, relative to the largest of all groups.
     """
     from dynamictree.rig.branch_groups import bending_rad, branch_orders
 

@@ -1,8 +1,8 @@
 """Wind that engines evaluate: turn modes of bones in a texture, coordinates as cosines, shaders.
 
-A ZIP of `tree-bones.glb` (at rest; TEXCOORD_1 names the bone of each vertex), `bones.exr` (of each bone Re θ_0, then
-w_k Re θ_k and w_k Im θ_k of each further bin, its foot and its parent), `wind.json`, and shaders per engine that have
-the wind's numbers inside.
+A ZIP of `tree-bones.glb` (at rest; TEXCOORD_1 names the bone of each vertex), `bones.exr` (per bone Re θ_0, then
+w_k Re θ_k and w_k Im θ_k of each further bin, its foot, direction and parent), `wind.json`, and shaders per engine with
+the wind's numbers as constants.
 """
 
 import json
@@ -40,12 +40,12 @@ SHADERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class BoneTexture:
-    """Layout of `bones.exr`, with bones for vertices and parts for frames, and what shaders need to know of it."""
+    """Layout of `bones.exr`, with bones in place of vertices and parts in place of frames; and facts for shaders."""
 
     layout: TextureLayout
     num_bones: int
     most_ancestors: int
-    farthest_m: float  # no foot is, or moves, farther than this along any axis
+    farthest_m: float  # bound of a foot's coordinates and displacements
 
     @property
     def facts(self) -> dict[str, int]:
@@ -61,10 +61,10 @@ class BoneTexture:
 
 
 def engine_wind_files(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> list[tuple[str, list[bytes]]]:
-    """The archive's files, name and content.
+    """Return name and content of the archive's files.
 
     Raises:
-        InputError: no texture holds the bones.
+        InputError: the bones do not fit into a texture.
     """
     fixed_parts = 3  # foot, direction, parent
     skeleton, turns = rig.skeleton, rig.turns
@@ -97,8 +97,8 @@ def engine_wind_files(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> list
 
 
 def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:
-    """All parts in glTF's axes; the parent is its place in a part, in [0, 1], and -1 without one."""
-    y_up = up_rotation("+Y").astype(np.float32)  # from the right it turns +Z up into +Y up
+    """Encode all parts in glTF's axes; a parent is stored as its place within a part, in [0, 1], or -1 for none."""
+    y_up = up_rotation("+Y").astype(np.float32)  # multiplied from the right, it turns +Z up into +Y up
     column, row = skeleton.parent % layout.width, skeleton.parent // layout.width
     parent = np.stack(
         [(column + 0.5) / layout.width, (row + 0.5) / layout.rows_per_frame, np.zeros(len(column))], axis=1
@@ -112,8 +112,8 @@ def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: Te
 
 
 def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
-    """Code for one engine with the wind's numbers and the texture's layout inside."""
-    # of the texture that a shader computes each frame: how far feet move, turns, feet, turns of the parents
+    """Return the shader code for one engine, with the wind's numbers and the texture's layout as constants."""
+    # parts of the texture that a shader computes per frame: displacements of feet, turns, feet, parents' turns
     pose_parts = 4
     folder = files(__package__) / "wind_shaders"
     text, core, surface = (
@@ -180,13 +180,13 @@ def _table(name: str, rows: np.ndarray, *, hlsl: bool) -> str:
 
 
 def _number(value: float) -> str:
-    """A number with a point or an exponent: to a shader, 1 is an integer."""
+    """Format a number with a point or an exponent: in a shader, 1 is an integer."""
     text = f"{value:.9g}"
     return text if "." in text or "e" in text else f"{text}.0"
 
 
 def _described(wind: TurbulentWind) -> dict[str, object]:
-    """The wind as `GET /v1/spectra/{id}/wind` gives it: partials from bin 1."""
+    """Return the wind as in `GET /v1/spectra/{id}/wind`: partials from bin 1."""
     fields = {name: _plain(value) for name, value in asdict(wind).items()}
     return fields | {name: _plain(getattr(wind, name)[1:]) for name in ("partial_hz", "partial_phase_rad")}
 

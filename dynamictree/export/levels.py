@@ -1,7 +1,7 @@
 """Levels of detail of a moving tree: fewer triangles, the same motion; last, cards with a picture of the tree.
 
 Wood is simplified; its vertices are vertices of the source, with their texture coordinates and motion. Leaves are
-thinned, and those that stay grow about their attachment by as much as keeps the area of all; they move as before.
+thinned; the remaining ones grow about their attachment so that the total area stays the same, and move as before.
 """
 
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ from dynamictree.spectrum import iter_motion
 from dynamictree.voxel.grid import morton_order
 
 SHARES = (1.0, 0.4, 0.15, 0.05)
-"""Of the triangles, level by level."""
-_SPLITS = 4  # vertices at one place that are tried for a face, at seams of the texture
+"""Share of the triangles, by level."""
+_SPLITS = 4  # vertices at one place, at seams of the texture, that are tried for a corner
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelError:
-    """How a level differs from the tree, over all of the tree's vertices and frames."""
+    """Error of a level against the tree, over all of the tree's vertices and frames."""
 
     num_triangles: int
     num_vertices: int
-    relative_error: float  # root mean square of what is missing of the motion over that of the motion
+    relative_error: float  # root mean square of the error over that of the motion
     rms_error_m: float
     max_error_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """One level of detail: a mesh, the spectrum of its vertices [m], and how it differs."""
+    """One level of detail: a mesh, the spectrum of its vertices [m], and its error."""
 
     mesh: TriangleMesh
     coefficients: Complex64[np.ndarray, "N K 3"]
@@ -47,9 +47,9 @@ def levels_of(
     num_frames: int,
     on_progress: Report = lambda done: None,
 ) -> list[Level]:
-    """Levels with `SHARES` of the triangles, and cards.
+    """Return levels with `SHARES` of the triangles, and cards.
 
-    `on_progress` gets the share done; what it raises passes through.
+    `on_progress` receives the completed share; its exceptions propagate.
     """
     leaves = _leaf_parts(mesh)
     meshes = [(mesh, coefficients)]
@@ -79,7 +79,7 @@ def motion_error(
     motion: Complex64[np.ndarray, "M K 3"],
     num_frames: int,
 ) -> tuple[float, float, float]:
-    """Error of a level's motion: relative and absolute root mean square, and the largest [m].
+    """Return the error of a level's motion: relative, root mean square [m] and largest [m].
 
     Each vertex of the tree is compared with the point of the level's surface that is nearest to it at rest.
     """
@@ -110,15 +110,15 @@ def motion_error(
 
 
 def wood_vertices(mesh: TriangleMesh) -> Bool[np.ndarray, " N"]:
-    """Which vertices are of no leaf: of a trunk, of branches, and of crowns that are one surface."""
+    """Mask of the vertices that are not of leaves: trunk, branches, and crowns that are one surface."""
     wood = np.zeros(mesh.num_vertices, np.bool_)
     wood[mesh.faces[_leaf_parts(mesh) < 0]] = True
     return np.asarray(wood & ~mesh.still_vertices)
 
 
 def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
-    """Number of the leaf that each face belongs to, in an order along a curve through space; -1 for wood."""
-    fewest_leaves = 16  # fewer small pieces are no foliage: a pot, a trunk of a few faces
+    """Label each face with the index of its leaf, in Morton order; -1 for wood."""
+    fewest_leaves = 16  # fewer small pieces are no foliage, but a pot or a trunk of few faces
     surface, _ = weld(mesh)
     part = connected_parts(surface.faces, surface.num_vertices)[surface.faces[:, 0]]
     leaf = foliage_faces(surface.faces, surface.num_vertices)
@@ -146,7 +146,7 @@ def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
 def _reduced(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], leaves: Int64[np.ndarray, " F"], share: float
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
-    """A share of the triangles: wood simplified by material, leaves thinned."""
+    """Reduce a mesh to a share of its triangles: simplify wood per material, and thin leaves."""
     stays = np.isin(leaves, _typical_leaves(mesh, coefficients, leaves, share))
     faces, materials = [mesh.faces[stays]], [mesh.material_of_face[stays]]
     for number in np.unique(mesh.material_of_face[leaves < 0]).tolist():
@@ -170,7 +170,7 @@ def _reduced(
 def _typical_leaves(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], leaves: Int64[np.ndarray, " F"], share: float
 ) -> Int64[np.ndarray, " S"]:
-    """Of each group of neighbours on the curve the leaf that moves most as they do in the mean."""
+    """Return, for each group of neighbouring leaves, the one with the motion nearest to the group's mean."""
     face = np.flatnonzero(leaves >= 0)
     if not len(face):
         return face
@@ -184,9 +184,9 @@ def _typical_leaves(
 
 
 def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: float) -> Int32[np.ndarray, "S 3"]:
-    """Fewer faces over vertices of the mesh: quadric error, each new vertex replaced by the nearest of the old ones."""
-    branch_share = 1.4  # faces of a thin branch over those that quadrics leave of it; fewer, and they take the trunk
-    fewest_faces = 100  # of wood of one material
+    """Simplify faces by quadric error; each new vertex is replaced by the nearest old one."""
+    branch_share = 1.4  # ratio by which quadrics can reduce thin branches; beyond it they reduce the trunk
+    fewest_faces = 100  # least number of wood faces per material
     import fast_simplification
     from scipy.spatial import cKDTree
 
@@ -206,8 +206,8 @@ def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: floa
 def _thickest(
     places: Float32[np.ndarray, "P 3"], faces: Int32[np.ndarray, "F 3"], count: int
 ) -> Int32[np.ndarray, "S 3"]:
-    """About as many faces: those of the thickest branches, where most branches are parts of their own."""
-    fewest_branches = 16  # as parts of their own; fewer parts are all simplified, none is left out
+    """Return about `count` faces, of the thickest branches, if branches are separate parts; else all faces."""
+    fewest_branches = 16  # separate parts; if there are fewer, none is left out
     part = connected_parts(faces, len(places))[faces[:, 0]]
     if len(np.unique(part)) < fewest_branches:
         return faces
@@ -247,7 +247,7 @@ def _capped(
 def _corners_at(
     mesh: TriangleMesh, own: Int32[np.ndarray, " n"], place: Int64[np.ndarray, " n"], faces: Int64[np.ndarray, "S 3"]
 ) -> Int32[np.ndarray, "S 3"]:
-    """Vertices for faces of places: where several are at one place, those that are nearest on the texture."""
+    """Choose the vertices of faces of places: of several at one place, those nearest to each other on the texture."""
     order = np.argsort(place, kind="stable")
     first = np.searchsorted(place[order], np.arange(int(place.max()) + 1))
     count = np.diff(np.append(first, len(order)))
@@ -268,8 +268,8 @@ def _corners_at(
 def _grown(
     mesh: TriangleMesh, leaves: Int64[np.ndarray, " F"], stays: Bool[np.ndarray, " F"]
 ) -> Float32[np.ndarray, "N 3"]:
-    """Vertices, remaining leaves grown about the vertex that is nearest to the wood."""
-    largest_growth = 4.0  # of a leaf; a level of very few leaves has less area than the tree
+    """Return the vertices, with remaining leaves enlarged about their vertex that is nearest to the wood."""
+    largest_growth = 4.0  # limit of a leaf's enlargement; a level of very few leaves has less area than the tree
     from scipy.spatial import cKDTree
 
     vertices = mesh.vertices.copy()

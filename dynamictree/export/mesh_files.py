@@ -15,17 +15,17 @@ from dynamictree.skin import Skin, SkinSummary
 
 
 def write_ply_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """A PLY file per frame, in a zip."""
+    """Write a PLY file per frame, in a ZIP."""
     write_stored_zip(stream, iter_ply_files(tree.mesh, tree.frames(report), first_number=tree.params.first_frame))
 
 
 def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """Displacement of every vertex at every frame, as safetensors."""
+    """Write the displacement of every vertex at every frame, as safetensors."""
     write_motion(tree.mesh, tree.frames(report), stream, num_frames=len(tree.phases), fps=tree.params.fps)
 
 
 def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """GLB whose joints are the bones, or the few of them that lose least."""
+    """Write a GLB with all bones as joints, or only the few that lose the least motion."""
     from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
 
     skin, summary = _skin(tree)
@@ -34,7 +34,7 @@ def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 
 def write_morph_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """GLB with two morph targets per frequency of the loop, of which a storm has more."""
+    """Write a GLB with two morph targets per frequency of the loop; storms have more frequencies."""
     summary = write_motion_glb(
         tree.mesh,
         tree.loop,
@@ -47,7 +47,7 @@ def write_morph_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts
 
 
 def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """HTML file that plays the same loop from disk, without a server."""
+    """Write an HTML file that plays the loop of the GLB from disk, without a server."""
     from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
     from dynamictree.formats.motion.html import write_html
 
@@ -57,7 +57,7 @@ def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 
 
 def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """USD with the same joints and weights, in a USDZ package."""
+    """Write USD with the joints and weights of the GLB, in a USDZ package."""
     from dynamictree.formats.motion import usd_skin
 
     skin, summary = _skin(tree)
@@ -71,24 +71,24 @@ def _skin(tree: MovingTree) -> tuple[Skin, SkinSummary]:
 
 
 def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """USD with a time sample per frame, in a USDZ package."""
+    """Write USD with a time sample per frame, in a USDZ package."""
     from dynamictree.formats.motion.usd import write_motion_usdz
 
     write_motion_usdz(tree.mesh, tree.frames(report), stream, fps=tree.params.fps)
 
 
 def write_alembic(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """Alembic with a sample per frame."""
+    """Write Alembic with a sample per frame."""
     from dynamictree.formats.motion.alembic import write_motion_alembic
 
     write_motion_alembic(tree.mesh, tree.frames(report), stream, fps=tree.params.fps)
 
 
 def write_vertex_texture(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """Vertex animation texture with its GLB, in a zip.
+    """Write a vertex animation texture with its GLB, in a ZIP.
 
     Raises:
-        InputError: no texture can hold the motion.
+        InputError: the motion does not fit into a texture.
     """
     from dynamictree.formats.gltf.normals import iter_normals
     from dynamictree.formats.motion.vertex_texture import vertex_texture_files

@@ -16,22 +16,22 @@ from dynamictree.rig.rig import Rig
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 Report = Callable[[float], None]
-"""Gets the share done in [0, 1]; what it raises passes through."""
+"""Receives the completed share in [0, 1]; its exceptions propagate."""
 
 Facts = dict[str, int | float]
-"""How far a product is from the motion. Empty where it is exact."""
+"""Error of a product against the motion; empty if it is exact."""
 
 
 def iter_turbulent_turns(
     rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"]
 ) -> Iterator[Float32[np.ndarray, "B 3"]]:
-    """How far each bone turns in turbulent wind, moment by moment [rad]."""
+    """Yield the turns of the bones in turbulent wind at each time [rad]."""
     for theta, turn in iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames):
         yield rig.in_wind(theta, turn)
 
 
 def frame_phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, " M"]:
-    """Phase in the loop of every frame to write, in periods.
+    """Return the phase in the loop of every frame to write [periods].
 
     Raises:
         InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
@@ -41,10 +41,10 @@ def frame_phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class MovingTree:
-    """A mesh with the bones that move it; and the splat that it carries, where a product needs one."""
+    """A mesh with the bones that move it, and a splat bound to it if a product needs one."""
 
     mesh: TriangleMesh
-    spectrum: SparseVoxelSpectrum  # of the voxels
+    spectrum: SparseVoxelSpectrum  # motion of the voxels
     rig: Rig
     params: ExportParams
     binding: Binding | None = None
@@ -52,7 +52,7 @@ class MovingTree:
 
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:
-        """Phases of the frames to write, in periods."""
+        """Phases of the frames to write [periods]."""
         return frame_phases(self.params, self.spectrum.period_s)
 
     @property
@@ -67,9 +67,9 @@ class MovingTree:
 
     @cached_property
     def loop(self) -> Complex64[np.ndarray, "N L 3"]:
-        """The vertices' loop as a sum of frequencies [m]: K, 2 K or all, the first of these that lose little."""
-        sampled_vertices = 10_000  # that tell how many frequencies are needed
-        # of the height: what frequencies above those that a sum of them has may move a vertex by, 1 mm at 10 m
+        """The vertices' loop with K, 2 K or all frequencies, the fewest that lose little [m]."""
+        sampled_vertices = 10_000  # vertices that decide on the number of frequencies
+        # share of the height: largest motion of a vertex above the chosen frequencies, 1 mm at 10 m
         most_lost = 1e-4
         vertices, weights = self.mesh.vertices, self.rig.vertices
         some = slice(None, None, -(-len(vertices) // sampled_vertices))
@@ -82,7 +82,7 @@ class MovingTree:
         return self.rig.loop(vertices, weights, min(enough, most))
 
     def loop_frames(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of the vertices at each frame of the loop [m], leaves fluttering."""
+        """Yield the displacement of the vertices at each frame of the loop, with flutter of leaves [m]."""
         phases = np.arange(self.spectrum.num_frames) / self.spectrum.num_frames
         for theta in fluttering(self.rig, self.flutter).theta(phases):
             yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
@@ -93,7 +93,7 @@ class MovingTree:
         return flutter_modes(self.rig, self.spectrum, self.params.flutter)
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of the vertices, frame by frame [m], leaves fluttering."""
+        """Yield the displacement of the vertices, frame by frame, with flutter of leaves [m]."""
         for done, theta in enumerate(self._turns()):
             report(done / len(self.phases))
             yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)

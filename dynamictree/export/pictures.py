@@ -14,7 +14,7 @@ from dynamictree.render.video import Picture
 
 
 def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """PNG: one picture, the amplitude of the sway in colours, a space-time slice and a row of frames."""
+    """Write a PNG with one picture, the amplitude of the sway in colours, a space-time slice and a row of frames."""
     if tree.captured and tree.binding is not None:
         sheet = splat_sheet(tree, tree.binding, report)
     else:

@@ -1,4 +1,4 @@
-"""Size of files that grow with the number of frames, known before they are written."""
+"""Sizes of files that grow with the number of frames, computed before they are written."""
 
 from collections.abc import Iterable
 
@@ -15,17 +15,17 @@ def sequence_bytes(
     mesh: tuple[int, int] = (0, 0),
     cloud: tuple[int, int] = (0, 0),
 ) -> dict[Format, int]:
-    """Least size of the files that hold every frame [bytes]: what stays is small beside that.
+    """Return the least size of files with every frame [bytes]; what does not grow with the frames is small.
 
     Args:
-        formats: that are asked for; others have no entry.
-        num_frames: to write.
-        params: say which share of a splat is written.
+        formats: requested formats; those of constant size have no entry in the result.
+        num_frames: number of frames to write.
+        params: the share and the degree of a splat that are written.
         mesh: numbers of vertices and faces.
         cloud: number of Gaussians, and their degree of harmonics.
 
     Raises:
-        InputError: one would be too large.
+        InputError: a file would be too large.
     """
     vertices, faces = mesh
     gaussians, degree = level_count(cloud[0], params.share), min(cloud[1], params.sh_degree)

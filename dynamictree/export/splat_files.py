@@ -11,14 +11,14 @@ from dynamictree.gaussian.animate import AnimatedSplat
 
 
 def write_splat_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """A splat PLY file per frame, in a zip."""
+    """Write a splat PLY file per frame, in a ZIP."""
     assert tree.binding is not None
     frames = tree.frames(report)
     write_stored_zip(stream, iter_splat_files(tree.binding, frames, first_number=tree.params.first_frame))
 
 
 def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """USD with a Gaussian splat that has a time sample per frame."""
+    """Write USD of a Gaussian splat with a time sample per frame."""
     from dynamictree.formats.motion.usd_splat import write_splat_usdz
 
     assert tree.binding is not None
@@ -26,12 +26,12 @@ def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 
 
 def write_compact_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """The splat at rest, what carries it and the spectrum: a player computes the frames."""
+    """Write the splat at rest, its binding and the spectrum; a player computes the frames."""
     write_animated_splat(_animated(tree), stream)
 
 
 def write_splat_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """HTML file that plays the splat's loop from disk, without a server.
+    """Write an HTML file that plays the splat's loop from disk, without a server.
 
     Raises:
         InputError: the splat is too large for a page.

@@ -1,4 +1,4 @@
-"""A bound splat over a floor: what films and previews of splats draw."""
+"""Scene of a bound splat over a floor, for films and previews of splats."""
 
 from dataclasses import dataclass, replace
 
@@ -18,16 +18,16 @@ from dynamictree.render.camera import Camera, in_view
 
 @dataclass(frozen=True, kw_only=True)
 class SplatScene:
-    """A bound splat over a floor, to be drawn."""
+    """A bound splat over a floor, ready to be drawn."""
 
     binding: Binding
-    bounds: Float32[np.ndarray, "M 3"]  # what a picture must contain [m]
-    covered_m2: Float32[np.ndarray, " moving"]  # how much light each Gaussian that moves takes
+    bounds: Float32[np.ndarray, "M 3"]  # points that a picture must contain [m]
+    covered_m2: Float32[np.ndarray, " moving"]  # area that each moving Gaussian shades
     ground: bool  # whether there is a floor
 
     @classmethod
     def of(cls, binding: Binding, *, ground: bool, grey_still: bool = False) -> "SplatScene":
-        """Prepare; a large cloud at a lower level of detail, what stands still in grey if asked."""
+        """Prepare a scene: large clouds at a lower level of detail, still parts in grey if `grey_still` is set."""
         # a larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores
         preview_gaussians = 200_000
         binding = lighter(binding, share=min(1.0, preview_gaussians / binding.cloud.num_gaussians))
@@ -39,7 +39,7 @@ class SplatScene:
         return cls(binding=binding, bounds=bounds, covered_m2=covered, ground=ground)
 
     def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> Backdrop:
-        """Sky and floor behind it, for one camera."""
+        """Return the sky and floor behind the splat, for one camera."""
         strays = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
         floor = float(np.quantile(self.bounds[:, 2], strays)) if self.ground else -np.inf
         centre, radius = _footprint(self.bounds)
@@ -48,7 +48,7 @@ class SplatScene:
     def picture(
         self, camera: Camera, size_px: tuple[int, int], pose: Pose, backdrop: Backdrop, *, shadow: bool = True
     ) -> UInt8[np.ndarray, "H W 3"]:
-        """One picture of a pose."""
+        """Draw one picture of a pose."""
         moving = self.binding.moving
         behind = backdrop.picture(pose.means[moving], self.covered_m2) if shadow and self.ground else backdrop.picture()
         width, height = size_px
@@ -56,7 +56,7 @@ class SplatScene:
 
 
 def _grey_where(cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> GaussianCloud:
-    """Take the colours out of Gaussians, and darken them to `STILL_SHARE`; 0.5 + Σ sh Y is a display value."""
+    """Turn still Gaussians grey, and darken them to `STILL_SHARE`; 0.5 + Σ sh Y is a display value."""
     share = linear_to_srgb(np.array([STILL_SHARE], np.float32))
     sh = cloud.sh.copy()
     sh[still] = share * greyed(sh[still])
@@ -65,14 +65,14 @@ def _grey_where(cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> Gaussian
 
 
 def _bounding_points(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:
-    """Points that a picture must contain: the centres of the Gaussians, extended by their usual size [m]."""
-    most = 0.95  # of the Gaussians; a few may be as large as the scene
+    """Return points that a picture must contain: the centres of the Gaussians, extended by their scales [m]."""
+    most = 0.95  # quantile that limits the scales; a few Gaussians may be as large as the scene
     sigma = cloud.scales.max(axis=1, keepdims=True)
     reach = np.minimum(sigma, np.quantile(sigma, most).astype(np.float32))
     return np.concatenate([cloud.means - reach, cloud.means + reach])
 
 
 def _footprint(points: Float32[np.ndarray, "G 3"]) -> tuple[Float32[np.ndarray, "2"], float]:
-    """Centre of the points seen from above, and the radius of a ball around them [m]."""
+    """Return the centre of points seen from above, and the radius of a ball around them [m]."""
     low, high = points.min(axis=0), points.max(axis=0)
     return (low[:2] + high[:2]) / np.float32(2), max(float(np.linalg.norm(high - low)) / 2, 1e-6)

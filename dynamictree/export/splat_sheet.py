@@ -1,4 +1,4 @@
-"""Preview of a moving splat as one still picture, laid out as that of a mesh."""
+"""Preview of a moving splat as one still picture, with the same layout as for a mesh."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from dynamictree.render.contact_sheet import (
 
 
 def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.ndarray, "A B 3"]:
-    """One picture, the amplitude of the sway in colours, frames in a row."""
+    """Draw one picture, the amplitude of the sway in colours, and frames in a row."""
     scene = SplatScene.of(binding, ground=tree.params.shot.ground)
     num_frames = tree.spectrum.num_frames
     splat = AnimatedSplat(
@@ -60,7 +60,7 @@ def _camera(tree: MovingTree, scene: SplatScene, aspect: float) -> Camera:
 
 
 def _of_gaussians(binding: Binding, amplitude: Float32[np.ndarray, " N"]) -> Float32[np.ndarray, " G"]:
-    """The amplitude of each Gaussian's place on its face [m]; 0 where it stands still."""
+    """Return the amplitude at each Gaussian's place on its face [m]; 0 where it stands still."""
     result, moving = np.zeros(binding.cloud.num_gaussians, np.float32), binding.moving
     corners = amplitude[binding.triangles[binding.face_of[moving]]]
     result[moving] = (corners * binding.weights[moving]).sum(axis=1)

@@ -1,4 +1,4 @@
-"""The rig of a mesh and a spectrum, which does not depend on the products: computed once, and stored."""
+"""The rig of a mesh and a spectrum, shared by all products: computed once, and stored."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,13 +11,13 @@ from dynamictree.rig.rig import Rig, rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 Result = Literal["rig", "reconstruction"]
-"""The bones of a tree and how they turn; and what photos show."""
+"""Results that are stored: the rig of a tree, and the reconstruction from photos."""
 Recall = Callable[[Result, Callable[[Path], None]], Path]
-"""Gives the file of a result; where there is none, calls the function that writes it to a path."""
+"""Returns the file of a result; if there is none, calls the function that writes it to a path."""
 
 
 def stored_rig(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, recall: Recall | None, report: Report) -> Rig:
-    """The rig: from the file of an earlier product of the same motion, where there is one."""
+    """Return the rig, from the file of an earlier product of the same motion if there is one."""
     if recall is None:
         return rig_of(mesh, spectrum, report)
 

@@ -41,14 +41,14 @@ SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 SKIN = SPEED | FLUTTER | {"joints"}
 PACKING = frozenset({"glb_compression", "glb_textures"})
-MORPHS = SPEED | FLUTTER  # which they lack, and say how much that is
+MORPHS = SPEED | FLUTTER  # morph targets lack flutter, and their error reports it
 
 
 @dataclass(frozen=True)
 class Product:
     """One format: its file, what it shows, the fields of `ExportParams` that it depends on, and its writer.
 
-    A product with `write_film` is made of pictures that are drawn once for all of them. A product with `module` and
+    Products with `write_film` are made of pictures, which are drawn once for all of them. A product with `module` and
     `extra` needs a library that only this extra of the package installs.
     """
 
@@ -73,7 +73,7 @@ class Product:
 
 
 def media_type(file_name: str) -> str:
-    """Media type of a file, by the end of its name. A page is a download: it must not run in the service's origin."""
+    """Return the media type of a file name. A page is a download, as it must not run in the service's origin."""
     return MEDIA_TYPES.get(PurePosixPath(file_name).suffix, "application/octet-stream")
 
 
@@ -113,7 +113,7 @@ PRODUCTS: dict[Format, Product] = {
 
 
 def available_products() -> dict[Format, Product]:
-    """The products that this installation can write."""
+    """Return the products that this installation can write."""
     return {name: product for name, product in PRODUCTS.items() if product.available}
 
 
@@ -121,7 +121,7 @@ def require_available(formats: Iterable[Format]) -> None:
     """Refuse formats whose library is not installed.
 
     Raises:
-        InputError: one is not; the message says how to install it.
+        InputError: a library is not installed; the message says how to install it.
     """
     for name in formats:
         product = PRODUCTS[name]

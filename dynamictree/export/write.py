@@ -19,9 +19,9 @@ from dynamictree.requests import CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 RIG_SHARE = 0.5
-"""Of the progress: the rig, before the first file."""
+"""Share of the progress for the rig, which comes before the first file."""
 OnFacts = Callable[[Format, Facts], None]
-"""Gets a format that is not exact, and how far its file is from the motion."""
+"""Receives a format that is not exact, and the error of its file against the motion."""
 
 
 def write_products(
@@ -36,14 +36,14 @@ def write_products(
     on_facts: OnFacts | None = None,
     recall: Recall | None = None,
 ) -> dict[Format, Path]:
-    """Write the requested products of one motion into a folder; give their paths by format.
+    """Write the requested products of one motion into a folder; return their paths by format.
 
-    Where a capture is given, pictures and splats show it; else splats are made from the mesh.
-    `on_progress` gets the share done in [0, 1]; what it raises passes through. `recall` gives results that other
-    products of the same motion left.
+    If a capture is given, pictures and splats show it; else splats are made from the mesh.
+    `on_progress` receives the completed share in [0, 1]; its exceptions propagate. `recall` returns stored results of
+    other products of the same motion.
 
     Raises:
-        InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
+        InputError: the frames do not make a loop, though `loop` is set; the capture is not where the mesh is;
             a sequence of splats would be too large; or a format's library is not installed.
     """
     mesh = triangle_mesh(mesh)
@@ -78,7 +78,7 @@ def write_products(
 def _binding(
     mesh: TriangleMesh, formats: Sequence[Format], capture: Capture | None, choice: CloudParams | None
 ) -> Binding | None:
-    """Bind the capture to the mesh; without one, make a splat of the mesh if a product needs it, always the same."""
+    """Bind the capture to the mesh; without one, make a splat of the mesh if a product needs it, with a fixed seed."""
     from dynamictree.gaussian.from_mesh import splats_of_mesh
 
     if capture is not None:
@@ -89,7 +89,7 @@ def _binding(
 
 
 def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_facts: OnFacts) -> None:
-    """Files first, then all that is made of pictures."""
+    """Write files first, then the products that are made of pictures."""
     films = {}
     done = 0
 
