@@ -9,11 +9,11 @@ from dynamictree.weights import weights_path
 
 
 def load_model(name_or_path: str = "small") -> MotionModel:
-    """A model by the name that `dynamictree.weights.list_weights` gives, or from a weights file.
+    """Load a model by a name of `dynamictree.weights.list_weights`, or from a weights file.
 
     Raises:
         InputError: there is no such model.
-        CheckpointError: the file is of no kind or version that this program reads.
+        CheckpointError: the file's kind or version is not supported.
     """
     from dynamictree.models.paper.generate import PaperModel
     from dynamictree.models.paper.network import PaperNetwork
@@ -35,5 +35,5 @@ def load_model(name_or_path: str = "small") -> MotionModel:
 
 @lru_cache(maxsize=2)
 def loaded_once(name_or_path: str) -> MotionModel:
-    """The model of this name, loaded once per process."""
+    """Return a model, loaded once per process."""
     return load_model(name_or_path)

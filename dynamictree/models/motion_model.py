@@ -1,4 +1,4 @@
-"""What every trained model has in common: how a motion is asked for."""
+"""Common interface of the trained models."""
 
 import math
 from abc import ABC, abstractmethod
@@ -24,7 +24,7 @@ class Generate(Protocol):
     """Function that generates the spectrum of one tree."""
 
     def __call__(self, voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
-        """The same seed gives the same motion."""
+        """Generate a spectrum; the same seed gives the same motion."""
 
 
 @runtime_checkable
@@ -34,7 +34,7 @@ class GenerateFromBin(Protocol):
     def __call__(
         self, voxels: SurfaceVoxels, *, seed: int, lowest_bin: int = 1, on_step: OnStep | None = None
     ) -> SparseVoxelSpectrum:
-        """What is below `lowest_bin`, the lean excepted, may hold anything."""
+        """Generate a spectrum; bins below `lowest_bin`, except the lean, are undefined."""
 
 
 SPEEDS_M_S = (0.0, 30.0)
@@ -44,7 +44,7 @@ MAX_STEPS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """How one motion is drawn: the seed of its noise, steps, first bin, and who hears of it."""
+    """Parameters of one sampling run: seed of the noise, steps, first bin, and progress callback."""
 
     seed: int
     num_steps: int
@@ -58,7 +58,7 @@ class MotionModel(ABC):
     name: str
     """File name of the weights without its suffix."""
     paced_by_height: bool
-    """Whether trees sway at the pace of their height: tall ones by default in longer periods, small ones quickened."""
+    """Whether the pace follows the tree's height: longer default periods for tall trees, faster motion for small."""
 
     @property
     @abstractmethod
@@ -68,13 +68,13 @@ class MotionModel(ABC):
     @property
     @abstractmethod
     def default_steps(self) -> int:
-        """Of the sampler, where a request names no number."""
+        """Default number of sampler steps."""
 
     @abstractmethod
     def _coefficients(
         self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], float | None]:
-        """The grid that the motion is on, the motion [m], and the tree's foliage, if the model knows it."""
+        """Return the grid of the motion, the motion [m], and the tree's foliage if the model estimates it."""
 
     def generate(
         self,
@@ -91,13 +91,13 @@ class MotionModel(ABC):
         Args:
             voxels: at `resolution`, or a power of two finer.
             wind: speed within SPEEDS_M_S, gust within GUSTS.
-            seed: of the noise that the sampler starts from.
-            num_steps: of the sampler, 1 to MAX_STEPS; by default the model's own.
-            lowest_bin: swaying bins below this one are not needed and may hold anything; the others do not change.
+            seed: seed of the noise that the sampler starts from.
+            num_steps: sampler steps, 1 to MAX_STEPS; by default the model's own.
+            lowest_bin: swaying bins below this one are not needed and undefined; the others do not change.
             on_step: see OnStep.
 
         Raises:
-            InputError: a resolution, voxel count, wind or number of steps outside of what the model accepts.
+            InputError: a resolution, voxel count, wind or number of steps that the model does not accept.
         """
         from dynamictree.models.threads import one_thread
 

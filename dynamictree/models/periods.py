@@ -1,17 +1,17 @@
-"""Spectra of any period from a model of one: tall trees sway slowly, so their loop is longer; small ones fast.
+"""Spectra of any period from a model of one period: tall trees get a longer loop, small trees a faster motion.
 
-In the simulator that the models learn from, the response of a stem at bin k depends on its slenderness and on k / (f P)
-alone, f its natural frequency and P the period. So a tree of height H moves with the period λP as the same tree of the
-height h with f(h) = λ f(H) does with P, enlarged H / h times: the model is asked for that smaller tree. What is faster
-than its K bins is flutter, of leaves that do not grow with the tree: the model is asked for the tree itself, and for
-these bins alone.
+In the simulator that the models learn from, the response of a stem at bin k depends only on its slenderness and on
+k / (f P), with its natural frequency f and the period P. So a tree of height H with period λP moves like the same tree
+of height h with period P, enlarged H / h times, where f(h) = λ f(H): the model generates that smaller tree. Above its
+K bins, motion is flutter of leaves, which do not grow with the tree: for these bins the model generates the tree at its
+own size.
 
-A small tree is faster than the simulator's, by a factor that its height gives (`modal.real_trees.quickening`). As the
-response depends on k / (f P) alone, its bins are the model's at so many times the frequency. For one smaller than what
-the model learned from, the model is asked for the same tree enlarged, which is slower, and the motion is made smaller.
+A small tree is faster than the simulator's, by a factor that depends on its height (`modal.real_trees.quickening`). As
+the response depends only on k / (f P), its bins are the model's at that multiple of the frequency. For a tree smaller
+than the model learned from, the model generates it enlarged, which is slower, and the motion is scaled down.
 
-Where a bin of the model is wider than one of the spectrum, it becomes several of the same power together, each with a
-phase of its own, so that flutter does not repeat within the loop.
+A bin of the model that is wider than a bin of the spectrum is split into several with the same total power and random
+phases, so that flutter does not repeat within the loop.
 """
 
 from dataclasses import replace
@@ -26,26 +26,26 @@ from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSp
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 PERIOD_S = NUM_FRAMES / FPS
-"""Of the motions that models learn from: 4.17 s."""
+"""Period of the motions that models learn from: 4.17 s."""
 MAX_FREQUENCIES = 48
-"""K of the longest periods: three times the memory and files of K = 16, and flutter up to 2.8 Hz at 16.7 s. A small
-tree has as many more as it is faster."""
+"""K of the longest periods: three times the memory and files of K = 16, and flutter up to 2.8 Hz at 16.7 s. Small
+trees have more, in proportion to their faster motion."""
 MAX_VALUES = 38_400_000
-"""Voxels times frequencies, above which flutter is left out: 0.9 GB."""
+"""Limit of voxels times frequencies, above which flutter is left out: 0.9 GB."""
 LEARNED_FROM_M = 2.0
-"""Height below which the data has two species only."""
+"""Height below which the data has only two species."""
 
 
 def period_by_height(voxels: SurfaceVoxels) -> float:
-    """Period of a spectrum of these voxels [s]; of several trees, that of the tallest."""
+    """Return the period for a spectrum of these voxels [s]; of several trees the tallest decides."""
     numbers = np.zeros(len(voxels.grid), np.int64) if voxels.tree is None else voxels.tree
     return PERIOD_S * max(loop_times(_height_m(voxels, numbers == number)) for number in np.unique(numbers))
 
 
 def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: bool = True) -> Generate:
-    """Generate spectra of this period, rounded to whole frames, of one tree each.
+    """Return a function that generates spectra of this period, rounded to whole frames, of one tree each.
 
-    In 4.17 s, trees that are not small move as the model says; `quick_when_small` is whether small ones are quickened.
+    At 4.17 s, trees that are not small move as the model generates them; `quick_when_small` makes small ones faster.
     """
     num_frames = round(period_s * FPS)
 
@@ -79,11 +79,11 @@ def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: b
 def spread_bins(
     longer: float, highest: int, rng: np.random.Generator, *, quicker: float = 1.0
 ) -> Complex64[np.ndarray, "K J"]:
-    """Matrix from the bins of one period to those of one `longer` times as long, up to bin `highest`; keeps the power.
+    """Return the matrix from bins of one period to those of one `longer` times as long, up to `highest`; keeps power.
 
-    A bin goes to the nearest frequencies; several that come from one, or make one, get phases of their own. Of motion
-    that is `quicker`, what would be faster than the last frequency is left out, and the slowest bin also makes what is
-    slower: so far below its own frequency a tree follows the gusts.
+    A bin goes to the nearest frequencies; bins that are split or merged get random phases. If the motion is `quicker`,
+    frequencies above the last one are left out, and the slowest bin also fills the slower ones: that far below its
+    natural frequency a tree follows the gusts.
     """
     if longer == quicker == 1:
         return np.eye(NUM_FREQUENCIES, dtype=np.complex64)
@@ -104,7 +104,7 @@ def spread_bins(
 
 
 def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) -> Complex64[np.ndarray, "V K 3"]:
-    """Product of each voxel's spectrum with the matrix; sums of bins get the power of their parts.
+    """Multiply each voxel's spectrum by the matrix; sums of bins get the total power of their parts.
 
     A square matrix overwrites the spectrum, which may be large.
     """
@@ -124,7 +124,7 @@ def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) 
 
 
 def _enlargement(height_m: float, times: float) -> float:
-    """H / h: how much smaller the tree is that the model moves `times` as fast as a real tree of this height sways."""
+    """Return H / h: the ratio to the height of the tree that the model moves `times` as fast as a real tree of H."""
     shorter_m = (learned_law_hz(1.0) / (times * height_law_hz(height_m))) ** 2
     return max(height_m / float(shorter_m), 1.0)
 
@@ -134,7 +134,7 @@ def _height_m(voxels: SurfaceVoxels, rows: Bool[np.ndarray, " V"]) -> float:
 
 
 def _shrunk(voxels: SurfaceVoxels, times: float) -> SurfaceVoxels:
-    """The same tree, so many times smaller, about the origin. Moments are in voxels."""
+    """Scale a tree down about the origin; moments are in voxels, so they stay."""
     x, y, z = voxels.grid.origin_m
     grid = replace(
         voxels.grid, origin_m=(x / times, y / times, z / times), voxel_size_m=voxels.grid.voxel_size_m / times

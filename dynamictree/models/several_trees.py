@@ -20,12 +20,12 @@ def generate_trees(
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of one motion of one tree or of several.
 
-    Tree n of several gets the seed `seed` + n. What a tree is given does not depend on the others.
+    Tree n of several gets the seed `seed` + n. The motion of a tree does not depend on the others.
 
     Args:
-        generate: gives the spectrum of one tree; all in the same period, each with as many frequencies as it needs.
-        voxels: of all trees.
-        seed: of the first tree.
+        generate: function for the spectrum of one tree; the period is the same for all, numbers of frequencies differ.
+        voxels: voxels of all trees.
+        seed: seed of the first tree.
         on_step: see OnStep; steps are counted over all trees.
     """
     if voxels.tree is None:
@@ -52,7 +52,7 @@ def generate_trees(
 
 
 def _on_grid(spectrum: SparseVoxelSpectrum, grid: VoxelGrid) -> SparseVoxelSpectrum:
-    """A spectrum that may be on a coarser grid than its tree: each voxel gets that of the one around it."""
+    """Move a spectrum from a coarser grid to the tree's: each voxel gets the spectrum of the one around it."""
     coarser = grid.resolution // spectrum.grid.resolution
     if coarser == 1:
         return spectrum
@@ -81,7 +81,7 @@ def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> Surface
 
 
 def share_of_steps(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
-    """What one of `count` runs reports its steps to, so that they are counted over all."""
+    """Return the callback of one of `count` runs, which counts steps over all of them."""
     if on_step is None:
         return None
     return lambda done, total: on_step(index * total + done, count * total)
@@ -90,11 +90,11 @@ def share_of_steps(on_step: OnStep | None, index: int, count: int) -> OnStep | N
 def with_bands(
     generate: Callable[[Wind, OnStep | None], SparseVoxelSpectrum], wind: Wind, on_step: OnStep | None = None
 ) -> SparseVoxelSpectrum:
-    """The spectrum of a wind, with the gains of its modes at the speeds of `BANDS_M_S`.
+    """Generate the spectrum of a wind, with the gains of its modes at the speeds of `BANDS_M_S`.
 
     Args:
-        generate: the spectrum of a wind; direction, gust and seed are the same for all.
-        wind: whose spectrum is returned.
+        generate: function for the spectrum of a wind; direction, gust and seed are the same for all.
+        wind: wind of the returned spectrum.
         on_step: see OnStep; steps are counted over all winds.
     """
     speeds = list(dict.fromkeys((wind.speed_m_s, *BANDS_M_S.values())))

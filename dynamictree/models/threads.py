@@ -21,12 +21,12 @@ CPU = torch.device("cpu")
 
 
 def best_device() -> torch.device:
-    """The GPU where there is one."""
+    """Return the GPU if there is one, else the CPU."""
     return torch.device("cuda") if torch.cuda.is_available() else CPU
 
 
 def moved_to(device: torch.device, given: Any) -> Any:
-    """A tensor on a device; of a tuple or a dataclass, all that it holds."""
+    """Move a tensor to a device, or all tensors in a tuple or a dataclass."""
     if isinstance(given, tuple):
         return tuple(moved_to(device, each) for each in given)
     if is_dataclass(given) and not isinstance(given, type):
@@ -38,7 +38,7 @@ def run_on_cores(calls: Iterable[Callable[[], Result]], device: torch.device = C
     """Run independent calls without gradients; return results in order, or raise the first exception."""
 
     def without_gradients(call: Callable[[], Result]) -> Result:
-        with torch.no_grad():  # a setting of each thread
+        with torch.no_grad():  # the setting is per thread
             return call()
 
     if device.type != "cpu":

@@ -1,4 +1,4 @@
-"""Voxels at the resolution that a model reads."""
+"""Conversion of voxels to the resolution of a model."""
 
 import math
 
@@ -15,10 +15,10 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 
 def halvings_between(grid: VoxelGrid, resolution: int, model: str) -> int:
-    """Number of halvings from a grid's resolution to a given one.
+    """Return the number of halvings from a grid's resolution to a given one.
 
     Raises:
-        InputError: the grid is coarser, or finer by no power of two.
+        InputError: the grid is coarser, or not finer by a power of two.
     """
     ratio = grid.resolution / resolution
     if ratio < 1 or not math.log2(ratio).is_integer():
@@ -28,10 +28,10 @@ def halvings_between(grid: VoxelGrid, resolution: int, model: str) -> int:
 
 
 def halvings_served(grid: VoxelGrid, resolution: int, model: str, *, max_voxels: int) -> int:
-    """Number of halvings, with further ones until a dense tree has at most a given number of voxels.
+    """Return the number of halvings, with further ones until a dense tree has at most `max_voxels`.
 
     Raises:
-        InputError: the grid is coarser, or finer by no power of two.
+        InputError: the grid is coarser, or not finer by a power of two.
     """
     halvings = halvings_between(grid, resolution, model)
     while len(grid) > max_voxels and _num_coarse(grid, halvings) > max_voxels:
@@ -45,7 +45,7 @@ def _num_coarse(grid: VoxelGrid, halvings: int) -> int:
 
 
 def coarsened(voxels: SurfaceVoxels, halvings: int) -> tuple[SurfaceVoxels, csr_array | None]:
-    """The same tree on a coarser grid, and the matrix that interpolates values back; None for no halvings."""
+    """Return the tree on a coarser grid, and the matrix that interpolates values back; None for 0 halvings."""
     if halvings == 0:
         return voxels, None
     grid, factor = voxels.grid, 1 << halvings

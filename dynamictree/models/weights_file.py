@@ -13,11 +13,11 @@ from torch import Tensor, nn
 from dynamictree.errors import CheckpointError
 
 MAX_EXACT = 48
-"""Scales of frequencies go down to 1e-6, where float16 has few digits; they cost nothing in full."""
+"""Largest tensor that is stored as float32: scales of frequencies go down to 1e-6, where float16 has few digits."""
 
 
 class StorableNetwork(nn.Module):
-    """A network that its preset, a dataclass, describes completely."""
+    """Network that its preset, a dataclass, describes completely."""
 
     KIND: ClassVar[str]  # format name in the weights file
     VERSION: ClassVar[str]
@@ -33,10 +33,10 @@ Network = TypeVar("Network", bound=StorableNetwork)
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """How weights came about; unknown values are None."""
+    """Origin of weights; unknown values are None."""
 
     step: int | None = None
-    data_sha256: str | None = None  # of the training shards, see `dataset.shards.shards_sha256`
+    data_sha256: str | None = None  # hash of the training shards, see `dataset.shards.shards_sha256`
     card: str | None = None  # Markdown
 
 
@@ -51,7 +51,7 @@ class WeightsFile:
     provenance: Provenance = field(default_factory=Provenance)
 
     def network(self, kind: type[Network], name: str) -> Network:
-        """The network with its weights; `name` is what an error calls it.
+        """Build the network with its weights; `name` is for error messages.
 
         Raises:
             CheckpointError: the preset or the tensors do not fit the network.
@@ -72,7 +72,7 @@ class WeightsFile:
 
 
 def write_weights(network: StorableNetwork, path: Path, provenance: Provenance | None = None) -> None:
-    """Store weights with their preset: matrices as float16, vectors of up to MAX_EXACT numbers as they are."""
+    """Store weights with their preset: float16, or float32 for tensors of up to MAX_EXACT numbers."""
     origin = provenance or Provenance()
     optional = {"step": origin.step, "data_sha256": origin.data_sha256, "card": origin.card}
     metadata = {"format": network.KIND, "version": network.VERSION, "preset": json.dumps(asdict(network.preset))}
@@ -85,7 +85,7 @@ def read_weights(path: Path) -> WeightsFile:
     """Read a weights file; tensors become float32.
 
     Raises:
-        CheckpointError: not such a file.
+        CheckpointError: not a safetensors file.
     """
     try:
         with safe_open(path, "pt") as stored:

@@ -21,17 +21,17 @@ def wind_axes(wind: Wind) -> Float32[np.ndarray, "3 3"]:
 
 
 def log_drag(wind: Wind) -> float:
-    """Ln of what sizes are divided by before a network learns them, over that at REFERENCE_SPEED."""
+    """Return ln of the drag over that at REFERENCE_SPEED; sizes are divided by it before a network learns them."""
     return DRAG_EXPONENT * math.log(max(wind.speed_m_s, MIN_SPEED) / REFERENCE_SPEED)
 
 
 def log_wind_scale(wind: Wind) -> float:
-    """Ln of the motion's size over its size at drag and gust 1."""
+    """Return ln of the motion's size over its size at drag and gust 1."""
     return log_drag(wind) + math.log(max(wind.gust, MIN_GUST))
 
 
 def wind_sizes(wind: Wind, num_frequencies: int) -> Float32[np.ndarray, " K"]:
-    """Size of each coefficient in this wind over its size at drag and gust 1: the mean pose feels the drag alone."""
+    """Return each coefficient's size over its size at drag and gust 1; the mean pose depends on the drag alone."""
     sizes = np.full(num_frequencies, np.exp(log_wind_scale(wind)), np.float32)
     sizes[0] = np.exp(log_drag(wind))
     return sizes

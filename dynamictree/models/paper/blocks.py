@@ -23,7 +23,7 @@ class Resample:
     coarser: bool  # `after` is the coarser of the two
 
     def apply(self, features: Float[Tensor, "V ..."]) -> Float[Tensor, "W ..."]:
-        """Features on the level after."""
+        """Return the features on the level `after`."""
         if self.coarser:
             return average_pool(features, self.parents, len(self.after))
         return upsample(features, self.parents)
@@ -49,7 +49,7 @@ class ResBlock(nn.Module):
         embedding: Float[Tensor, "B *inner E"],
         resample: Resample | None = None,
     ) -> Float[Tensor, "W *inner D"]:
-        """Work on `level`, or, with `resample`, begin on the level before and go over to `level` on the way."""
+        """Apply the block on `level`; with `resample`, the features come from the level before and are resampled."""
         before = level if resample is None else resample.before
         activated = functional.silu(self.norm_in(features, before))
         if resample is not None:

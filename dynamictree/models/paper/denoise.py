@@ -1,4 +1,4 @@
-"""From what the paper's network predicts to the clean spectrum that DDIM goes on with."""
+"""Conversion of the prediction of the paper's network to the clean spectrum for DDIM."""
 
 import torch
 from jaxtyping import Float32, Int64
@@ -8,7 +8,7 @@ from dynamictree.diffusion.sampler import linear_schedule, predicted_clean
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork
 
 CLIP = 8.0
-"""Bound on the spectrum of unit size that a step of DDIM implies: 98 % of the data's energy lies below it."""
+"""Bound of the clean spectrum, of unit size, at each step of DDIM: 98 % of the data's energy lies below it."""
 
 
 def denoise(
@@ -19,7 +19,7 @@ def denoise(
     condition: Float32[Tensor, "V D"],
     inputs: PaperInputs,
 ) -> Float32[Tensor, "V J 6"]:
-    """The clean spectra of one tree that the network expects at a step of the linear schedule, of the data's size."""
+    """Return the clean spectra that the network predicts for one tree at a step of the linear schedule."""
     predicted = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, inputs)
     return at_most_unit_size(predicted_clean(noisy, predicted, linear_schedule().alpha_bar[step]))
 
@@ -28,7 +28,7 @@ def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6
     """Scale each frequency down to a root mean square of 1, which the data have, and clamp to CLIP.
 
     The expected clean signal is never larger than the data. Without this the first steps, where an error of ε is
-    divided by √ᾱ = 0.006, end at CLIP everywhere, and later steps do not come back from there.
+    divided by √ᾱ = 0.006, end at CLIP everywhere, and later steps do not recover.
     """
     size = clean.square().mean(dim=(0, 2), keepdim=True).sqrt()
     return (clean / size.clamp(min=1)).clamp(-CLIP, CLIP)

@@ -35,11 +35,11 @@ class SparseEncoder(nn.Module):
     def forward(
         self, positions: Float32[Tensor, "X 3"], normals: Float32[Tensor, "X 3"], grids: Pyramid
     ) -> Float[Tensor, "V D"]:
-        """The latent condition g, a row for each voxel of the coarsest of the levels.
+        """Return the latent condition g, a row per voxel of the coarsest level.
 
         Args:
             positions: voxel centres in [-1, 1] of the grid's cube.
-            normals: of the surface in each voxel.
+            normals: surface normal in each voxel.
             grids: the fine grid, with at least as many levels as there are blocks.
         """
         features: Tensor = self.enter(torch.cat([fourier_features(positions), normals], dim=1))
@@ -61,7 +61,7 @@ class EncoderBlock(nn.Module):
         )
 
     def forward(self, features: Float[Tensor, "V C"], level: SparseLevel) -> Float[Tensor, "V D"]:
-        """On one level."""
+        """Apply the block on one level."""
         for norm, conv in zip(self.norms, self.convs, strict=True):
             convolved: Tensor = conv(norm(features, level), level)
             features = functional.relu(convolved)

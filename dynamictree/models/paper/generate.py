@@ -23,12 +23,12 @@ from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 OUTPUT_RESOLUTION = 128
-"""Spectra of a coarser grid are interpolated onto this one, which the rest of the method works on."""
+"""Resolution to which coarser spectra are interpolated, as the rest of the method works on it."""
 BAND = 8
 """Frequencies that one thread denoises together."""
 MAX_ACTIVATIONS = 4_000_000
-"""Values in one layer of the U-Net's first level that a band of frequencies may have."""
-MAX_VOXELS = 150_000  # of the spectrum's grid
+"""Most values that a band of frequencies has in one layer of the U-Net's first level."""
+MAX_VOXELS = 150_000  # limit of the spectrum's grid
 
 
 class PaperModel(MotionModel):
@@ -47,13 +47,13 @@ class PaperModel(MotionModel):
 
     @property
     def default_steps(self) -> int:
-        """As the preset says."""
+        """The preset's number of steps."""
         return self.network.preset.num_steps
 
     def _coefficients(
         self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], None]:
-        """The paper's network knows no wind: its direction turns the motion, its speed and gust scale it."""
+        """Sample the motion without wind, then turn it by the wind's direction and scale it by speed and gust."""
         preset = self.network.preset
         fine, _ = coarsened(voxels, halvings_between(voxels.grid, self.resolution, self.name))
         coords = torch.from_numpy(fine.grid.coords.astype(np.int64))
@@ -84,7 +84,7 @@ class PaperModel(MotionModel):
         start: Float32[Tensor, "V J 6"],
         sampling: Sampling,
     ) -> Float32[Tensor, "V J 6"]:
-        """Spectra of unit size at some frequencies. These do not see one another: bands of them run on all cores."""
+        """Sample spectra of unit size. Frequencies are independent, so bands of them run on all cores."""
         device = self.network.frequency_sizes.device
         inputs, schedule = moved_to(device, (inputs, linear_schedule()))
         condition = self.network.condition(inputs)
@@ -110,7 +110,7 @@ def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "
 def _on_output_grid(
     fine: VoxelGrid, grids: Pyramid, halvings: int, coefficients: np.ndarray
 ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
-    """The spectrum on its own grid, or interpolated along touching voxels onto a finer one up to OUTPUT_RESOLUTION."""
+    """Return the spectrum on its grid, or interpolated along touching voxels to one of up to OUTPUT_RESOLUTION."""
     target = halvings
     while target > 0 and fine.resolution >> target < OUTPUT_RESOLUTION:
         target -= 1

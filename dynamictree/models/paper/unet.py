@@ -21,8 +21,8 @@ class UNetShape:
 
     base: int = 128
     multipliers: tuple[int, ...] = (1, 2, 4, 4)
-    num_blocks: int = 2  # residual blocks a level on the way down
-    num_skips: int = 3  # blocks a level on the way up, each with one of the level's outputs concatenated
+    num_blocks: int = 2  # residual blocks per level on the way down
+    num_skips: int = 3  # blocks per level on the way up, each with one of the level's outputs concatenated
     attention_levels: tuple[int, ...] = (2, 3)  # downsampling by 4 and 8
     num_heads: int = 8
     num_groups: int = 32
@@ -47,13 +47,13 @@ class Stage(nn.Module):
     def forward(
         self, features: Float[Tensor, "V *inner C"], level: SparseLevel, embedding: Float[Tensor, "B *inner E"]
     ) -> Float[Tensor, "V *inner D"]:
-        """One step on one level."""
+        """Apply the block, and attention if there is one, on one level."""
         hidden: Tensor = self.block(features, level, embedding)
         return hidden if self.attention is None else self.attention(hidden, level)
 
 
 class SparseUNet(nn.Module):
-    """Stem, down, middle, up with skips, zero-initialised head. XCube's, with fewer skips where the shape says so."""
+    """Stem, down, middle, up with skips, zero-initialised head. As in XCube, with the shape's number of skips."""
 
     def __init__(self, in_channels: int, out_channels: int, shape: UNetShape) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ class SparseUNet(nn.Module):
         *,
         top: int = 0,
     ) -> Float[Tensor, "V *inner D"]:
-        """Features on the level `top` of the pyramid in and out."""
+        """Map features on the level `top` of the pyramid to new ones on the same level."""
         levels = grids.levels[top : top + len(self.down)]
         hidden = self.stem(features, levels[0])
         skips: list[list[Tensor]] = []

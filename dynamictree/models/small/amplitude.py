@@ -1,10 +1,10 @@
 """Amplitude of each voxel at each frequency, and its lean: the deterministic part of a motion.
 
-The network gives, in the wind's frame and as a share of the tree's height, the mean displacement c_0 and the size A of
-every other coefficient. What is left, u = c / A, is what the diffusion model learns. Both grow with the drag d = U^1.6
-as tanh(s d) / s, as a stem's lean does in the simulator, and the second with the gusts too; the network tells where
-each size saturates. Of the vertical, what is sway times lean grows with d². The network sees the speed as well, since
-it changes the shape of a motion: flutter sets in, and the gusts' spectrum moves to higher frequencies.
+The network predicts, in the wind's frame and over the tree's height, the mean displacement c_0 and the size A of every
+other coefficient. The diffusion model learns the rest, u = c / A. Both c_0 and A grow with the drag d = U^1.6 as
+tanh(s d) / s, like a stem's lean in the simulator, and A also with the gusts; the network predicts the saturation s of
+each size. The vertical part that is sway times lean grows with d². The speed is an input too, since it changes the
+shape of a motion: flutter sets in, and the gusts' spectrum moves to higher frequencies.
 """
 
 import math
@@ -31,7 +31,7 @@ from dynamictree.models.wind import MIN_GUST, REFERENCE_SPEED
 from dynamictree.sparse.pool import pool_to
 
 FLOOR = 3e-6
-"""Sizes below this share of the height count as no motion, at drag and gust 1: 0.01 mm of 10 m in a usual wind."""
+"""Share of the height below which sizes count as no motion, at drag and gust 1: 0.01 mm of 10 m in a usual wind."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
 NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_FOLIAGE_VALUES - 3 + 2 * CHAIN * (3 + 1)
@@ -40,27 +40,27 @@ NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
 DROPOUT = 0.1
-"""In training. A tree's gusts are random, and features of the whole tree would let the network learn them by heart."""
+"""Rate in training. A tree's gusts are random, and features of the whole tree would let the network memorize them."""
 BAND = 2048
-"""Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""
+"""Rows that one thread computes at a time: few enough that their hidden layers stay in a core's cache."""
 LEAN = 0.5
 START = -7.0
-"""Lean over the motion's size at gust 1, and ln A there, before training: their size in the dataset."""
+"""Initial lean over the motion's size at gust 1, and initial ln A there: their size in the dataset."""
 DRAG_EXPONENT = 1.6
-"""Of the speed, the simulator's: of how a size grows in a calm, where nothing saturates."""
+"""Exponent of the speed, as in the simulator: growth of a size in weak wind, where nothing saturates."""
 SATURATION = -1.9
-"""Ln s before training: that of a stem of mean slenderness in the simulator."""
+"""Initial ln s: that of a stem of mean slenderness in the simulator."""
 BENT = (1e-6, 50.0)  # bounds of s d, in which tanh(s d) / (s d) is exact in float32
 
 
 class AmplitudeNetwork(nn.Module):
-    """Row by row: a voxel's features with their means over its callbacks and over the tree, and the wind.
+    """Network per voxel: inputs are its features, their means over its surroundings and over the tree, and the wind.
 
-    No convolution: what a voxel does is in the chain of stems that bears it, which its features tell. Measured, a
-    U-Net at 32³ learnt less in ten times the time (docs/decisions).
+    It has no convolution: a voxel's motion depends on the chain of stems that bears it, which is in its features. A
+    U-Net at 32³ learned less in ten times the time (docs/decisions).
     """
 
-    mean: Tensor  # [F], of the inputs
+    mean: Tensor  # [F], mean of the inputs
     deviation: Tensor  # [F]
 
     def __init__(self, *, num_frequencies: int, width: int, depth: int) -> None:
@@ -89,7 +89,7 @@ class AmplitudeNetwork(nn.Module):
     def forward(
         self, inputs: Float32[Tensor, "R I"], wind: Float32[Tensor, "R 2"]
     ) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
-        """Lean c_0 over the height, and ln A over the height for k = 1 … K − 1. What hardly moves hardly leans.
+        """Predict the lean c_0 and ln A at k = 1 … K − 1, over the height; the lean is in proportion to A.
 
         Args:
             inputs: rows of `amplitude_inputs`.
@@ -98,7 +98,7 @@ class AmplitudeNetwork(nn.Module):
         return self._sizes(self._entered(inputs, 0) + self.enter.bias, wind)
 
     def _entered(self, columns: Float32[Tensor, "R C"], first: int) -> Float[Tensor, "R H"]:
-        """What columns of the inputs, from the `first` on, add to the first hidden layer."""
+        """Return the contribution of columns of the inputs, from the `first` on, to the first hidden layer."""
         some = slice(first, first + columns.shape[1])
         standard = ((columns - self.mean[some]) / self.deviation[some]).clamp_(-CLIP, CLIP)
         return functional.linear(standard, self.enter.weight[:, some])
@@ -106,7 +106,7 @@ class AmplitudeNetwork(nn.Module):
     def _sizes(
         self, hidden: Float[Tensor, "R H"], wind: Float32[Tensor, "R 2"]
     ) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
-        bent_size = 0.01  # of the height: sways above it come with a lean that lowers the crown
+        bent_size = 0.01  # share of the height: larger sways come with a lean that lowers the crown
         for block in self.blocks:
             hidden = hidden + block(hidden)
         hidden = self.head(hidden)
@@ -125,10 +125,10 @@ class AmplitudeNetwork(nn.Module):
     def of_tree(
         self, tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
-        """Lean and ln A at all voxels, without gradients; `foliage_values` from the foliage network."""
+        """Predict lean and ln A at all voxels, without gradients; `foliage_values` come from the foliage network."""
         own, means = _input_parts(tree, foliage_values, wind)
         entered, first = [], own.shape[1]
-        for values, rows in means:  # once where they are the same, not at each voxel
+        for values, rows in means:  # shared inputs are computed once, not per voxel
             entered.append((self._entered(values, first), rows))
             first += values.shape[1]
         at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
@@ -148,9 +148,9 @@ class AmplitudeNetwork(nn.Module):
 def amplitude_inputs(
     tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> Float32[Tensor, "V I"]:
-    """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
-    it, their means over its ancestors two and four levels up and over the tree, ln speed, and the gust. The grid's own
-    axes do not enter.
+    """Return features of each voxel in the wind's frame and foliage values of it and of the stems that bear it, their
+    means over its ancestors two and four levels up and over the tree, ln speed, and the gust. They do not depend on
+    the grid's axes.
     """
     own, means = _input_parts(tree, foliage_values, wind)
     return torch.cat([own, *(values[rows] for values, rows in means)], dim=1)
@@ -159,7 +159,7 @@ def amplitude_inputs(
 def _input_parts(
     tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> tuple[Float32[Tensor, "V C"], list[tuple[Float32[Tensor, "_ _"], Int64[Tensor, " V"]]]]:
-    """`amplitude_inputs`: a voxel's own, and what several have in common, with the row there of each voxel."""
+    """Return `amplitude_inputs` in parts: those of each voxel, and shared ones with the row of each voxel in them."""
     bearers = foliage_values[:, STEM][tree.chain].flatten(1)
     leafy = torch.cat([foliage_values[:, : ARM.start], foliage_values[:, ARM.stop :], bearers], dim=1)
     described = replace(
@@ -174,34 +174,34 @@ def _input_parts(
 
 
 def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
-    """What `amplitude_inputs` gives of the mirrored tree: crosswind components change their sign."""
+    """Return the `amplitude_inputs` of the mirrored tree: crosswind components change their sign."""
     signs = torch.ones(NUM_OWN)
     signs[NUM_OWN_SCALARS + NUM_OWN_VECTORS : NUM_OWN_SCALARS + 2 * NUM_OWN_VECTORS] = -1
     return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
 
 
 def moving(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]) -> Float32[Tensor, "V J 3"]:
-    """A over the height, without the floor that ln A was learnt with: what stands still is exactly still.
+    """Return A over the height, without the floor of ln A in training, so that still parts are exactly still.
 
     Args:
         log_amplitude: ln A.
-        wind: ln speed and gust, one for all or one a row.
+        wind: ln speed and gust, one for all or one per row.
     """
     return ((2 * log_amplitude).exp() - floor_of(wind)[:, None, None] ** 2).clamp_min(0).sqrt()
 
 
 def _log_wind(wind: Float32[Tensor, "R 2"]) -> tuple[Float32[Tensor, "R 1"], Float32[Tensor, "R 1"]]:
-    """Ln of the drag, which is 1 at REFERENCE_SPEED, and ln of the gust."""
+    """Return ln of the drag, which is 1 at REFERENCE_SPEED, and ln of the gust."""
     return DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED)), wind[:, 1:].clamp_min(MIN_GUST).log()
 
 
 def _growth(log_saturation: Float32[Tensor, "R J 3"], log_drag: Float32[Tensor, "R 1 1"]) -> Float32[Tensor, "R J 3"]:
-    """Ln of tanh(s d) / s."""
+    """Return ln of tanh(s d) / s."""
     bent = (log_saturation + log_drag).exp().clamp(*BENT)
     return log_drag + (bent.tanh() / bent).log()
 
 
 def floor_of(wind: Float32[Tensor, "R 2"], share: float = FLOOR) -> Float32[Tensor, " R"]:
-    """A share of the height in a wind: in a calm all is small, and the same tree still has the same shape of motion."""
+    """Scale a share of the height by the wind: in weak wind all is small, but the shape of the motion is the same."""
     log_drag, log_gust = _log_wind(wind)
     return share * (log_drag + log_gust)[:, 0].exp()

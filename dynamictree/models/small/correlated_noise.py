@@ -1,8 +1,8 @@
 """Noise with the spatial correlation of the motion, so that the network need not learn smoothness.
 
-Each node draws from several fields at once: white at the nodes, smoothed along the stems, raised from coarser levels,
-and one number for the whole tree. All have unit variance at every node; their shares are fitted, a frequency, to how
-the training set's whitened spectra correlate.
+The noise is a sum of several fields: white at the nodes, smoothed along the stems, interpolated from coarser levels,
+and one number for the whole tree. All have unit variance at every node; their shares are fitted per frequency to the
+correlation of the training set's whitened spectra.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from dynamictree.sparse.matrices import (
 
 STEPS_ALONG = (1, 2, 4, 8)
 NUM_SCALES = 2 + len(STEPS_ALONG) + 3
-"""White at the nodes; over what touches; along the stems by STEPS_ALONG; from one and two levels up; the whole tree."""
+"""White at the nodes; over touching nodes; along the stems by STEPS_ALONG; one and two levels up; the whole tree."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +37,7 @@ class NoiseBasis:
     def draw(
         self, shares: Float32[Tensor, "J S"], generator: torch.Generator, *, channels: int
     ) -> Float32[Tensor, "W J C"]:
-        """Noise of unit variance; `shares` of the scales' variances for each frequency, sum 1."""
+        """Draw noise of unit variance; `shares` are the fields' variances per frequency, with sum 1."""
         total: Tensor | None = None
         for field, share in zip(self.fields, shares.T, strict=True):
             white = torch.randn(field.num_columns, len(shares), channels, generator=generator)
@@ -53,14 +53,14 @@ def noise_basis(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> NoiseBasis:
 
 
 def field_matrices(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> tuple[csr_array, ...]:
-    """[W, n] of each scale, finest first; rows of unit length."""
+    """Return the matrix [W, n] of each field, finest first, with rows of unit length."""
     size = len(grids.levels[0])
     white = csr_array(eye_array(size, format="csr", dtype=np.float32))
     down, up = link_matrices(links, size)
     step = csr_array((white + down + up) / 3)
     along, walked = [], white
     for count in range(1, max(STEPS_ALONG) + 1):
-        walked = csr_array(step @ walked)  # not by squares: rows of a node that bears many are long
+        walked = csr_array(step @ walked)  # not by squares, as nodes that bear many have long rows
         if count in STEPS_ALONG:
             along.append(walked)
     coarser = [raise_matrix(grids, depth, 0) for depth in (1, 2)]

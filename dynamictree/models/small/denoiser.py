@@ -1,4 +1,4 @@
-"""The small model's denoiser: each frequency by itself, all frequencies of a tree in one pass.
+"""Denoiser of the small model: frequencies are independent, and all of a tree share one pass.
 
 The network is F of EDM (Karras et al. 2022, arXiv 2206.00364, eq. 7): D(x; σ) = c_skip x + c_out F(c_in x), for the
 whitened spectrum, whose variance is 1.
@@ -28,7 +28,7 @@ class DenoiserShape:
 
 
 class Denoiser(nn.Module):
-    """The network F. Frequencies are an axis between nodes and channels and do not see one another."""
+    """The network F. Frequencies are an axis between nodes and channels, and are independent."""
 
     def __init__(self, *, num_frequencies: int, shape: DenoiserShape) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class Denoiser(nn.Module):
     def forward(
         self, scaled: Float32[Tensor, "W J 6"], sigma: Float32[Tensor, "B J"], condition: "DenoiserCondition"
     ) -> Float32[Tensor, "W J 6"]:
-        """F(c_in x; ln σ)."""
+        """Compute F(c_in x; ln σ)."""
         noise_scale = 25.0  # ln σ runs over ± 4; times this, the sinusoids' periods cover it from coarse to fine
         typical_log_amplitude = -8.0  # over the height
         noise_features = sinusoid(noise_scale * sigma.log(), NOISE_FEATURES)
@@ -94,14 +94,14 @@ class DenoiserCondition:
     tree_of_node: Int64[Tensor, " W"]
 
     def of_band(self, band: slice) -> "DenoiserCondition":
-        """Of some frequencies alone."""
+        """Return the condition of some frequencies."""
         return replace(self, frequency=self.frequency[:, band], log_amplitude=self.log_amplitude[:, band])
 
 
 def denoise(
     network: Denoiser, noisy: Float32[Tensor, "W J 6"], sigma: Float32[Tensor, "B J"], condition: DenoiserCondition
 ) -> Float32[Tensor, "W J 6"]:
-    """D(x; σ): the expected whitened spectrum."""
+    """Compute D(x; σ), the expected whitened spectrum."""
     at_node = sigma[condition.tree_of_node][..., None]  # [W, J, 1]
     scale = (1 + at_node.square()).sqrt()
     predicted: Tensor = network(noisy / scale, sigma, condition)

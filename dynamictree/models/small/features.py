@@ -27,9 +27,9 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 NUM_LEVELS = 5  # 128³ to 8³
 CHAIN = 4
-"""Stems whose features a voxel gets: its own, the one that bears it, and so on towards the root."""
+"""Number of stems whose features a voxel gets: its own, the one that bears it, and so on towards the root."""
 NUM_SCALARS = 16 + 4 * CHAIN
-ROOT_DISTANCE = 2  # of the scalars, the way along the tree to the root over the height
+ROOT_DISTANCE = 2  # index of a scalar: distance to the root along the tree over the height
 NUM_VECTORS = 4 + CHAIN
 NUM_FEATURES = NUM_SCALARS + 3 * NUM_VECTORS
 NUM_WIND = 2
@@ -41,13 +41,13 @@ class TreeFeatures:
 
     grids: Pyramid
     scalars: Float32[Tensor, "V S"]
-    vectors: Float32[Tensor, "V A 3"]  # in the grid's frame
+    vectors: Float32[Tensor, "V A 3"]  # axes of the grid
     height_m: Float32[Tensor, " B"]
-    links: Int64[Tensor, "L 2"]  # rows and the rows that bear them, on the way to the root
-    chain: Int64[Tensor, "V C"]  # of each of CHAIN stems, where the way to the root enters it, and its foot
+    links: Int64[Tensor, "L 2"]  # rows, and the next rows on the way to the root
+    chain: Int64[Tensor, "V C"]  # rows where the way to the root enters each of CHAIN stems, and the feet of these
     girth: Float32[Tensor, "V C"]  # ln of the radius of the cross-section at these [m]
-    surface: Float32[Tensor, "V I"]  # see `surface`; nodes have none
-    tensors: Float32[Tensor, "V R 3 3"]  # in the grid's frame
+    surface: Float32[Tensor, "V I"]  # see `surface_features`; nodes have none
+    tensors: Float32[Tensor, "V R 3 3"]  # axes of the grid
 
 
 def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
@@ -58,7 +58,7 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
     area_m2 = moments[:, AREA][:, 0].astype(np.float64) * grid.voxel_size_m**2 if has_moments else None
     height_m = grid.height_m
-    with ThreadPoolExecutor(1) as pool:  # the surface beside the skeleton
+    with ThreadPoolExecutor(1) as pool:  # surface and skeleton run in parallel
         seen = pool.submit(surface_features, grid, moments, touching(grids.levels[0]), has_moments=has_moments)
         graph = voxel_graph(grid, [(first.numpy(), second.numpy()) for first, second in grids.levels[0].pairs])
         skeleton = skeleton_of(grid, graph)
@@ -100,7 +100,7 @@ def batch_features(trees: Sequence[TreeFeatures]) -> TreeFeatures:
 
 
 def turn_features(tree: TreeFeatures, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> TreeFeatures:
-    """The tree turned by 90° steps or mirrored: new axis i is old axis `axes[i]` times `signs[i]`. Exact."""
+    """Turn a tree by steps of 90° or mirror it, exactly: new axis i is old axis `axes[i]` times `signs[i]`."""
     sign = torch.tensor(signs, dtype=tree.vectors.dtype)
     vectors = tree.vectors[..., list(axes)] * sign
     tensors = tree.tensors[..., list(axes), :][..., list(axes)] * sign[:, None] * sign
@@ -108,7 +108,7 @@ def turn_features(tree: TreeFeatures, axes: tuple[int, int, int], signs: tuple[i
 
 
 def coarsen_features(tree: TreeFeatures, top: int) -> TreeFeatures:
-    """The same trees on level `top` and above, features averaged over the voxels of each node."""
+    """Return the trees on level `top` and above, with features averaged over the voxels of each node."""
     grids = Pyramid(levels=tree.grids.levels[top:], parents=tree.grids.parents[top:])
     scalars, vectors = (pool_to(rows, tree.grids, top) for rows in (tree.scalars, tree.vectors))
     links = tree.grids.rows_above(top)[tree.links]
@@ -128,7 +128,7 @@ def coarsen_features(tree: TreeFeatures, top: int) -> TreeFeatures:
 
 
 def wind_vector(winds: Sequence[Wind]) -> Float32[Tensor, "B 4"]:
-    """Log speed, gust, and the direction as a unit vector on the grid."""
+    """Return ln speed, gust, and the direction as a unit vector on the grid."""
     angles = [math.radians(wind.direction_deg) for wind in winds]
     rows = [
         (math.log(max(wind.speed_m_s, 0.1)), wind.gust, math.cos(angle), math.sin(angle))
@@ -138,7 +138,7 @@ def wind_vector(winds: Sequence[Wind]) -> Float32[Tensor, "B 4"]:
 
 
 def node_features(tree: TreeFeatures, wind: Float32[Tensor, "B 4"]) -> Float32[Tensor, "V F"]:
-    """All features of a voxel, with vectors in the wind's frame."""
+    """Return all features of each voxel, with vectors in the wind's frame."""
     sample = tree.grids.levels[0].sample_of_row
     cosine, sine = wind[sample, 2, None], wind[sample, 3, None]  # [V, 1]
     east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]
@@ -172,7 +172,7 @@ def _scalars(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> Float32[np
 
 
 def _chain(grid: VoxelGrid, skeleton: Skeleton) -> Int32[np.ndarray, "V 4"]:
-    """Where the way from each voxel to the root enters its own stem, which is there, and those that bear it."""
+    """Return the rows where the way from each voxel to the root enters its own stem and those that bear it."""
     shortest_stem = 4  # voxels
     shortest_m = shortest_stem * grid.voxel_size_m
     rows = [skip_short(skeleton, np.arange(len(grid), dtype=np.int32), shortest_m)]
@@ -184,7 +184,7 @@ def _chain(grid: VoxelGrid, skeleton: Skeleton) -> Int32[np.ndarray, "V 4"]:
 def _along_chain(
     grid: VoxelGrid, skeleton: Skeleton, chain: Int32[np.ndarray, "V 4"], height_m: float
 ) -> tuple[Float32[np.ndarray, "V 16"], Float32[np.ndarray, "V 4 3"]]:
-    """Of the stems between a voxel and the root: length, place along it, what it and the voxel carry, and lever arm."""
+    """Describe the stems between a voxel and the root: length, place along them, number of voxels beyond, lever arm."""
     voxel, centres = grid.voxel_size_m, grid.centres_m
     scalars, vectors = [], []
     for rows in chain.T:
@@ -197,7 +197,7 @@ def _along_chain(
 
 
 def _crowding(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
-    """How many voxels touch this one, and how many of them its ancestors at three coarser levels hold."""
+    """Return logarithms of the number of touching voxels, and of voxels per ancestor at three coarser levels."""
     level = grids.levels[0]
     touching = torch.bincount(torch.cat([side for pair in level.pairs for side in pair]), minlength=len(level))
     columns = [torch.log1p(touching.float()) / 2]
@@ -208,8 +208,8 @@ def _crowding(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
 
 
 def _vectors(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> list[Float32[np.ndarray, "V 3"]]:
-    """From the foot to the voxel, the axis of its stem, and the axis four times as far down."""
-    axis_steps = 6  # the stem's axis at a voxel is the way to its ancestor so many voxels down
+    """Return per voxel the vector from the foot, the axis of its stem, and the axis four times as far down."""
+    axis_steps = 6  # voxels down to the ancestor from which the stem's axis points
     centres = grid.centres_m
     foot = centres[skeleton.distance_m == 0].mean(axis=0)
     vectors = [(centres - foot) / height_m]

@@ -1,8 +1,8 @@
 """Foliage network: predicts for each voxel leaf or wood, the position on its leaf, and the leaf's own motion.
 
-A leaf swings about its base, fast; wood does not. Where a voxel's leaf begins is written in the shape around it, so
-here, and only here, the small model convolves: three levels, few channels. It is trained by itself, against what the
-dataset knows of its trees; what it says goes to the amplitude network as features.
+A leaf swings fast about its base; wood does not. The base of a voxel's leaf follows from the shape around it, so this
+is the only part of the small model with convolutions: three levels, few channels. It is trained by itself, on leaves
+and stems that the dataset records; its output is an input of the amplitude network.
 """
 
 import torch
@@ -16,18 +16,18 @@ from dynamictree.sparse.conv import SubmanifoldConv
 from dynamictree.sparse.level import Pyramid, SparseLevel
 from dynamictree.sparse.pool import average_pool, upsample
 
-STEM_AXIS, NORMAL = 1, 3  # in `TreeFeatures.vectors`
+STEM_AXIS, NORMAL = 1, 3  # indices into `TreeFeatures.vectors`
 NUM_SEEN = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
 NUM_PARTS = 10
-"""Leaf share; distance from the leaf's base, that over its length, ln length, all times leaf share; stem level; ln
-length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances over the height, times
-ARM_SCALE."""
+"""Leaf share; distance from the leaf's base, the same over the leaf's length, ln length, all times leaf share; stem
+level; ln length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances are over the
+height, times ARM_SCALE."""
 STEM, ARM = slice(4, 7), slice(7, 10)
 ARM_SCALE = 30.0  # leaves are a 30th of the height
 NUM_MOVING = 15
 NUM_FOLIAGE_VALUES = NUM_PARTS + NUM_MOVING
 CLIP = 5.0  # standard deviations
-SYMMETRIC = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # the numbers in a symmetric tensor
+SYMMETRIC = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # indices of the six entries of a symmetric tensor
 
 
 class ResConv(nn.Module):
@@ -40,7 +40,7 @@ class ResConv(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, features: Float32[Tensor, "V C"], level: SparseLevel) -> Float32[Tensor, "V C"]:
-        """On one level."""
+        """Apply the block on one level."""
         hidden: Tensor = self.out(functional.silu(self.conv(self.norm(features), level)))
         return features + hidden.float()
 
@@ -48,9 +48,9 @@ class ResConv(nn.Module):
 class FoliageNetwork(nn.Module):
     """A small U-Net over 128³, 64³ and 32³ of a 128³ tree."""
 
-    mean: Tensor  # [F], of the inputs
+    mean: Tensor  # [F], mean of the inputs
     deviation: Tensor
-    told_mean: Tensor  # [O], of the targets
+    told_mean: Tensor  # [O], mean of the targets
     told_deviation: Tensor
 
     def __init__(self, *, widths: tuple[int, int, int] = (24, 48, 64)) -> None:
@@ -70,13 +70,13 @@ class FoliageNetwork(nn.Module):
         self.register_buffer("told_deviation", torch.ones(NUM_FOLIAGE_VALUES))
 
     def forward(self, tree: TreeFeatures) -> Float32[Tensor, "V O"]:
-        """NUM_PARTS, then ln of the size at k = 1 … 15 over the height, at drag and gust 1."""
+        """Predict NUM_PARTS values, then ln of the size at k = 1 … 15 over the height, at drag and gust 1."""
         standard = self.standard(tree)
         foliage_values: Tensor = standard * self.told_deviation + self.told_mean
         return foliage_values
 
     def standard(self, tree: TreeFeatures) -> Float32[Tensor, "V O"]:
-        """The same with mean 0 and deviation 1 over the training set."""
+        """Predict the same values, with mean 0 and deviation 1 over the training set."""
         grids: Pyramid = tree.grids
         levels = grids.levels
         fine = self.enter(((seen(tree) - self.mean) / self.deviation).clamp(-CLIP, CLIP)).float()
@@ -92,8 +92,8 @@ class FoliageNetwork(nn.Module):
 
 
 def seen(tree: TreeFeatures) -> Float32[Tensor, "V F"]:
-    """The tree's scalars and its surface's; and of normals and stems, whose sign means nothing, what does not change
-    with it.
+    """Return the inputs: scalars of the tree and of its surface, and functions of normals and stem axes that do not
+    depend on their sign, which is arbitrary.
     """
     axis, normal = tree.vectors[:, STEM_AXIS], tree.vectors[:, NORMAL]
     together = (axis * normal).sum(dim=1, keepdim=True).square()

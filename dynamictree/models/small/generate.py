@@ -25,16 +25,16 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 NUM_STEPS = 4
 BAND = 1
-"""Frequencies that one thread denoises together: of two, their hidden layers leave a core's cache (8 % slower)."""
+"""Frequencies that one thread denoises together: hidden layers of two exceed a core's cache (8 % slower)."""
 MAX_VOXELS = 2_400_000
-"""Of the spectrum's grid, which takes 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
+"""Limit of the spectrum's grid, at 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
 
 
 def gusts_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
-    """The noise of a seed at a speed, which turns into independent noise within an octave of the speed.
+    """Return the noise of a seed at a speed; it becomes independent noise within an octave of the speed.
 
-    Turbulence is carried past the tree as it is (Taylor): what drives the frequency f is the eddies of wave number
-    f / U, so that at another speed others do.
+    The wind carries turbulence past the tree unchanged (Taylor): frequency f is driven by eddies of wave number f / U,
+    and at another speed by other eddies.
     """
     octave = math.log2(max(speed_m_s, MIN_SPEED))
     low = math.floor(octave)
@@ -70,7 +70,7 @@ class SmallModel(MotionModel):
 
     @property
     def default_steps(self) -> int:
-        """Four: more change little."""
+        """Four steps; more change little."""
         return NUM_STEPS
 
     def _coefficients(
@@ -84,19 +84,19 @@ class SmallModel(MotionModel):
         return voxels.grid, coefficients, prepared.foliage
 
     def _draw(self, prepared: PreparedTree, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Noise on the nodes, which the sampler starts from, and below them."""
+        """Draw the noise on the nodes, from which the sampler starts, and the noise below them."""
         start = prepared.noise.draw(self.network.noise_shares, generator, channels=CHANNELS)
         local = torch.randn(prepared.leaf_lift.num_columns, len(prepared.spread), CHANNELS, generator=generator)
         return start, local / math.sqrt(2)
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
-        """Deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""
+        """Compute the deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""
         return prepare_tree(self.network, voxels, wind, max_voxels=self.max_network_voxels)
 
     def _denoise(
         self, prepared: PreparedTree, noise: Float32[Tensor, "W J 6"], sampling: Sampling
     ) -> Float32[Tensor, "W J 6"]:
-        """A whitened spectrum on the nodes. Frequencies do not see one another: bands of them run on all cores."""
+        """Sample a whitened spectrum on the nodes. Frequencies are independent, so bands of them run on all cores."""
         preset, device = self.network.preset, self.device
         sigmas = karras_schedule(sampling.num_steps, sigma_min=preset.sigma_min, sigma_max=preset.sigma_max)
         first = (sampling.lowest_bin - 1) // BAND * BAND

@@ -23,7 +23,7 @@ MAX_GAIN = 2.0
 class Leaves:
     """The leaf of each voxel, with a weight."""
 
-    base: Int64[Tensor, " V"]  # the voxel that the leaf grows from; one of wood is its own
+    base: Int64[Tensor, " V"]  # voxel that the leaf grows from; for wood, the voxel itself
     outward: Float32[Tensor, "V 3"]  # unit vector from there
     share: Float32[Tensor, " V"]  # 0 on wood and at a leaf's base
 
@@ -46,12 +46,12 @@ def leaves_of(
     """Build the leaves from the foliage network's output.
 
     Args:
-        grid: of the tree.
+        grid: grid of the tree.
         foliage_values: output of the foliage network.
         free: 0 where the ground fixes a voxel, 1 elsewhere.
-        axes: the frame that spectra are in.
+        axes: frame of the spectra.
     """
-    # so near to its leaf's base a voxel keeps the motion it was given; from one voxel further out it swings
+    # distance from the leaf's base below which a voxel's motion does not change; one voxel further it swings in full
     base_voxels = 0.5
     arm = arms_of(grid.coords, foliage_values)
     length = np.linalg.norm(arm, axis=1)
@@ -65,7 +65,7 @@ def leaves_of(
 
 
 def arms_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O"]) -> Float32[np.ndarray, "V 3"]:
-    """From the base of each voxel's leaf to the voxel, in voxels; on wood about zero."""
+    """Return the vectors from the base of each voxel's leaf to the voxel [voxels]; about 0 on wood."""
     arm: Float32[np.ndarray, "V 3"] = foliage_values[:, ARM].numpy() * ((int(np.ptp(coords[:, 2])) + 1) / ARM_SCALE)
     return arm
 

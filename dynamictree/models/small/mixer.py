@@ -1,8 +1,8 @@
 """Body of the small denoiser: layers that mix each node with means over its neighbourhood at several scales.
 
-A tree's nodes are few and its motion has no preferred grid direction once vectors stand in the wind's frame. So instead
-of 27 taps a layer sees fixed means (the node itself, what touches it, its ancestors' one and two levels up, the
-whole tree), each with its own linear map. Against the U-Net it costs a third, and every layer sees the whole tree.
+A tree has few nodes, and its motion has no preferred grid direction, as vectors are in the wind's frame. So instead of
+27 taps, a layer reads fixed means (the node itself, touching nodes, its ancestors one and two levels up, the whole
+tree), each with its own linear map. It costs a third of the U-Net, and every layer reads the whole tree.
 """
 
 from collections.abc import Sequence
@@ -32,9 +32,9 @@ NUM_NEAR = 4
 class Neighbourhood:
     """Operators of the neighbourhood means that a layer reads, of one tree or of a batch."""
 
-    near: SparseRows  # [4 W, W]: of each node itself, and means over what touches, what bears, and what is borne
+    near: SparseRows  # [4 W, W]: per node itself, and means over touching, bearing and borne nodes
     pools: tuple[SparseRows, ...]  # [coarser, W]: mean over the nodes of an ancestor; the last is the whole tree
-    raises: tuple[SparseRows, ...]  # [finer, coarser]: from each of these to the one before, the first to the nodes
+    raises: tuple[SparseRows, ...]  # [finer, coarser]: from each pool to the one before, the first to the nodes
 
 
 def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
@@ -84,7 +84,7 @@ class MixerBlock(nn.Module):
         embedding: Float[Tensor, "B J E"],
         tree_of_node: Int64[Tensor, " W"],
     ) -> Float[Tensor, "W J C"]:
-        """One layer; `embedding` of each tree's wind, noise level and frequencies."""
+        """Apply one layer; `embedding` is of each tree's wind, noise level and frequencies."""
         modulation = self.modulate(embedding)  # [B, J, 2 C]
         at_node = modulation if len(modulation) == 1 else modulation[tree_of_node]
         scale, shift = at_node.chunk(2, dim=-1)

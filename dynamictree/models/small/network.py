@@ -1,9 +1,9 @@
 """Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
 
-The field of a motion is √(1 - ρ²) lift(u) + ρ n: u lives on the nodes (level `top` of the pyramid, 32³ of a 128³ grid),
-n is noise of each leaf that stands for what is smaller than a node, both of unit variance, and ρ² the share of it, a
-frequency, where a voxel is all leaf: wood moves as its nodes do. A spectrum has its phases, and sizes spread about A as
-its are (`spread.sized`); the crown as a whole is as large as shape and wind tell, so that more wind moves it further.
+The field of a motion is √(1 - ρ²) lift(u) + ρ n, with u and n of unit variance. u is on the nodes (level `top` of the
+pyramid, 32³ of a 128³ grid). n is noise per leaf, for motion smaller than a node; ρ² is its share, per frequency, in a
+voxel that is all leaf; wood moves like its nodes. A spectrum has the field's phases, and sizes that spread about A like
+the field's (`spread.sized`). Shape and wind alone decide on the size over the whole crown, so more wind moves it more.
 """
 
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ class SmallNetwork(StorableNetwork):
     noise_shares: Tensor  # [J, S]
     leaf_share: Tensor  # [J], ρ²
     spread: Tensor  # [U, J, 3], at the speeds of `speed_terms`
-    log_gain: Tensor  # [U, J, 3], which gives what is drawn the typical tree's energy
+    log_gain: Tensor  # [U, J, 3], factor that gives samples the typical tree's energy
 
     def __init__(self, preset: SmallPreset) -> None:
         super().__init__(preset)

@@ -32,11 +32,11 @@ from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 MAX_NETWORK_VOXELS = 150_000
-"""Voxels that the network reads; a denser tree is generated on a grid twice as coarse, and raised. The dataset's trees
-have 8,000 to 35,000. Memory and time grow linearly: 6 kB per voxel (docs/decisions)."""
+"""Most voxels that the network reads; a denser tree is generated on a grid twice as coarse, and interpolated. Trees of
+the dataset have 8,000 to 35,000. Memory and time grow linearly: 6 kB per voxel (docs/decisions)."""
 
 LEAF_SHARES = (0.2, 0.4)
-"""Mean share of leaf in the voxels of a bare tree, at most, and of one in leaf, at least: six grown bare trees of 1 to
+"""Mean share of leaf per voxel: the most for a bare tree, and the least for one in leaf. Six grown bare trees of 1 to
 30 m have 0.03 to 0.15, thirteen of other species 0.51 to 0.80."""
 
 
@@ -44,7 +44,7 @@ LEAF_SHARES = (0.2, 0.4)
 class PreparedTree:
     """Precomputed data of a tree for the sampler and for the steps after it."""
 
-    voxels: SurfaceVoxels  # that the network reads
+    voxels: SurfaceVoxels  # input of the network
     nodes: TreeFeatures
     wind: Float32[Tensor, "1 4"]
     noise: NoiseBasis
@@ -52,21 +52,21 @@ class PreparedTree:
     node_log_amplitude: Float32[Tensor, "W J 3"]
     lean: Float32[Tensor, "V 3"]  # over the height
     amplitude: Float32[Tensor, "V J 3"]  # root mean square over the height
-    spread: Float32[Tensor, "J 3"]  # of sizes about it
-    leaf_share: Float32[Tensor, "V J 1"]  # of the motion that a voxel's leaf has for itself
+    spread: Float32[Tensor, "J 3"]  # spread of sizes about the amplitude
+    leaf_share: Float32[Tensor, "V J 1"]  # share of the motion that is the leaf's own
     leaves: Leaves
     lifts: tuple[SparseRows, SparseRows]  # [C, W] to cells half as large as a node, [V, C] from there
-    leaf_lift: SparseRows  # [V, C]; voxels of a leaf have what its base has
+    leaf_lift: SparseRows  # [V, C]; voxels of a leaf get the value at its base
     network: SmallNetwork
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up
     height_m: float
-    foliage: float | None  # 0 is bare, 1 in leaf; None where the shape does not tell
-    finer: csr_array | None  # from the network's grid to the asked one, where that is finer
+    foliage: float | None  # 0 is bare, 1 in leaf; None if unknown
+    finer: csr_array | None  # interpolation to the requested grid, if that is finer than the network's
 
     def assemble(
         self, whitened: Float32[Tensor, "W J 6"], white: Float32[Tensor, "L J 6"]
     ) -> Complex64[Tensor, "V K 3"]:
-        """Lean, and the network's formula, leaves swinging: over the height, in the wind's frame."""
+        """Combine lean and sway by the network's formula, leaves swinging: over the height, in the wind's frame."""
         for lift in self.lifts:
             whitened = lift.apply(whitened)
         nodes = of_unit_power(unpack_channels(whitened))
@@ -85,7 +85,7 @@ class PreparedTree:
 
 
 def foliage_of(foliage_values: Float32[Tensor, "V O"]) -> float:
-    """From bare (0) to in leaf (1), by the mean share of leaf in a voxel."""
+    """Estimate the foliage, from bare (0) to in leaf (1), by the mean share of leaf per voxel."""
     low, high = LEAF_SHARES
     share = float(foliage_values[:, 0].clamp(0, 1).mean())
     return min(max((share - low) / (high - low), 0.0), 1.0)
@@ -95,14 +95,14 @@ def prepare_tree(
     network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
 ) -> PreparedTree:
     """Compute features, amplitudes and interpolation matrices of a tree."""
-    # of the height: so near to the roots, along the tree, the ground holds the stem, whatever the network guesses
+    # share of the height, along the tree from the roots, over which the ground fixes the stem
     fixed_share = 0.02
     halvings = halvings_served(voxels.grid, network.preset.resolution, "small", max_voxels=max_voxels)
     coarse, finer = coarsened(voxels, halvings)
     tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
     nodes = coarsen_features(tree, top)
-    with ThreadPoolExecutor(1) as pool:  # beside the foliage network, which has one core
+    with ThreadPoolExecutor(1) as pool:  # runs in parallel to the foliage network, which has one core
         noise = pool.submit(noise_basis, nodes.grids, nodes.links)
         lift = pool.submit(raise_matrix, tree.grids, top - 1, 0)
         foliage_values = network.foliage(tree)

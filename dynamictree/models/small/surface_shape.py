@@ -1,7 +1,7 @@
 """Shape features of the surface in and around a voxel: line, plane or clump, one card or many sides.
 
-Moments of the surface (`voxel.moments`) are averaged along the tree over wider and wider callbacks; eigenvalues do
-not change when the tree is turned, and mean the same on any species.
+Moments of the surface (`voxel.moments`) are averaged along the tree over wider and wider surroundings; eigenvalues do
+not change when the tree is turned, and have the same meaning on any species.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD
 
 STEPS = (0, 1, 3, 8)
-"""Of the mean over what touches."""
+"""Numbers of times that the mean over touching voxels is applied."""
 DIRECTED = (0, 3)
-"""Of STEPS, those whose tensors are given in full."""
+"""Those of STEPS at which the full tensors are features."""
 NUM_SURFACE = 6 * len(STEPS) + 1
 NUM_TENSORS = 2 * len(DIRECTED)
 
@@ -22,13 +22,13 @@ NUM_TENSORS = 2 * len(DIRECTED)
 def surface_features(
     grid: VoxelGrid, moments: Float32[np.ndarray, "V 16"], touching: csr_array, *, has_moments: bool
 ) -> tuple[Float32[np.ndarray, "V S"], Float32[np.ndarray, "V R 3 3"]]:
-    """Invariants, and second moments of place and normal in the grid's frame.
+    """Compute invariants, and second moments of place and normal in the grid's frame.
 
     Args:
-        grid: of the moments.
+        grid: grid of the moments.
         moments: see `voxel.moments`.
-        touching: mean over what touches, see `lift.touching`.
-        has_moments: whether the moments are a mesh's.
+        touching: mean over touching voxels, see `sparse.matrices.touching`.
+        has_moments: whether the moments are those of a mesh.
     """
     centre = grid.coords.mean(axis=0)
     area = moments[:, AREA].astype(np.float64)
@@ -53,7 +53,7 @@ def surface_features(
 
 
 def eigenvalues(six: Float64[np.ndarray, "V 6"]) -> Float64[np.ndarray, "V 3"]:
-    """Of symmetric matrices, ascending; in closed form, 30 times as fast as LAPACK one by one. O. K. Smith 1961."""
+    """Return ascending eigenvalues of symmetric matrices, in closed form: 30 times as fast as LAPACK (Smith 1961)."""
     xx, yy, zz, xy, xz, yz = six.T
     mean = (xx + yy + zz) / 3
     a, b, c = xx - mean, yy - mean, zz - mean

@@ -13,7 +13,7 @@ from dynamictree.voxel.graph import root_rows
 from dynamictree.voxel.grid import VoxelGrid
 
 FOOT_VOXELS = 4
-"""So far out, a stem has left the surface of the one that bears it."""
+"""Length at which a stem has left the surface of the one that bears it [voxels]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,20 +21,18 @@ class Skeleton:
     """Position of each voxel on its stem. A stem continues in the child that reaches furthest."""
 
     parent: Int32[np.ndarray, " V"]  # next voxel towards the root; a root is its own
-    distance_m: Float32[np.ndarray, " V"]  # along the tree to the root [m]
-    reach_m: Float32[np.ndarray, " V"]  # from here to the furthest tip beyond [m]
+    distance_m: Float32[np.ndarray, " V"]  # distance to the root along the tree [m]
+    reach_m: Float32[np.ndarray, " V"]  # distance to the furthest tip beyond [m]
     num_beyond: Float32[np.ndarray, " V"]  # voxels whose way to the root passes here, this one included
     stem_start_m: Float32[np.ndarray, " V"]  # distance_m where the voxel's stem begins [m]
     stem_length_m: Float32[np.ndarray, " V"]  # [m]
     level: Float32[np.ndarray, " V"]  # stems passed on the way from the root; 0 on the trunk
-    base: Int32[
-        np.ndarray, " V"
-    ]  # the voxel on the stem before, from which this voxel's stem grows; a root's is itself
-    foot: Int32[np.ndarray, " V"]  # the last voxel on the way here whose stem is not yet FOOT_VOXELS long
+    base: Int32[np.ndarray, " V"]  # voxel of the bearing stem from which this one grows; a root's is itself
+    foot: Int32[np.ndarray, " V"]  # last voxel on the way here within FOOT_VOXELS of the stem's start
 
 
 def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
-    """Read the stems off the graph of touching voxels (edges in metres, connected)."""
+    """Find the stems in the graph of touching voxels (connected, edges in metres)."""
     roots = root_rows(graph, grid)
     distance, parent, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)
     own = np.arange(len(grid), dtype=np.int32)
@@ -60,8 +58,8 @@ def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
 
 
 def skip_short(skeleton: Skeleton, rows: Int32[np.ndarray, " V"], length_m: float) -> Int32[np.ndarray, " V"]:
-    """From each row down to the first stem that is at least so long [m]: a leaf's voxels make stems of their own."""
-    max_skips = 12  # stems that `skip_short` goes down at most
+    """Go from each row down to the first stem of at least `length_m`, as voxels of a leaf form short stems."""
+    max_skips = 12  # most stems to go down
     for _ in range(max_skips):
         rows = np.where(skeleton.stem_length_m[rows] < length_m, skeleton.base[rows], rows)
     return rows
@@ -73,18 +71,18 @@ def section_radius(
     distance_m: Float32[np.ndarray, " V"],
     area_m2: Float64[np.ndarray, " V"] | None,
 ) -> Float64[np.ndarray, " V"]:
-    """Radius of each voxel's cross-section [m].
+    """Return the radius of each voxel's cross-section [m].
 
-    A cross-section is what hangs together of the voxels that are about as far from the root along the tree (Verroust
-    and Lazarus, Extracting skeletal curves from 3D scattered data, 1999). The RMS distance of its voxels from their
-    middle is the radius where they are a ring. A twig thinner than a voxel is no ring: there the surface inside, over
-    the length of the section, is its circumference.
+    A cross-section is a connected set of voxels at about the same distance from the root along the tree (Verroust
+    and Lazarus, Extracting skeletal curves from 3D scattered data, 1999). If its voxels form a ring, the radius is
+    their RMS distance from the middle. A twig thinner than a voxel is no ring: its circumference is the surface area
+    inside over the length of the section.
 
     Args:
-        grid: of the voxels.
-        graph: touching voxels.
-        distance_m: along the tree to the root [m].
-        area_m2: of the surface in each voxel [m²]; None where no mesh is known.
+        grid: grid of the voxels.
+        graph: graph of touching voxels.
+        distance_m: distance to the root along the tree [m].
+        area_m2: surface area in each voxel [m²]; None without a mesh.
     """
     thinnest_voxels = 0.01
     section_voxels = 2  # thickness of a cross-section
