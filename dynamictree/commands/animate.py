@@ -78,7 +78,7 @@ def animate(
 
 
 def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: float | None) -> None:
-    """Print how large files of every frame of a splat will be, before they are written."""
+    """Print the size of files with every frame of a splat, before they are written."""
     z_m = cloud.means[:, 2]
     num_frames = export.count_frames(period_s or loop_period_s(float(z_m.max() - z_m.min())))
     splats = [name for name in export.formats or () if name in ("splat-ply", "usd-splat")]

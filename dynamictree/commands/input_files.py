@@ -35,7 +35,7 @@ def is_cloud(path: Path) -> bool:
     """Whether a file holds a splat or scan, by its bytes.
 
     Raises:
-        InputError: it cannot be read, or is of no format that is known.
+        InputError: it cannot be read, or its format is unknown.
     """
     with opened(path) as stream:
         return source_kind(stream, path.name)[0] == "cloud"
@@ -70,7 +70,7 @@ def read_source(
 
 
 def say_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
-    """Print size, axis and unit as they were read, and what the reader left out, to standard error."""
+    """Print height, axis and unit as they were read, and the reader's warnings, to standard error."""
     unit = f"unit {mesh.source.scale:g} m"
     typer.echo(f"read as {mesh.height_text} tall, {mesh.source.up_axis} up, {unit}", err=True)
     for warning in warnings:
@@ -78,7 +78,7 @@ def say_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
 
 
 def say_foliage(spectrum: SparseVoxelSpectrum) -> None:
-    """Warn on standard error where the shape did not tell whether the tree is in leaf."""
+    """Warn on standard error if the shape does not show whether the tree is in leaf."""
     if spectrum.foliage is None:
         typer.echo(
             "warning: the shape does not tell whether the tree is bare or in leaf: it is damped in between; "
@@ -88,7 +88,7 @@ def say_foliage(spectrum: SparseVoxelSpectrum) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """Hash of a file's bytes.
+    """Return the SHA-256 of a file's bytes.
 
     Raises:
         InputError: it cannot be read.

@@ -172,7 +172,7 @@ def _write(
     with published(output) as folder:
         for name in wanted:
             with (folder / FILE_NAMES[name]).open("wb") as stream:
-                if name == "modal":  # as /v1/interact gives it
+                if name == "modal":  # the same as from /v1/interact
                     stream.write(save(answer_tensors(answer), {"fps": repr(fps)}))
                     continue
                 assert mesh is not None
@@ -187,7 +187,7 @@ def _write(
 def _vertex_frames(
     tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, *, warp: bool
 ) -> Callable[[], Iterator[Float32[np.ndarray, "N 3"]]]:
-    """Displacement of the mesh's vertices, frame after frame [m]."""
+    """Return a function that yields the displacement of the mesh's vertices, frame by frame [m]."""
     assert tree.rig is not None
     rig: Rig = tree.rig
     if warp:

@@ -20,7 +20,7 @@ class Interrupted(Cancelled):
 
 @contextmanager
 def stopping_on_signals() -> Iterator[Callable[[], None]]:
-    """Give a function that raises `Interrupted` once a signal has come; a second signal ends the process at once."""
+    """Yield a function that raises `Interrupted` once a signal has come; a second signal ends the process at once."""
     received: list[int] = []
     before = {number: signal.getsignal(number) for number in _SIGNALS}
 

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share and that are no parameter of the method."""
+"""Arguments and options that several commands share, other than parameters of the method."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,12 +21,12 @@ _SHAPE_SUFFIXES = tuple(
 
 
 def shape_file(path: Path) -> Path:
-    """The path itself; of a folder, the one file in it, or one level below, that holds the shape of a tree.
+    """Return the path; for a folder, the only file in it, or one level below, with the shape of a tree.
 
     Raises:
-        InputError: none does, or several do.
+        InputError: a folder has no such file, or several.
     """
-    most_names = 10  # of a message
+    most_names = 10  # names per message
     if not path.is_dir():
         return path
     entries = sorted(entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file())

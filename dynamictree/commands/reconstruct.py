@@ -1,4 +1,4 @@
-"""`dynamictree reconstruct`: photos to cameras, a splat and a mesh."""
+"""`dynamictree reconstruct`: reconstruct cameras, a splat and a mesh from photos."""
 
 import json
 import shutil
@@ -17,7 +17,7 @@ from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.photo_requests import CutParams, PhotoParams
 
-_BESIDE_PHOTOS = (".json", ".npy", ".txt", ".bin")  # cameras
+_BESIDE_PHOTOS = (".json", ".npy", ".txt", ".bin")  # files of cameras
 ALL_FILM_SUFFIXES = (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES)
 
 
@@ -81,7 +81,7 @@ def reconstruct(
 
 
 def _input_files(source: Path) -> list[Path]:
-    """The photos in a folder and below it, or a film.
+    """Return the photos in a folder and below it, or the film.
 
     Raises:
         InputError: neither a folder nor a film.

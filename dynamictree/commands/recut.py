@@ -1,4 +1,4 @@
-"""`dynamictree recut`: the plant out of a finished reconstruction, without learning again."""
+"""`dynamictree recut`: cut the plant out of a finished reconstruction, without training again."""
 
 import json
 from pathlib import Path

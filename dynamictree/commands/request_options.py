@@ -29,13 +29,13 @@ OPTION_NAMES = {
     "mass_kg": "mass",
     "falloff_m": "falloff",
 }
-"""Of the fields whose option is not called as they are, in kebab-case."""
+"""Names of options by field, where they differ from the field's name in kebab-case."""
 _SECOND_NAMES = {"preset": ("--model",)}
 """Options that may be written in two ways: a model may also be a file of weights."""
 _TYPES = {"integer": int, "number": float, "boolean": bool, "string": str, "array": str}
 
 _PLANT, _OTHER = "plant", "other"
-"""What a stroke may say."""
+"""Labels of a stroke."""
 
 Schema = dict[str, Any]
 Place = tuple[str, ...]
@@ -45,7 +45,7 @@ Place = tuple[str, ...]
 def with_request_options(command: Callable[..., None]) -> Callable[..., None]:
     """Replace each parameter of a command whose type is a `Request` by one option per field.
 
-    The command gets checked models; a value that is not allowed is an InputError that names the option.
+    The command receives validated models; a value that is not allowed raises an InputError that names the option.
     """
     parameters = inspect.signature(command).parameters.values()
     models = {p.name: p.annotation for p in parameters if _is_request(p.annotation)}
@@ -86,7 +86,7 @@ def _fields(schema: Schema, definitions: Schema | None = None) -> Iterator[tuple
 
 
 def _parameter(name: str, schema: Schema) -> inspect.Parameter:
-    """The option of one field, as Typer reads it from a signature; rich would read a bare [m] as markup."""
+    """Return the option of one field, as Typer reads it from a signature; rich would read a bare [m] as markup."""
     kind = _kind(schema)
     option = _option_name(name)
     declared = f"{option}/--no-{option[2:]}" if kind["type"] == "boolean" else option
@@ -105,13 +105,13 @@ def _parameter(name: str, schema: Schema) -> inspect.Parameter:
 
 
 def _kind(schema: Schema) -> Schema:
-    """JSON schema of a field without its null alternative."""
+    """Return the JSON schema of a field without its null alternative."""
     kind: Schema = next(one for one in schema.get("anyOf", [schema]) if one["type"] != "null")
     return kind
 
 
 def _allowed(kind: Schema) -> str:
-    """The range or the choices of a field, for its help."""
+    """Return the range or the choices of a field, for its help."""
     if kind["type"] == "array":
         if "items" not in kind:
             return "x,y,z,x,y,z"
@@ -178,7 +178,7 @@ def _read(name: str, value: Any, kind: Schema) -> Any:
 
 
 def _stroke(name: str, text: str) -> Schema:
-    """Read a stroke: photo, what is under it, and places."""
+    """Parse a stroke: photo, label and places."""
     pattern = rf"(.+?)\s+({_PLANT}|{_OTHER})((?:\s+[^\s,]+,[^\s,]+)+)\s*"
     if not (parts := re.fullmatch(pattern, text)):
         problem = f'a photo, {_PLANT} or {_OTHER}, and places are needed, as "IMG_3.jpg {_PLANT} 0.5,0.4 0.5,0.7"'
@@ -189,7 +189,7 @@ def _stroke(name: str, text: str) -> Schema:
 
 
 def _number_of(text: str) -> float | str:
-    """The number that a text is; other text as it is, which the model refuses."""
+    """Parse a number; return other text unchanged, which the model then refuses."""
     try:
         return float(text)
     except ValueError:
@@ -197,12 +197,12 @@ def _number_of(text: str) -> float | str:
 
 
 def _names(values: list[str]) -> list[str]:
-    """Names of an option that may hold several and may stand several times."""
+    """Split the names of an option, which may be comma-separated and repeated."""
     return [part.strip() for value in values for part in value.split(",")]
 
 
 def _box(name: str, text: str) -> list[list[float]]:
-    """Six numbers of a box."""
+    """Parse the six numbers of a box."""
     try:
         x0, y0, z0, x1, y1, z1 = map(float, text.split(","))
     except ValueError:

@@ -17,7 +17,7 @@ Report = Callable[[Progress], None]
 @contextmanager
 def stage_progress(*, as_json: bool) -> Iterator[Report]:
     """Report on standard error: bars in a terminal, else a line at each quarter of a stage, or JSON events."""
-    line_at = 0.25  # of a stage: how often a log gets a line
+    line_at = 0.25  # share of a stage between two lines of a log
     event_every_s = 1.0
     if as_json:
         yield _Lines(_event, every_s=event_every_s)
@@ -55,7 +55,7 @@ class _Lines:
 
 def remaining_s(share: float, elapsed_s: float) -> float | None:
     """Estimate the remaining time of a stage [s]; None at its beginning."""
-    least_share = 0.05  # of a stage that must be done before its end can be estimated
+    least_share = 0.05  # share of a stage that must be done before its end can be estimated
     return elapsed_s * (1 - share) / share if share >= least_share else None
 
 

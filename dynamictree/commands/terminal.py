@@ -11,10 +11,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 
 
 class Report(Protocol):
-    """What a long command reports to."""
+    """Callback for the progress of a long command."""
 
     def __call__(self, stage: str, done: float, note: str = "") -> None:
-        """Take a stage's name, the share of it that is done in [0, 1], and a note beside its bar."""
+        """Report a stage's name, its completed share in [0, 1], and a note beside its bar."""
 
 
 @contextmanager

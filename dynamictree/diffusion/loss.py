@@ -14,13 +14,13 @@ def denoising_loss(
     clean: Float32[Tensor, "W J C"],
     sigma: Float32[Tensor, "W J 1"],
 ) -> Float32[Tensor, " J"]:
-    """EDM's weighted squared error, λ = (1 + σ²) / σ²: every noise level weighs the same. Karras et al. 2022, eq. 2."""
+    """EDM's squared error, weighted by λ = (1 + σ²) / σ², equal for all noise levels. Karras et al. 2022, eq. 2."""
     weight = (1 + sigma.square()) / sigma.square()
     return (weight * (denoised - clean).square()).mean(dim=(0, 2))
 
 
 def prediction_loss(predicted: Float32[Tensor, "V C"], noise: Float32[Tensor, "V C"]) -> Float32[Tensor, ""]:
-    """L_DM, paper eq. 2."""
+    """L_DM, paper eq. 2: mean squared error of the predicted noise."""
     return (predicted - noise).square().mean()
 
 
@@ -45,7 +45,7 @@ def local_smoothness(
     Args:
         spectrum: real parts of x, y, z, then imaginary ones.
         neighbours: rows of each voxel's nearest voxels.
-        distances: to them [m].
+        distances: distances to these [m].
         weights: the paper's constants.
     """
     difference = spectrum[:, None] - spectrum[neighbours]  # [V, M, 6]
@@ -59,6 +59,6 @@ def local_smoothness(
 def nearest_voxels(
     centres_m: Float32[np.ndarray, "V 3"], num_neighbours: int
 ) -> tuple[Int64[Tensor, "V M"], Float32[Tensor, "V M"]]:
-    """Rows of each voxel's nearest ones, itself left out, and their distances [m]."""
+    """Return the rows of each voxel's nearest ones, without itself, and their distances [m]."""
     distances, rows = map(np.asarray, cKDTree(centres_m).query(centres_m, k=num_neighbours + 1))
     return torch.from_numpy(rows[:, 1:].astype(np.int64)), torch.from_numpy(distances[:, 1:].astype(np.float32))

@@ -1,4 +1,4 @@
-"""Noise schedules and samplers: functions of a denoiser, a start and numbers. The start alone is random."""
+"""Noise schedules and samplers: functions of a denoiser, a start and numbers. Only the start is random."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from torch import Tensor
 
 NUM_STEPS = 1000
 Denoise = Callable[[Tensor, float], Tensor]
-"""Expected clean signal, from the noisy one and its σ."""
+"""Function from a noisy signal and its σ to the expected clean signal."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,7 +21,7 @@ class NoiseSchedule:
 
 
 def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
-    """β from 1e-4 to 0.02 in equal steps, as of Ho et al. 2020 and XCube."""
+    """Return the schedule of β from 1e-4 to 0.02 in equal steps, as in Ho et al. 2020 and XCube."""
     betas = torch.linspace(1e-4, 0.02, num_steps, dtype=torch.float64)
     return NoiseSchedule(alpha_bar=(1 - betas).cumprod(dim=0).float())
 
@@ -29,12 +29,12 @@ def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
 def predicted_clean(
     noisy: Float[Tensor, "*batch C"], noise: Float[Tensor, "*batch C"], alpha_bar: Float[Tensor, "..."]
 ) -> Float[Tensor, "*batch C"]:
-    """The clean signal x₀ that predicted noise ε implies: (x − √(1 − ᾱ) ε) / √ᾱ."""
+    """Return the clean signal x₀ that predicted noise ε implies: (x − √(1 − ᾱ) ε) / √ᾱ."""
     return (noisy - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()
 
 
 def karras_schedule(num_steps: int, *, sigma_min: float, sigma_max: float, rho: float = 7.0) -> Float32[Tensor, " _"]:
-    """num_steps + 1 noise levels, the last zero. Karras et al. 2022, eq. 5."""
+    """Return num_steps + 1 noise levels, the last zero. Karras et al. 2022, eq. 5."""
     ramp = torch.linspace(0, 1, num_steps)
     sigmas = (sigma_max ** (1 / rho) + ramp * (sigma_min ** (1 / rho) - sigma_max ** (1 / rho))) ** rho
     return torch.cat([sigmas, torch.zeros(1)])
@@ -53,10 +53,10 @@ def sample_dpm_multistep(
     D' = D + (D - D_last) / (2 r). The first step and the last, to σ = 0, are of first order.
 
     Args:
-        denoise: expected clean signal of a noisy one and its noise level.
+        denoise: see Denoise.
         start: unit noise times the first of `sigmas`.
         sigmas: noise levels, falling, see `karras_schedule`.
-        on_step: called with the steps done and their number.
+        on_step: called with the completed steps and their total.
     """
     signal, total = start, len(sigmas) - 1
     last_clean: Tensor | None = None
@@ -85,11 +85,11 @@ def sample_ddim(
     """DDIM, deterministic (η = 0), evenly spaced. Song et al. 2021, arXiv 2010.02502, eq. 12; 100 steps in the paper.
 
     Args:
-        predict_clean: expected clean signal, from the noisy one and the index of its step, see `predicted_clean`.
+        predict_clean: function from a noisy signal and its step's index to the clean signal, see `predicted_clean`.
         start: unit noise.
-        schedule: what the network was trained with.
-        num_steps: of the schedule's steps, evenly spaced, the last included.
-        on_step: called with the steps done and their number.
+        schedule: schedule of the network's training.
+        num_steps: number of steps of the schedule to use, evenly spaced, the last included.
+        on_step: called with the completed steps and their total.
     """
     steps = torch.linspace(len(schedule.alpha_bar) - 1, 0, num_steps).round().long().tolist()
     signal = start

@@ -1,1 +1,1 @@
-"""Sparse tensors on plain PyTorch: features in rows, one a voxel; a `SparseLevel` says which rows are neighbours."""
+"""Sparse tensors on plain PyTorch: one row of features per voxel; a `SparseLevel` lists which rows are neighbours."""

@@ -23,7 +23,7 @@ class SampleAttention(nn.Module):
         nn.init.zeros_(self.project.bias)
 
     def forward(self, features: Float[Tensor, "V *inner C"], level: SparseLevel) -> Float[Tensor, "V *inner C"]:
-        """Let the voxels of each sample see one another; axes between rows and channels stay apart."""
+        """Attend between the voxels of each sample; axes between rows and channels are independent."""
         stacked = self.queries_keys_values(self.norm(features, level))
         attended = [self._attend(stacked[rows]) for rows in level.sample_slices]
         projected: Tensor = self.project(torch.cat(attended))

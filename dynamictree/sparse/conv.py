@@ -1,4 +1,4 @@
-"""3³ convolution over occupied voxels only (submanifold), as one small matrix product a neighbour direction."""
+"""3³ convolution over occupied voxels only (submanifold), as one small matrix product per neighbour direction."""
 
 import math
 
@@ -11,9 +11,9 @@ from dynamictree.voxel.graph import CENTRE
 
 
 class SubmanifoldConv(nn.Module):
-    """A dense 3³ convolution's values at the occupied voxels, where empty voxels count as zero.
+    """Dense 3³ convolution, evaluated at the occupied voxels only; empty voxels count as zero.
 
-    Axes between the rows and the channels (frequencies) are carried along: one gather serves all of them.
+    Axes between the rows and the channels (frequencies) share one gather.
     """
 
     def __init__(self, in_channels: int, out_channels: int, *, bias: bool = True) -> None:

@@ -44,7 +44,7 @@ class SparseLevel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pyramid:
-    """A grid and its coarser ones, each voxel twice as large: level l + 1 holds the parents of level l, no more."""
+    """A grid and its coarser ones, with voxels twice as large each: level l + 1 has exactly the parents of level l."""
 
     levels: tuple[SparseLevel, ...]
     parents: tuple[Int64[Tensor, " _"], ...]  # row in level l + 1 of each voxel of level l
@@ -58,13 +58,13 @@ class Pyramid:
 
 
 def sparse_level(coords: Int64[Tensor, "V 3"]) -> SparseLevel:
-    """The neighbour pairs of one sample's voxels, which may come in any order."""
+    """Build the level of one sample's voxels, which may be in any order."""
     pairs = tuple((torch.from_numpy(a), torch.from_numpy(b)) for a, b in neighbour_pairs(coords.numpy()))
     return SparseLevel(coords=coords, sizes=(len(coords),), pairs=pairs)
 
 
 def pyramid(coords: Int64[Tensor, "V 3"], num_levels: int) -> Pyramid:
-    """One sample's grid and `num_levels` - 1 coarser ones."""
+    """Build one sample's grid and `num_levels` - 1 coarser ones."""
     levels = [sparse_level(coords)]
     parents = []
     for _ in range(num_levels - 1):
@@ -75,7 +75,7 @@ def pyramid(coords: Int64[Tensor, "V 3"], num_levels: int) -> Pyramid:
 
 
 def batch_levels(levels: Sequence[SparseLevel]) -> SparseLevel:
-    """Several samples as one batch; no pair crosses from one to another."""
+    """Join several samples to one batch; no pair crosses from one to another."""
     starts = _starts([len(level) for level in levels])
     pairs = tuple(
         (
@@ -89,7 +89,7 @@ def batch_levels(levels: Sequence[SparseLevel]) -> SparseLevel:
 
 
 def batch_pyramids(pyramids: Sequence[Pyramid]) -> Pyramid:
-    """Several samples' pyramids of equal depth as one."""
+    """Join several samples' pyramids of equal depth."""
     levels = tuple(batch_levels(same) for same in zip(*(one.levels for one in pyramids), strict=True))
     parents = []
     for depth in range(len(levels) - 1):
@@ -99,7 +99,7 @@ def batch_pyramids(pyramids: Sequence[Pyramid]) -> Pyramid:
 
 
 def turn_level(level: SparseLevel, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> SparseLevel:
-    """The same voxels seen from elsewhere: new axis i is old axis `axes[i]` times `signs[i]`. Rows keep their order."""
+    """Permute and flip axes: new axis i is old axis `axes[i]` times `signs[i]`. Rows keep their order."""
     pairs: list[Pair | None] = [None] * CENTRE
     for (first, second), offset in zip(level.pairs, OFFSETS, strict=False):
         turned = tuple(sign * offset[axis] for axis, sign in zip(axes, signs, strict=True))
@@ -110,12 +110,12 @@ def turn_level(level: SparseLevel, axes: tuple[int, int, int], signs: tuple[int,
 
 
 def turn_pyramid(grids: Pyramid, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> Pyramid:
-    """`turn_level` of every level: a turn by 90° or a mirror, exact and without building the pairs again."""
+    """Apply `turn_level` to every level: an exact turn by 90° or mirror, without building the pairs again."""
     return Pyramid(levels=tuple(turn_level(level, axes, signs) for level in grids.levels), parents=grids.parents)
 
 
 def _unique_rows(coords: Int64[Tensor, "V 3"]) -> tuple[Int64[Tensor, "W 3"], Int64[Tensor, " V"]]:
-    """`torch.unique(coords, dim=0, return_inverse=True)`, ten times as fast by way of one key a row."""
+    """Compute `torch.unique(coords, dim=0, return_inverse=True)` ten times as fast, with one key per row."""
     low = coords.amin(dim=0)
     span = int((coords - low).amax()) + 1
     x, y, z = (coords - low).unbind(dim=1)

@@ -1,7 +1,7 @@
-"""Between the fine voxels and the coarser nodes that the diffusion runs on; and noise that is smooth along the tree.
+"""Sparse matrices between fine voxels and the coarser nodes of the diffusion, and for noise smooth along the tree.
 
-All three are sparse matrices of a tree, made once: `pool` (mean over a node's voxels), `lift` (back, smooth, and only
-over voxels that touch) and a `NoiseBasis` (rows of unit length, so that white numbers in give unit variance out).
+They are built once per tree: `pool_matrix` (mean over a node's voxels), `raise_matrix` (back, smooth, and only over
+touching voxels) and `unit_rows` (rows of unit length, so that white noise keeps unit variance).
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class SparseRows:
     num_columns: int
 
     def apply(self, values: Float[Tensor, "W ..."]) -> Float[Tensor, "V ..."]:
-        """Matrix times values."""
+        """Multiply the matrix by values."""
         flat = values.reshape(self.num_columns, -1)
         product = functional.embedding_bag(
             self.columns, flat, self.starts, mode="sum", per_sample_weights=self.weights.to(flat.dtype)
@@ -38,7 +38,7 @@ class SparseRows:
 
 
 def sparse_rows(matrix: csr_array) -> SparseRows:
-    """Take a scipy matrix over to torch."""
+    """Convert a scipy matrix to torch."""
     return SparseRows(
         columns=torch.from_numpy(matrix.indices.astype(np.int64)),
         starts=torch.from_numpy(matrix.indptr[:-1].astype(np.int64)),
@@ -48,7 +48,7 @@ def sparse_rows(matrix: csr_array) -> SparseRows:
 
 
 def touching(level: SparseLevel) -> csr_array:
-    """Adjacency of the 26 neighbours with the voxel itself, rows summing to one."""
+    """Return the matrix of means over each voxel and those of its 26 neighbours that are occupied."""
     first, second = (torch.cat([pair[side] for pair in level.pairs]).numpy() for side in (0, 1))
     own, shape = np.arange(len(level)), (len(level), len(level))
     rows, columns = np.concatenate([first, second, own]), np.concatenate([second, first, own])
@@ -57,14 +57,14 @@ def touching(level: SparseLevel) -> csr_array:
 
 
 def link_matrices(links: Int64[Tensor, "L 2"], size: int) -> tuple[csr_array, csr_array]:
-    """Mean over what bears a row, and mean over what it bears; rows without any stay zero."""
+    """Return the matrices of means over the bearers of a row, and over the rows it bears; rows without any are zero."""
     rows, bearers = links.numpy().T
     down = csr_array((np.ones(len(rows), np.float32), (rows, bearers)), shape=(size, size))
     return _row_normalised(down), _row_normalised(csr_array(down.T))
 
 
 def raise_matrix(grids: Pyramid, coarse: int, fine: int, *, steps: int = LIFT_STEPS) -> csr_array:
-    """[V_fine, V_coarse]: nearest, smoothed by `steps` at every level on the way; rows sum to one."""
+    """Return [V_fine, V_coarse]: nearest interpolation, smoothed by `steps` at every level; rows sum to one."""
     matrix = csr_array(eye_array(len(grids.levels[coarse]), format="csr", dtype=np.float32))
     for depth in range(coarse - 1, fine - 1, -1):
         matrix = csr_array(matrix[grids.parents[depth].numpy()])
@@ -75,7 +75,7 @@ def raise_matrix(grids: Pyramid, coarse: int, fine: int, *, steps: int = LIFT_ST
 
 
 def pool_matrix(grids: Pyramid, coarse: int, fine: int) -> csr_array:
-    """[V_coarse, V_fine]: mean over the fine voxels of each coarse one."""
+    """Return [V_coarse, V_fine]: mean over the fine voxels of each coarse one."""
     ancestor = grids.rows_above(coarse, fine)
     ones = np.ones(len(ancestor), np.float32)
     shape = (len(grids.levels[coarse]), len(ancestor))
@@ -83,7 +83,7 @@ def pool_matrix(grids: Pyramid, coarse: int, fine: int) -> csr_array:
 
 
 def unit_rows(matrix: csr_array) -> csr_array:
-    """Rows of unit length: white numbers of variance one in, numbers of variance one out."""
+    """Scale rows to unit length, so that white noise of unit variance keeps it."""
     lengths = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
     return csr_array(diags_array(1 / lengths) @ matrix)
 

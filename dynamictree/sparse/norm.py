@@ -1,4 +1,4 @@
-"""GroupNorm a sample, over all of its voxels."""
+"""GroupNorm per sample, over all of its voxels."""
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from dynamictree.sparse.level import SparseLevel
 
 
 class SampleGroupNorm(nn.Module):
-    """`torch.nn.GroupNorm` of each sample by itself; axes between rows and channels are normalised apart."""
+    """`torch.nn.GroupNorm` per sample; axes between rows and channels are normalised separately."""
 
     def __init__(self, num_groups: int, channels: int, *, eps: float = 1e-5) -> None:
         super().__init__()
@@ -24,7 +24,7 @@ class SampleGroupNorm(nn.Module):
         scale: Float[Tensor, "B *inner C"] | None = None,
         shift: Float[Tensor, "B *inner C"] | None = None,
     ) -> Float[Tensor, "V *inner C"]:
-        """Normalise; with `scale` and `shift` a sample, also multiply by 1 + scale and add shift."""
+        """Normalise; with `scale` and `shift` per sample, also multiply by 1 + scale and add shift."""
         normalised = []
         for index, rows in enumerate(level.sample_slices):
             sample = features[rows]

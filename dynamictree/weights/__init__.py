@@ -8,12 +8,12 @@ from dynamictree.errors import InputError
 SHIPPED = Path(__file__).parent
 SUFFIX = ".safetensors"
 CHECKPOINT = "checkpoint"
-"""Name of a training's state, which a run's folder holds beside its weights."""
+"""File name of a training's state, which is beside the weights in a run's folder."""
 ENVIRONMENT_VARIABLE = "DYNAMICTREE_MODELS"
 
 
 def list_weights() -> dict[str, Path]:
-    """Weights files by model name. A user's model replaces a shipped one of the same name."""
+    """Return weights files by model name. A user's model replaces a shipped one of the same name."""
     folders = [SHIPPED]
     if os.environ.get(ENVIRONMENT_VARIABLE):
         folders.append(Path(os.environ[ENVIRONMENT_VARIABLE]))
@@ -22,7 +22,7 @@ def list_weights() -> dict[str, Path]:
 
 
 def weights_path(name_or_path: str) -> Path:
-    """The weights file of a model, by its name or its path.
+    """Return the weights file of a model, by its name or its path.
 
     Raises:
         InputError: there is no such model.
