@@ -1,4 +1,4 @@
-"""The sRGB transfer curve, IEC 61966-2-1: display values to linear light and back, both in [0, 1]; greys."""
+"""The sRGB transfer curve (IEC 61966-2-1) between display values and linear light, both in [0, 1]; and greys."""
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -9,7 +9,7 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, BT.709
 
 
 def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Encode linear light for a display; the precision stays."""
+    """Encode linear light as display values; the data type does not change."""
     bounded = np.clip(linear, 0, 1)
     curved = 1.055 * np.maximum(bounded, LINEAR_END) ** (1 / 2.4) - 0.055
     display: Float[np.ndarray, "*shape"] = np.where(bounded <= LINEAR_END, 12.92 * bounded, curved).astype(linear.dtype)
@@ -17,7 +17,7 @@ def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*s
 
 
 def srgb_to_linear(display: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Decode display values to linear light; undoes `linear_to_srgb`."""
+    """Decode display values to linear light; inverse of `linear_to_srgb`."""
     display_end = 0.04045  # `LINEAR_END` as a display value
     curved = ((display + 0.055) / 1.055) ** 2.4
     return np.where(display <= display_end, display / 12.92, curved).astype(display.dtype)

@@ -17,7 +17,7 @@ _PARTIAL = ".partial-"
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for reading; the error of a failure names what is wrong with the path.
+    """Open a file for reading, with an error message that explains what is wrong with the path.
 
     Raises:
         InputError: it cannot be read.

@@ -70,7 +70,7 @@ class MeshLook:
     normals: Float32[np.ndarray, "N 3"] | None = None  # unit normals of the source; 0 where it has none
 
     def of(self, vertices: Int[np.ndarray, " n"], faces: Bool[np.ndarray, " F"]) -> "MeshLook":
-        """The look of the selected vertices and faces."""
+        """Return the look of the selected vertices and faces."""
         return MeshLook(
             uv=None if self.uv is None else self.uv[vertices],
             vertex_colors=None if self.vertex_colors is None else self.vertex_colors[vertices],
@@ -260,7 +260,7 @@ def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray
 
 
 def unit_vectors(vectors: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
-    """Normalize vectors; components that are not finite count as 0, and a zero vector stays 0."""
+    """Normalise vectors; components that are not finite count as 0, and a zero vector stays 0."""
     sound = np.nan_to_num(vectors, nan=0.0, posinf=0.0, neginf=0.0)
     length = np.linalg.norm(sound, axis=1, keepdims=True)
     units: Float32[np.ndarray, "N 3"] = (sound / np.where(length > 0, length, 1)).astype(np.float32)
@@ -300,7 +300,7 @@ def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32
 def part_bounds(
     part: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
-    """Low and high corner of the points of each part [m]."""
+    """Return the low and high corner of the points of each part [m]."""
     low, high = np.full((int(part.max()) + 1, 3), np.inf), np.full((int(part.max()) + 1, 3), -np.inf)
     np.minimum.at(low, part, points)
     np.maximum.at(high, part, points)

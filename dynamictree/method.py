@@ -86,7 +86,7 @@ def generate(
 
     By default the pace follows the tree's height: periods of 4.17 s up to 7 m and 16.7 s from 22 m, and trees below 8 m
     are faster than the simulator's (a paper's model: 4.17 s, and no faster).
-    With `wind_bands` the model also generates five other winds, which give the strength of each mode there.
+    With `wind_bands` the model also runs for five other winds, to find the strength of each mode there.
     `foliage` is 0 for a bare tree and 1 for one in leaf; by default it is estimated from the shape, except for surfaces
     made from a cloud (`of_cloud`).
     `on_step` receives the number of completed sampler steps and their total.

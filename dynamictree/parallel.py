@@ -21,7 +21,7 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_BANDS = 12  # more than cores, so that an empty sky at one end leaves no core idle
+_BANDS = 12  # more bands than cores, so that bands without work leave no core idle
 _this_thread = threading.local()
 
 
@@ -31,13 +31,13 @@ def compiled(kernel: Kernel) -> Kernel:
 
 
 def compiled_fused(kernel: Kernel) -> Kernel:
-    """As `compiled`; products and sums may be fused, and the sign of zero is ignored."""
+    """Compile like `compiled`; products and sums may be fused, and the sign of zero is ignored."""
     fused = {"contract", "nsz"}
     return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fused)(kernel))
 
 
 def compiled_reordered(kernel: Kernel) -> Kernel:
-    """As `compiled_fused`; sums may also be reordered, so that they vectorize."""
+    """Compile like `compiled_fused`; sums may also be reordered, so that they vectorize."""
     reordered = {"contract", "nsz", "reassoc"}
     return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=reordered)(kernel))
 
@@ -62,7 +62,7 @@ def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -
         for first, end in bands:
             kernel(first, end, *arguments)
 
-    # The calling thread takes bands too: starting threads is a tenth of a fast kernel's time.
+    # The calling thread takes bands too: starting a thread costs a tenth of a fast kernel's time.
     others = min(num_cores(), num_bands) - 1
     with ThreadPoolExecutor(max(others, 1)) as pool:
         calls = [pool.submit(take_bands) for _ in range(others)]
@@ -92,5 +92,5 @@ def single_thread() -> AbstractContextManager[object]:
 
 @cache
 def _blas() -> ThreadpoolController:
-    """The BLAS that numpy has loaded."""
+    """Return the controller of the BLAS that numpy has loaded."""
     return ThreadpoolController()

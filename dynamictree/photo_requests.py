@@ -9,9 +9,9 @@ from pydantic.config import JsonDict
 from dynamictree.request_model import Box, Finite, Request, Share
 
 MIN_PHOTOS, MAX_PHOTOS = 8, 300
-"""Numbers of photos that one reconstruction accepts."""
+"""Least and largest number of photos of one reconstruction."""
 PHOTOS_OF_VIDEO = 40
-"""Default number of frames of a film: one per 9° of a circle, so that neighbours match; all pairs take minutes."""
+"""Default number of frames of a film: one per 9° of a circle, so that neighbours match; matching takes minutes."""
 
 
 Quality = Literal["draft", "standard", "high"]
@@ -25,7 +25,7 @@ class QualityLimits:
     splat_px: int  # long side of the pictures that the splat is learned from
     max_gaussians: int
     sh_degree: int  # degree of the colours' spherical harmonics
-    max_views: int  # photos that depths and splat are made of, evenly chosen; cameras are found for all
+    max_views: int  # photos for depths and splat, evenly chosen; cameras are found for all
     num_steps: int  # training steps where `splat_steps` is unset
 
 

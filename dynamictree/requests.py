@@ -59,7 +59,7 @@ UpAxis = Annotated[
     StringConstraints(max_length=80, pattern=f"^([+-]?[XYZxyz]|{DIRECTION_PATTERN})$"),
     AfterValidator(lambda axis: f"+{axis.upper()}" if len(axis) == 1 else axis.upper()),
 ]
-"""One of +X, -X, +Y, -Y, +Z and -Z, where the + may be missing, or a direction."""
+"""One of +X, -X, +Y, -Y, +Z and -Z, with an optional +, or a direction."""
 
 
 class Reading(Request):

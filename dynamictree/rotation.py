@@ -8,12 +8,12 @@ from dynamictree.errors import InputError
 
 
 def quaternion_matrices(quaternions: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:
-    """The rotation matrix of each unit quaternion; its columns are the turned axes."""
+    """Return the rotation matrix of each unit quaternion; its columns are the turned axes."""
     return np.asarray(Rotation.from_quat(quaternions, scalar_first=True).as_matrix(), quaternions.dtype)
 
 
 def matrix_quaternions(rotations: Float[np.ndarray, "G 3 3"]) -> Float[np.ndarray, "G 4"]:
-    """The unit quaternion of each rotation matrix, w >= 0."""
+    """Return the unit quaternion of each rotation matrix, with w >= 0."""
     turns = Rotation.from_matrix(rotations, assume_valid=True)
     return np.asarray(turns.as_quat(canonical=True, scalar_first=True), rotations.dtype)
 
@@ -34,7 +34,7 @@ def quaternion_products(left: Float[np.ndarray, "#G 4"], right: Float[np.ndarray
 
 
 def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
-    """Normalize quaternions to unit length.
+    """Normalise quaternions to unit length.
 
     Raises:
         InputError: a quaternion of length zero, which is no rotation.

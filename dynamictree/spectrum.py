@@ -21,7 +21,7 @@ from dynamictree.wind_bands import WindBands, power_law
 NUM_FREQUENCIES = 16  # K, paper section 3.2
 NUM_FRAMES = 100  # T, paper section 5
 FPS = 24.0  # Blender's default, in which the paper's dataset was baked
-STEPS = 32767  # largest value of quantized numbers in 16 bits
+STEPS = 32767  # largest value of quantised numbers in 16 bits
 _FRAMES_AT_ONCE, _VALUES_AT_ONCE = 16, 4_000_000
 
 UNKNOWN_FOLIAGE = 0.6
@@ -39,7 +39,7 @@ class SparseVoxelSpectrum:
     tree: Int32[np.ndarray, " V"] | None = None  # index of the voxel's tree; None if there is one
     fps: float = FPS
     num_frames: int = NUM_FRAMES
-    rest: Rest = "unloaded"  # what zero displacement means; by default c_0 is the lean
+    rest: Rest = "unloaded"  # meaning of zero displacement; by default c_0 is the lean
     model: str = ""
     seed: int = 0
     wind: Wind | None = None
@@ -106,7 +106,7 @@ def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " 
 def in_steps(
     modes: Complex64[np.ndarray, "N M 3"],
 ) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
-    """Quantize modes to 16 bits; return them and the step size of each."""
+    """Quantise modes to 16 bits; return them and the step size of each."""
     parts = np.stack([modes.real, modes.imag], axis=-1)
     step = np.maximum(np.abs(parts).max(axis=(0, 2, 3), initial=0) / STEPS, np.finfo(np.float32).tiny)  # [M]
     return np.clip(np.rint(parts / step[:, None, None]), -STEPS, STEPS).astype(np.int16), step

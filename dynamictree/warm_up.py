@@ -61,7 +61,7 @@ def animate_splat() -> None:
 
 
 def pole() -> TriangleMesh:
-    """A square pole of 1 m with a leaf at its top."""
+    """Return a square pole of 1 m with a leaf at its top."""
     ring = np.array([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]])
     rings = [np.column_stack([ring, np.full(4, height)]) for height in np.linspace(0, 1, 6)]
     leaf = np.array([[0.05, 0, 0.9], [0.25, 0.02, 0.95], [0.2, 0.15, 1.0]])

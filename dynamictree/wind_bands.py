@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from dynamictree.errors import InputError
 
 BANDS_M_S = {"calm": 1.0, "breeze": 4.0, "wind": 8.0, "gale": 14.0, "storm": 20.0}
-"""Mean wind speeds that the model generates [m/s]."""
+"""Mean wind speeds for which the model is run [m/s]."""
 DRAG_EXPONENT = 1.4  # exponent of the speed up to 12 m/s: plants bend out of the way, Vogel 1989
 SLOWEST_M_S, FASTEST_M_S = 0.1, 30.0
 
@@ -46,7 +46,7 @@ class WindBands:
 
 
 def drag(speed_m_s: Float64[np.ndarray, "*S"] | np.float64) -> Float64[np.ndarray, "*S"]:
-    """D(U): U^1.4 up to 12 m/s; above, where crowns streamline, in proportion to U (docs/decisions/modal.md)."""
+    """Return the drag D(U): U^1.4 up to 12 m/s; above, as crowns streamline, linear (docs/decisions/modal.md)."""
     return np.asarray(speed_m_s * np.minimum(speed_m_s, 12.0) ** (DRAG_EXPONENT - 1))
 
 

@@ -18,7 +18,7 @@ def cards_of(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
 ) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
     """Return upright cards that cross at the tree's axis, one per view, and their spectra, averaged over the tree's."""
-    card_rows, card_columns = 6, 4  # faces of a card
+    card_rows, card_columns = 6, 4  # quads of a card
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     middle, height = (low + high) / 2, float(high[2] - low[2])
     half = float(np.abs(mesh.vertices[:, :2] - middle[:2]).max())

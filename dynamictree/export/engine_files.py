@@ -32,7 +32,7 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     for number, level in enumerate(levels):
         report(0.8 + 0.2 * number / len(levels))
         single = io.BytesIO()
-        level_mesh = replace(level.mesh, gltf=None)  # all with the same materials
+        level_mesh = replace(level.mesh, gltf=None)  # all levels have the same materials
         write_motion_glb(level_mesh, level.coefficients, single, num_frames=num_frames, fps=tree.loop_fps)
         files.append((f"tree-lod{number}.glb", single.getvalue()))
     write_stored_zip(stream, ((name, [content]) for name, content in files))

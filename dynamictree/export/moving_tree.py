@@ -62,7 +62,7 @@ class MovingTree:
 
     @cached_property
     def coefficients(self) -> Complex64[np.ndarray, "N K 3"]:
-        """K frequencies of the vertices' loop [m]."""
+        """The vertices' loop with K frequencies [m]."""
         return self.rig.loop(self.mesh.vertices, self.rig.vertices)
 
     @cached_property

@@ -35,7 +35,7 @@ def sequence_bytes(
         "usd": 12 * vertices,
         "alembic": 12 * vertices,
         "splat-ply": 4 * (14 + 3 * (degree + 1) ** 2) * gaussians,
-        "usd-splat": (12 + 8) * gaussians,  # places in floats, rotations in halves
+        "usd-splat": (12 + 8) * gaussians,  # positions in floats, rotations in half floats
     }
     sizes = {name: per_frame[name] * num_frames for name in formats if name in per_frame}
     for name, size in sizes.items():

@@ -113,7 +113,7 @@ def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_
 
 
 def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) -> None:
-    """Write the products that are made of pictures, which are drawn once; a video alone is written as it is drawn."""
+    """Write the products made of pictures, which are drawn once; a single product is written while they are drawn."""
     from dynamictree.render.video import spooled
 
     drawn = draw(tree, report)

@@ -15,7 +15,7 @@ from dynamictree.voxel.grid import VoxelGrid
 
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
-    """Summarize a mesh: counts, bounds [m] and how the source's axes and units were read."""
+    """Summarise a mesh: counts, bounds [m] and how the source's axes and units were read."""
     most_names = 50  # names of parts that are listed
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return {
@@ -38,7 +38,7 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
 
 
 def describe_capture(capture: Capture) -> dict[str, Any]:
-    """Summarize a cloud: counts, bounds [m] and how the source's axes and units were read."""
+    """Summarise a cloud: counts, bounds [m] and how the source's axes and units were read."""
     cloud = capture.cloud
     sizes = np.bincount(np.zeros(0, np.uint8) if capture.part_of is None else capture.part_of, minlength=1)[1:]
     low, high = cloud.means.min(axis=0).astype(np.float64), cloud.means.max(axis=0).astype(np.float64)
@@ -63,7 +63,7 @@ def describe_capture(capture: Capture) -> dict[str, Any]:
 def describe_trees(
     points: Float32[np.ndarray, "P 3"], tree: Int32[np.ndarray, " P"] | None
 ) -> list[dict[str, int | float]]:
-    """Summarize the trees of points: number, foot [m] and height [m] of each; one tree if `tree` is None."""
+    """Summarise the trees of points: number, foot [m] and height [m] of each; one tree if `tree` is None."""
     foot = 0.05  # share of a tree's height: the lowest part, whose middle is the tree's place
     numbers = np.zeros(len(points), np.int32) if tree is None else tree
     described: list[dict[str, int | float]] = []
@@ -79,7 +79,7 @@ def describe_trees(
 
 
 def describe_grid(grid: VoxelGrid) -> dict[str, Any]:
-    """Summarize a voxel grid: counts and bounds [m]."""
+    """Summarise a voxel grid: counts and bounds [m]."""
     centres = grid.centres_m.astype(np.float64)
     low, high = centres.min(axis=0), centres.max(axis=0)
     return {
@@ -92,7 +92,7 @@ def describe_grid(grid: VoxelGrid) -> dict[str, Any]:
 
 
 def describe_spectrum(spectrum: SparseVoxelSpectrum) -> dict[str, Any]:
-    """Summarize a spectrum: grid, frequencies [Hz], loop [s], and how the motion was generated."""
+    """Summarise a spectrum: grid, frequencies [Hz], loop [s], and how the motion was generated."""
     wind = spectrum.wind
     return describe_grid(spectrum.grid) | {
         "num_frequencies": spectrum.num_frequencies,

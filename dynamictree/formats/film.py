@@ -116,7 +116,7 @@ def decoded(video: Path, *output: str, name: str | None = None, log: IO[bytes] |
 
 
 def ffmpeg_program() -> str:
-    """Path of ffmpeg.
+    """Return the path of ffmpeg.
 
     Raises:
         InputError: the extra `video` is not installed.

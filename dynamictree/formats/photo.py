@@ -32,7 +32,7 @@ def open_photo(path: Path, name: str) -> Image.Image:
 
 
 def is_heif(path: Path) -> bool:
-    """Whether the file begins as HEIC photos do."""
+    """Whether a file begins like a HEIC photo."""
     with path.open("rb") as stream:
         head = stream.read(12)
     return head[4:8] == b"ftyp" and head[8:] in _HEIF_BRANDS

@@ -220,7 +220,7 @@ def _rows(body: SeekableReader, header: PlyHeader, element: PlyElement) -> Shape
 def _lists(
     content: bytes, layout: list[_Property], element: PlyElement, name: str
 ) -> tuple[Shaped[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
-    """Read the items of one list in all rows, and their number per row; vectorized if all have the same number."""
+    """Read the items of one list in all rows, and their number per row; vectorised if all have the same number."""
     fields, lengths, at = list[tuple[str, np.dtype[np.generic], tuple[int, ...]]](), dict[str, int](), 0
     for label, types in layout:
         length = _length(content, at, types, element)

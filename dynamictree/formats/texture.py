@@ -66,7 +66,7 @@ def decoded_image(
         image.load()
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise FormatError(f"{what} is no image of {', '.join(formats)}; convert it") from error
-    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:  # what Pillow's decoders raise
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:  # raised by Pillow's decoders
         raise FormatError(f"{what} is damaged: {str(error)[:120]}") from error
     return image
 

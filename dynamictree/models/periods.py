@@ -124,7 +124,7 @@ def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) 
 
 
 def _enlargement(height_m: float, times: float) -> float:
-    """Return H / h: the ratio to the height of the tree that the model moves `times` as fast as a real tree of H."""
+    """Return H / h, where the model moves a tree of height h `times` as fast as a real tree of height H sways."""
     shorter_m = (learned_law_hz(1.0) / (times * height_law_hz(height_m))) ** 2
     return max(height_m / float(shorter_m), 1.0)
 

@@ -49,7 +49,7 @@ def run_on_cores(calls: Iterable[Callable[[], Result]], device: torch.device = C
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit each call into torch or BLAS to the thread that makes it."""
+    """Limit torch and BLAS to the calling thread within a context."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,4 +1,4 @@
-"""Trained weights as a safetensors file whose metadata says which network they belong to and how it was trained."""
+"""Trained weights in a safetensors file; its metadata record the network and how it was trained."""
 
 import json
 from dataclasses import asdict, dataclass, field

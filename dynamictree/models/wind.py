@@ -14,7 +14,7 @@ MIN_GUST = 0.01
 
 
 def wind_axes(wind: Wind) -> Float32[np.ndarray, "3 3"]:
-    """Unit vectors downwind, crosswind and up, one per row."""
+    """Return unit vectors downwind, crosswind and up, one per row."""
     angle = math.radians(wind.direction_deg)
     cosine, sine = math.cos(angle), math.sin(angle)
     return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)

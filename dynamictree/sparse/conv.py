@@ -55,7 +55,7 @@ class _PairwiseConv(torch.autograd.Function):
         features, weight = ctx.saved_tensors  # type: ignore[attr-defined]
         level: SparseLevel = ctx.level  # type: ignore[attr-defined]
         gradient = gradients[0].contiguous()
-        # what flows out through tap i flows back through the opposite tap
+        # gradients of tap i flow back through the opposite tap
         to_features = _walk(gradient, weight.flip(0).transpose(1, 2), level) if ctx.needs_input_grad[0] else None  # type: ignore[attr-defined]
         to_weight = torch.empty_like(weight)
         torch.mm(_flat(features).T, _flat(gradient), out=to_weight[CENTRE])

@@ -1,4 +1,4 @@
-"""glTF and GLB to one triangle mesh: parts, materials, textures, placed and instanced nodes, skins at rest, Draco.
+"""Read glTF and GLB as one triangle mesh: parts, materials, textures, placed and instanced nodes, skins at rest, Draco.
 
 Vertices are ordered by node, as in the file (parents before children), then by primitive of a mesh, then as in their
 accessor. Primitives of a node that share their accessors share their vertices.

@@ -25,7 +25,7 @@ from dynamictree.up_axis import up_rotation
 
 
 class Packing(NamedTuple):
-    """How a file is packed: by meshoptimizer, and with textures as WebP where that is smaller."""
+    """Packing of a file: compression by meshoptimizer, and WebP textures where these are smaller."""
 
     compressed: bool
     as_webp: bool

@@ -96,7 +96,7 @@ def _colors(rows: Shaped[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:
 
 
 def _material(content: bytes, companions: Mapping[str, bytes]) -> Material | None:
-    """Material of the texture that a `comment TextureFile` names, if it was uploaded."""
+    """Return the material of the texture that `comment TextureFile` names, if it was uploaded."""
     for line in content[:65_536].partition(b"end_header")[0].splitlines():
         words = line.decode("latin-1").split(maxsplit=2)
         if words[:2] == ["comment", "TextureFile"] and len(words) == 3:

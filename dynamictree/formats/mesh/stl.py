@@ -33,7 +33,7 @@ def read_stl(content: bytes) -> TriangleMesh:
 
 
 def is_ascii_stl(head: bytes) -> bool:
-    """Whether it begins as ASCII STL; some binary files begin with `solid` too, but have no facet soon after."""
+    """Whether a file begins as ASCII STL; some binary files begin with `solid` too, but have no facet soon after."""
     return head.lstrip()[:5].lower() == b"solid" and b"facet" in head[:1024].lower()
 
 

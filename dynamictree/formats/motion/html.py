@@ -58,12 +58,12 @@ _IMPORT = re.compile(r"""(from\s*|import\s*)(["'])(\.{1,2}/[^"']*)\2""")
 
 
 def write_html(glb: bytes, stream: BinaryIO, *, title: str) -> None:
-    """Write a page that shows the first animation of a GLB, with a camera that the reader moves."""
+    """Write a page that shows the first animation of a GLB, with a camera that the user moves."""
     _write_page("player_mesh.js", glb, stream, title)
 
 
 def write_splat_html(splat: AnimatedSplat, stream: BinaryIO, *, title: str) -> None:
-    """Write a page that plays the loop of a splat, with a camera that the reader moves.
+    """Write a page that plays the loop of a splat, with a camera that the user moves.
 
     Raises:
         InputError: the splat is too large for a page.

@@ -131,7 +131,7 @@ def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Return half the root mean square distance to the nearest points, clipped to a few medians [the points' unit]."""
     most_neighbours = 3  # Kerbl et al. 2023, section 5.2: scale by the distance of the three nearest neighbours
     largest_spacing = 4.0  # medians; a stray point stays small
-    from scipy.spatial import KDTree  # takes 0.3 s, which readers of other formats save
+    from scipy.spatial import KDTree  # import takes 0.3 s, which other formats do not need
 
     num_neighbours = min(most_neighbours, len(points) - 1)
     distances = np.asarray(KDTree(points).query(points, num_neighbours + 1, workers=-1)[0])  # [G, 1 + neighbours]

@@ -31,7 +31,7 @@ _HEAD_BYTES = 1 << 16
 def read_points_text(stream: SeekableReader) -> Scan:
     """Read lines of numbers, separated by blanks, tabs, commas, semicolons or bars.
 
-    Lines before the first number are skipped; the last of them that names x, y and z, commented or not, gives the
+    Lines before the first number are skipped; the last of them that names x, y and z, commented or not, sets the
     columns. Without names the first three columns are x, y and z, and a colour is detected by its range.
     Rows that are not finite, and rows of zeros where a scanner measured nothing, are left out.
 

@@ -1,4 +1,4 @@
-"""Compressed PLY files of PlayCanvas' SuperSplat: 16 bytes per Gaussian, quantized in the bounds of chunks of 256."""
+"""Compressed PLY files of PlayCanvas' SuperSplat: 16 bytes per Gaussian, quantised in the bounds of chunks of 256."""
 
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt32
@@ -74,7 +74,7 @@ def _unpack_11_10_11(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3
 
 
 def _rotation(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 4"]:
-    """Unpack quaternions: 2 bits give the index of the largest of w, x, y, z; 10 bits each of the others, in ±1/√2."""
+    """Unpack quaternions: 2 bits name the largest of w, x, y, z; 10 bits store each other component, in ±1/√2."""
     others = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1).astype(np.float32)
     others = (others / np.float32(1023) - 0.5) * np.float32(np.sqrt(2))  # [G, 3]
     return with_largest(others, (bits >> 30).astype(np.intp))

@@ -1,4 +1,4 @@
-""".ksplat files of GaussianSplats3D, version 0.1: sections of Gaussians, with positions quantized in buckets.
+""".ksplat files of GaussianSplats3D, version 0.1: sections of Gaussians, with positions quantised in buckets.
 
 Compression level 0 stores floats, level 1 half floats and 16-bit positions, level 2 the same with 8-bit harmonics.
 """

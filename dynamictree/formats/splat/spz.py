@@ -31,7 +31,7 @@ _MAGIC = 0x5053474E  # "NGSP"
 _LEGACY_HEADER = struct.Struct("<IIIBBBB")
 _HEADER = struct.Struct("<IIIBBBBI12x")
 _COLOR_SCALE = 0.15  # scale from the coefficient of degree 0 to the stored colour
-_SMALLEST_THREE = (1 << 9) - 1  # steps per magnitude of a quaternion's smaller component
+_SMALLEST_THREE = (1 << 9) - 1  # number of steps for the magnitude of a quaternion's smaller component
 
 
 def read_spz(stream: SeekableReader) -> GaussianCloud:
@@ -188,7 +188,7 @@ def _first_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 
 
 
 def _smallest_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
-    """Unpack quaternions: 2 bits give the index of the largest of x, y, z, w; 10 bits (sign, magnitude) each other."""
+    """Unpack quaternions: 2 bits name the largest of x, y, z, w; 10 bits (sign, magnitude) store each other one."""
     bits = packed.view("<u4").astype(np.uint32)
     stored = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1)
     magnitude = (stored & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))

@@ -20,7 +20,7 @@ class _Facts(BaseModel):
 
 
 def write_rig(rig: Rig, stream: ByteWriter) -> None:
-    """Write a rig; `read_rig` restores rigs of `rig_of` exactly, as these are quantized like the file."""
+    """Write a rig; `read_rig` restores rigs of `rig_of` exactly, as these are quantised like the file."""
     turns, steps = in_steps(rig.turns)
     tensors = {
         "parent": rig.skeleton.parent,

@@ -41,13 +41,13 @@ class TreeFeatures:
 
     grids: Pyramid
     scalars: Float32[Tensor, "V S"]
-    vectors: Float32[Tensor, "V A 3"]  # axes of the grid
+    vectors: Float32[Tensor, "V A 3"]  # components along the grid's axes
     height_m: Float32[Tensor, " B"]
     links: Int64[Tensor, "L 2"]  # rows, and the next rows on the way to the root
     chain: Int64[Tensor, "V C"]  # rows where the way to the root enters each of CHAIN stems, and the feet of these
     girth: Float32[Tensor, "V C"]  # ln of the radius of the cross-section at these [m]
     surface: Float32[Tensor, "V I"]  # see `surface_features`; nodes have none
-    tensors: Float32[Tensor, "V R 3 3"]  # axes of the grid
+    tensors: Float32[Tensor, "V R 3 3"]  # components along the grid's axes
 
 
 def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:

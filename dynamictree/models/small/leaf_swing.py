@@ -21,10 +21,10 @@ MAX_GAIN = 2.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leaves:
-    """The leaf of each voxel, with a weight."""
+    """Leaf of each voxel: base, direction and weight."""
 
     base: Int64[Tensor, " V"]  # voxel that the leaf grows from; for wood, the voxel itself
-    outward: Float32[Tensor, "V 3"]  # unit vector from there
+    outward: Float32[Tensor, "V 3"]  # unit vector from the base to the voxel
     share: Float32[Tensor, " V"]  # 0 on wood and at a leaf's base
 
     def swing(self, spectrum: Complex64[Tensor, "V K 3"]) -> Complex64[Tensor, "V K 3"]:

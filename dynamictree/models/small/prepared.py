@@ -55,7 +55,7 @@ class PreparedTree:
     spread: Float32[Tensor, "J 3"]  # spread of sizes about the amplitude
     leaf_share: Float32[Tensor, "V J 1"]  # share of the motion that is the leaf's own
     leaves: Leaves
-    lifts: tuple[SparseRows, SparseRows]  # [C, W] to cells half as large as a node, [V, C] from there
+    lifts: tuple[SparseRows, SparseRows]  # [C, W] from nodes to cells half as large, [V, C] to voxels
     leaf_lift: SparseRows  # [V, C]; voxels of a leaf get the value at its base
     network: SmallNetwork
     axes: Float32[np.ndarray, "3 3"]  # rows are downwind, crosswind, up

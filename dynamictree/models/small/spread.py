@@ -1,6 +1,6 @@
 """Spread of a motion's sizes about those predicted from shape and wind: some leaves flutter, others beside them do not.
 
-A size is A (p e^γ)^(α / 2), with p the power of a complex normal number. Spread α is 0 for a fixed size, 1 for a gust.
+A size is A (p e^γ)^(α / 2), with p the power of a complex normal number. Spread α is 0 for fixed sizes, 1 for gusts.
 """
 
 import math
