@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float32
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.splat_state import SplatState
 
-_BETA_1, _BETA_2, _EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)  # Kerbl et al. 2023's
+_BETA_1, _BETA_2, _EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)  # values of Kerbl et al. 2023
 _ONE = np.float32(1)
 
 
 def adam_step(
     state: SplatState, gradient: Float32[np.ndarray, "G P"], rates: Float32[np.ndarray, " P"]
 ) -> Bool[np.ndarray, " G"]:
-    """Update table, moments and step; gives the rows that were skipped, since their gradient is not finite."""
+    """Update the table, moments and step count; return a mask of the rows skipped for a gradient that is not finite."""
     state.step += 1
     unbias = np.array([1 / (1 - float(beta) ** state.step) for beta in (_BETA_1, _BETA_2)], np.float32)
     skipped = np.zeros(len(gradient), np.bool_)
@@ -32,7 +32,7 @@ def _step(begin, end, table, gradient, first, second, rates, unbias, skipped):
         total = np.float32(0)
         for c in range(len(rates)):
             total += np.float32(0) * slope[c]
-        if total != 0:  # NaN, from an infinity too
+        if total != 0:  # 0 · ∞ and 0 · NaN are NaN
             skipped[g] = True
             continue
         for c in range(len(rates)):

@@ -1,7 +1,7 @@
-"""The loops of `gradient`: from the gradient of a picture back to the Gaussians that were blended into it.
+"""Kernels of `gradient`: propagate the gradient of a picture back to the Gaussians that were blended into it.
 
-`rasterize_kernel` read backwards. A tile walks its list front to back a second time: what lies behind a Gaussian is the
-finished pixel less what came before, so only the picture of the forward pass is needed.
+The reverse of `rasterize_kernel`. Each tile walks its list front to back a second time: the light from behind a
+Gaussian is the finished pixel minus the part blended before, so the forward pass need only store its picture.
 """
 
 from typing import no_type_check
@@ -25,14 +25,14 @@ from dynamictree.gaussian.turn import harmonic_values
 from dynamictree.parallel import compiled_reordered
 
 ENTRY = 10
-"""Gradients of a Gaussian in one tile: centre (2), conic (3), shown opacity, colour (3), depth."""
+"""Number of gradients per Gaussian and tile: centre (2), conic (3), drawn opacity, colour (3), depth."""
 
 _HALF, _ONE, _TWO, _ZERO = np.float32(0.5), np.float32(1), np.float32(2), np.float32(0)
 _MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
 _BLUR, _PIXEL = np.float32(BLUR_PX2), np.float32(PIXEL_PX2)
-_OPAQUE = np.float32(1e-4)  # as in `rasterize_kernel`
+_OPAQUE = np.float32(1e-4)  # same threshold as in `rasterize_kernel`
 _SIZE = TILE * TILE
-# unsigned, so that no index can wrap around and LLVM makes vectors of the loop
+# unsigned: indices cannot wrap around, so LLVM vectorizes the loop
 _LANES = np.uint32(TILE)
 _TO_COME, _RED, _GREEN, _BLUE, _DEPTH = (np.uint32(plane * _SIZE) for plane in range(1, 6))
 _SH = tuple(np.float32(constant) for constant in SH_CONSTANTS[1:5])
@@ -42,10 +42,10 @@ _FOUR = np.float32(4)
 @compiled_reordered
 @no_type_check
 def blend_back(first, end, ellipses, bounds, order, starts, picture, gradient, entries):
-    """Gradient of each listed Gaussian in each tile; of a picture of colour, depth and light left, and its gradient."""
+    """Compute each listed Gaussian's gradients per tile from a picture (colour, depth, light left) and its gradient."""
     height, width = picture.shape[0], picture.shape[1]
     columns = -(-width // TILE)
-    b = np.empty(6 * _SIZE, np.float32)  # light left, what is to come, gradients of red, green, blue, depth
+    b = np.empty(6 * _SIZE, np.float32)  # light left, value behind, gradients of red, green, blue, depth
     for tile in range(first, end):
         left, top = tile % columns * TILE, tile // columns * TILE
         b[:] = 0
@@ -124,7 +124,7 @@ def _is_opaque(b):
 @compiled_reordered
 @no_type_check
 def gather(order, entries, gradients):
-    """Sum over the tiles that list a Gaussian, in the order of the tiles: the same with any number of threads."""
+    """Sum each Gaussian's gradients over its tiles, in an order that does not depend on the number of threads."""
     for i in range(len(order)):
         g = order[i]
         for c in range(ENTRY):
@@ -136,7 +136,7 @@ def gather(order, entries, gradients):
 def project_back(
     first, end, means, quaternions, scales, opacity, sh, view, antialias, bounds, ellipses, gradients, out
 ):
-    """From gradients of ellipses to those of mean, quaternion, ln scale, logit opacity (11 numbers), then harmonics."""
+    """Turn gradients of ellipses into those of mean, quaternion, ln scale, logit opacity (11 numbers), harmonics."""
     degree = round(np.sqrt(sh.shape[1])) - 1
     values, slopes = np.empty(9, np.float32), np.zeros((9, 3), np.float32)
     axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
@@ -167,7 +167,7 @@ def project_back(
         xy_g = -(m00 * b + m01 * c) - (m10 * a + m11 * b)
         filtered_opacity = ellipses[g, 5]
         by_sharp = _ZERO
-        if antialias:  # shown = opacity · sqrt(sharp / whole)
+        if antialias:  # drawn opacity = opacity · sqrt(sharp / whole)
             share = _HALF * e_g[5] * filtered_opacity
             xx_g -= share * a
             yy_g -= share * c
@@ -180,7 +180,7 @@ def project_back(
                 area = by_sharp * cross(half, i, j)
                 half_g[i, 0] += area * half[j, 1]
                 half_g[i, 1] -= area * half[j, 0]
-        out[g, 10] += e_g[5] * filtered_opacity * (_ONE - opacity[g])  # of the logit
+        out[g, 10] += e_g[5] * filtered_opacity * (_ONE - opacity[g])  # derivative by the logit
         per_z_g = e_g[0] * x + e_g[1] * y
         x_g, y_g, z_g = e_g[0] * per_z, e_g[1] * per_z, e_g[9]
         slope_x_g, slope_y_g = _ZERO, _ZERO
@@ -195,7 +195,7 @@ def project_back(
                 axis_g = view[k] * u_g + view[3 + k] * v_g + view[6 + k] * w_g
                 axes_g[k, i] = axis_g * scales[g, i]
                 along += axis_g * axes[k, i]
-            out[g, 7 + i] += along * scales[g, i]  # of the logarithm
+            out[g, 7 + i] += along * scales[g, i]  # derivative by the logarithm
         z_g -= per_z_g * per_z / z
         if slope_x == x / z:
             x_g, z_g = x_g + slope_x_g / z, z_g - slope_x_g * slope_x / z
@@ -224,7 +224,7 @@ def project_back(
 @compiled_reordered
 @no_type_check
 def _rotation_back(q, m, out):
-    """To the quaternion as an unconstrained one that is made a unit before use: no part along itself."""
+    """Add the gradient of a quaternion that is normalized before use, so the gradient is orthogonal to it."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     w_g = _TWO * (x * (m[2, 1] - m[1, 2]) + y * (m[0, 2] - m[2, 0]) + z * (m[1, 0] - m[0, 1]))
     x_g = _TWO * (y * (m[1, 0] + m[0, 1]) + z * (m[2, 0] + m[0, 2]) + w * (m[2, 1] - m[1, 2]))
@@ -243,7 +243,7 @@ def _rotation_back(q, m, out):
 @compiled_reordered
 @no_type_check
 def harmonic_slopes(degree, x, y, z, out):
-    """Derivatives of `turn.harmonic_values` by x, y and z; no splat is learned with more than degree 2."""
+    """Derivatives of `turn.harmonic_values` by x, y and z, up to degree 2, the highest that is optimised."""
     if degree >= 1:
         out[1, 1], out[2, 2], out[3, 0] = -_SH[0], _SH[0], -_SH[0]
     if degree >= 2:

@@ -11,9 +11,9 @@ from dynamictree.reconstruct.photo_cameras import nearest_to_axes
 from dynamictree.render.camera import Camera
 
 LARGEST_GAP_DEG = 40.0
-"""Photos every 10 to 20° are asked for; SIFT matches two views up to 30 to 40° apart (Lowe 2004, section 5)."""
+"""The advice is a photo every 10 to 20°; SIFT matches two views up to 30 to 40° apart (Lowe 2004, section 5)."""
 
-_MARGIN, _DOT = 0.16, 0.025  # of the drawing's side
+_MARGIN, _DOT = 0.16, 0.025  # [share of the drawing's side]
 _WHITE, _GREY, _BLUE, _RED = (255, 255, 255), (120, 120, 120), (30, 90, 200), (250, 205, 200)
 
 
@@ -22,7 +22,7 @@ class CameraCircle:
     """Registered cameras seen from above the plant, in the order of their azimuths."""
 
     photos: tuple[str, ...]
-    azimuths_deg: Float64[np.ndarray, " V"]  # in [0, 360), counter-clockwise from +X
+    azimuths_deg: Float64[np.ndarray, " V"]  # [0, 360), counter-clockwise from +X
 
     @property
     def gaps_deg(self) -> Float64[np.ndarray, " V"]:
@@ -31,12 +31,12 @@ class CameraCircle:
 
     @property
     def largest_gap_deg(self) -> float:
-        """The largest angle between neighbours; 360 without any camera at the plant's side."""
+        """Largest angle between neighbouring cameras; 360 if no camera sees the plant from its side."""
         return float(self.gaps_deg.max(initial=0)) if self.photos else 360.0
 
     @property
     def beside_gap(self) -> tuple[str, str]:
-        """The photos at both ends of the largest gap; empty names without any camera."""
+        """Names of the photos at both ends of the largest gap; empty names without any camera."""
         if not self.photos:
             return "", ""
         row = int(np.argmax(self.gaps_deg))
@@ -44,12 +44,12 @@ class CameraCircle:
 
 
 def camera_circle(cameras: Mapping[str, Camera]) -> CameraCircle:
-    """Azimuths of cameras around the point nearest to all viewing axes, in a frame with +Z up.
+    """Compute the azimuths of cameras around the point nearest to all viewing axes, in a frame with +Z up.
 
     Cameras that look down more steeply than 60° show no side of the plant and are left out.
 
     Args:
-        cameras: by the names of their photos.
+        cameras: cameras by the name of their photo.
     """
     steepest = 0.5  # cosine of 60°: a camera above the plant shows no side of it
     positions = np.array([camera.position_m for camera in cameras.values()])
@@ -64,7 +64,7 @@ def camera_circle(cameras: Mapping[str, Camera]) -> CameraCircle:
 
 def coverage_warnings(circle: CameraCircle, num_registered: int, num_photos: int) -> list[str]:
     """Warn of photos without a camera, and of a side of the plant that no photo shows."""
-    least_registered = 2 / 3  # share of the photos, below which the sides that they show are missing
+    least_registered = 2 / 3  # share of the photos; with fewer cameras, sides of the plant are missing
     warnings = []
     if num_registered < least_registered * num_photos:
         warnings.append(
@@ -81,7 +81,7 @@ def coverage_warnings(circle: CameraCircle, num_registered: int, num_photos: int
 
 
 def circle_picture(circle: CameraCircle, side_px: int) -> UInt8[np.ndarray, "S S 3"]:
-    """Cameras as dots around the plant, seen from above; a gap above `LARGEST_GAP_DEG` is a red sector."""
+    """Draw cameras as dots around the plant, seen from above; a gap above `LARGEST_GAP_DEG` is a red sector."""
     image = Image.new("RGB", (side_px, side_px), _WHITE)
     draw = ImageDraw.Draw(image)
     middle, radius, dot = side_px / 2, (0.5 - _MARGIN) * side_px, _DOT * side_px

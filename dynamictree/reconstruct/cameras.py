@@ -1,4 +1,4 @@
-"""Structure from motion in a child process, which ends when the caller stops."""
+"""Structure from motion in a child process that is ended when the caller stops."""
 
 import json
 import os
@@ -19,7 +19,7 @@ from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.views import SparseModel, read_model
 
-_GRACE_S = 3.0  # from SIGTERM to SIGKILL
+_GRACE_S = 3.0  # time between SIGTERM and SIGKILL
 _TIME_LIMIT_S = 3600.0
 
 ADVICE = (
@@ -36,9 +36,9 @@ def find_cameras(
     on_progress: Callable[[float], None] = lambda done: None,
     time_limit_s: float = _TIME_LIMIT_S,
 ) -> SparseModel:
-    """Register the photos in `folder/photos`, or triangulate points for cameras that are given.
+    """Register the photos in `folder/photos`, or triangulate points for given cameras.
 
-    What the callback raises ends the process and passes through.
+    An exception of the callback ends the process and propagates.
 
     Raises:
         ReconstructionError: too few photos fit together, or the process took too long.
@@ -78,9 +78,9 @@ def find_cameras(
 
 
 def pairs_to_match(number: int) -> list[tuple[int, int]]:
-    """All pairs of a small set; in a large one, taken in order along a path, near ones and some far ones."""
+    """List the pairs of photos to match: all pairs of a small set; near and some far pairs of a large, ordered set."""
     next_photos = 8
-    exhaustive_up_to = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
+    exhaustive_up_to = 60  # photos; in a larger set each is matched with the next ones and some at growing distances
     if number <= exhaustive_up_to:
         return list(combinations(range(number), 2))
     steps = [*range(1, next_photos + 1), *(2**power for power in range(4, number.bit_length()))]
@@ -88,7 +88,7 @@ def pairs_to_match(number: int) -> list[tuple[int, int]]:
 
 
 def search_seconds(num_photos: int) -> dict[str, float]:
-    """Processor seconds that each step usually takes, in order, roughly: by logs of searches with 14 to 36 photos."""
+    """Estimate the processor seconds of each step, in order; measured in logs of searches with 14 to 36 photos."""
     return {
         "features": 1.0 * num_photos,
         "matches": 0.13 * len(pairs_to_match(num_photos)),
@@ -98,7 +98,7 @@ def search_seconds(num_photos: int) -> dict[str, float]:
 
 
 def _delete_leftovers(folder: Path) -> None:
-    """Delete what an interrupted search wrote, but for its features: COLMAP copies over no photo that is there."""
+    """Delete the output of an interrupted search except its features: COLMAP does not overwrite existing photos."""
     (folder / "views.json").unlink(missing_ok=True)
     for name in ("sparse", "chosen", "undistorted", "masks", "undistorted-masks"):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -107,7 +107,7 @@ def _delete_leftovers(folder: Path) -> None:
 def _listen(
     child: subprocess.Popen[bytes], on_progress: Callable[[float], None], until_s: float, expected_s: dict[str, float]
 ) -> None:
-    listen_s = 0.25  # between two calls of the caller's progress function
+    listen_s = 0.25  # time between two calls of the caller's progress function
     assert child.stdout is not None
     done = 0.0
     with selectors.DefaultSelector() as selector:
@@ -121,7 +121,7 @@ def _listen(
             line = child.stdout.readline()
             if not line:
                 return
-            if line.startswith(b"["):  # native libraries write there too, as OpenBLAS does
+            if line.startswith(b"["):  # native libraries such as OpenBLAS write to stdout too
                 step, part, total, first, last = json.loads(line)
                 before_s = sum(list(expected_s.values())[: list(expected_s).index(step)])
                 share = (before_s + expected_s[step] * part / total) / sum(expected_s.values())

@@ -1,4 +1,4 @@
-"""Coloured mesh of the subject, standing on the ground, from depth maps or from the splat."""
+"""Coloured mesh of the subject above the ground, from depth maps or from the splat."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,13 +22,13 @@ from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
 
 MAX_FACES = 48_000
-CELLS = 416  # along the longest side: with 320 a stem was 1.4 to 1.8 times as wide as it is
-_REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # that the pictures hold
+CELLS = 416  # cells along the longest side; with 320 a stem became 1.4 to 1.8 times too wide
+_REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # region that the photos show
 
 
 def stereo_surface(scene: Scene) -> Surface:
-    """Surface of the subject from the depth maps; empty where they show none."""
-    voxels = 128  # along the longest side
+    """Fuse the depth maps into the subject's surface; empty if they show none."""
+    voxels = 128  # number along the longest side
     if scene.subject is None:
         return NOTHING
     fused = fuse(scene.depths.views, scene.depths.depths, scene.subject, resolution=voxels)
@@ -36,14 +36,14 @@ def stereo_surface(scene: Scene) -> Surface:
 
 
 def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
-    """Surface of the subject from its Gaussians: opacity on a grid, then marching cubes.
+    """Extract the subject's surface from its Gaussians: opacity on a grid, then marching cubes.
 
-    Above a ground that was found it may be anywhere in the region: the box lacks crowns that stereo does not see.
+    If the ground was found, the whole region above it is searched: the box of stereo may lack part of the crown.
 
     Raises:
         ReconstructionError: no Gaussian is opaque enough.
     """
-    widest, faintest = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
+    widest, faintest = 0.15, 0.1  # share of the region's radius, and opacity: limits of Gaussians that form the surface
     cloud = cloud_of(table)
     box = _REGION if scene.ground_found or scene.subject is None else scene.subject
     low = np.maximum(box.low, [-np.inf, -np.inf, scene.cut])
@@ -58,7 +58,7 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
 
 
 def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequence[str]) -> tuple[TriangleMesh, str]:
-    """Choose the mesh of stereo or of the splat by the photos named in `apart`; gives its name too.
+    """Choose the mesh of stereo or of the splat by the photos named in `apart`; return the mesh and its name.
 
     Raises:
         ReconstructionError: there is no surface.
@@ -78,7 +78,7 @@ def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequenc
 
 
 def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
-    """Decimate, smooth and colour a surface, in the scene's frame.
+    """Decimate, smooth and colour a surface in the scene's frame.
 
     Raises:
         ReconstructionError: there is no surface.
@@ -93,9 +93,9 @@ def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
 
 
 def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarray, "N 4"]:
-    """Mean colour of each vertex in the photos that see it, those that look at it squarely first.
+    """Average each vertex's colour over the photos that see it, weighted by how squarely they look at it.
 
-    A vertex that no photo sees takes the colour of the nearest that one does.
+    A vertex that no photo sees takes the colour of the nearest one that is seen.
     """
     color_side_px = 640
     normals = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces)
@@ -135,7 +135,7 @@ def _decimated(surface: Surface) -> Surface:
 
 def _smoothed(surface: Surface) -> Surface:
     smoothing_rounds = 4
-    smoothing = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
+    smoothing = (0.5, -0.53)  # Taubin's pair of steps: smooths without shrinking
     edges = edges_of(surface.faces)
     both = np.concatenate([edges, edges[:, ::-1]])
     number = len(surface.vertices)
@@ -151,13 +151,13 @@ def _smoothed(surface: Surface) -> Surface:
 def mesh_of_plant(
     scene: GaussianCloud, own: Bool[np.ndarray, " G"], whole: TriangleMesh, radius_m: float
 ) -> TriangleMesh:
-    """Closed surface of the plant's Gaussians, in the colours of the whole mesh where that is near.
+    """Extract a closed surface from the plant's Gaussians, with the colours of the whole mesh where that is near.
 
     Args:
         scene: all Gaussians.
-        own: which of them are the plant.
+        own: mask of the plant's Gaussians.
         whole: mesh of the scene.
-        radius_m: of the region that the photos look at.
+        radius_m: radius of the region that the photos show.
 
     Raises:
         InputError: the plant has no surface.

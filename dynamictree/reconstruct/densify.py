@@ -9,17 +9,17 @@ from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION
 from dynamictree.rotation import quaternion_matrices
 
-_NARROWER = np.float32(np.log(1.6))  # φ of Kerbl et al.: halves of a split Gaussian are narrower by it
+_NARROWER = np.float32(np.log(1.6))  # φ of Kerbl et al.: factor by which the halves of a split Gaussian are narrower
 
 
 @dataclass(frozen=True, kw_only=True)
 class DensityRules:
     """Thresholds for splitting, cloning and pruning: Kerbl et al.'s, with half their gradient threshold."""
 
-    pull: float = 1e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
-    large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
+    pull: float = 1e-4  # mean gradient by position [1 / half a picture] above which to split or clone
+    large: float = 0.01  # share of the extent; larger Gaussians are split, smaller ones cloned
     min_opacity: float = 0.005
-    too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away
+    too_large: float = 0.1  # share of the extent, or of the distance from the origin if that is larger; pruned above
     max_gaussians: int = 80_000
 
 
@@ -31,7 +31,7 @@ def densify(state: SplatState, rules: DensityRules, *, extent: float, rng: np.ra
     survives = (opacity > rules.min_opacity) & (largest < rules.too_large * reach)
     room = max(rules.max_gaussians - int(survives.sum()), 0)
     chosen = np.flatnonzero(survives & (pull > rules.pull))
-    if len(chosen) > room:  # the subject, in the middle of the stage and above its ground, counts four times
+    if len(chosen) > room:  # Gaussians of the subject (central, above the ground) have fourfold priority
         x, y, z = table[chosen, MEAN].T
         first = pull[chosen] * np.where((np.hypot(x, y) < 0.75) & (z > 0.02), 4, 1)
         chosen = chosen[np.argsort(-first, kind="stable")[:room]]

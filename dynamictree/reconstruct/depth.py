@@ -1,4 +1,4 @@
-"""Depth maps of all views."""
+"""Depth maps of all views by multi-view stereo."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ SIDE_PX = 256
 
 @dataclass(frozen=True, kw_only=True)
 class DepthMaps:
-    """Depths that neighbouring views confirm."""
+    """Depth maps whose depths are confirmed by neighbouring views."""
 
     views: list[StereoView]
-    depths: list[Float32[np.ndarray, "H W"]]  # 0 where unknown [units of the cameras]
+    depths: list[Float32[np.ndarray, "H W"]]  # [units of the cameras], 0 where unknown
 
 
 def find_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> DepthMaps:
-    """Match the pictures, starting from the depth of the nearest point of structure from motion."""
+    """Match each view with its neighbours, starting from the depth of the nearest point of structure from motion."""
     least_agreeing = 2 if len(model.views) > 6 else 1
     views = [stereo_view(view, SIDE_PX) for view in model.views]
     positions = np.array([view.position for view in views])
@@ -47,7 +47,7 @@ def find_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> Dept
 
 
 def save_depths(maps: DepthMaps, subject: Box | None, path: Path) -> None:
-    """Write depth maps, and the box around what they show of the subject."""
+    """Write depth maps, and the subject's box if there is one."""
     arrays = {f"depth_{row}": depth for row, depth in enumerate(maps.depths)}
     if subject is not None:
         arrays["subject"] = np.stack([subject.low, subject.high])
@@ -56,7 +56,7 @@ def save_depths(maps: DepthMaps, subject: Box | None, path: Path) -> None:
 
 
 def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, Box | None]:
-    """Read what `save_depths` wrote for the same views."""
+    """Read the depth maps and the box that `save_depths` wrote for the same views."""
     with np.load(path, allow_pickle=False) as arrays:
         depths = [arrays[f"depth_{row}"] for row in range(len(model.views))]
         subject = Box(low=arrays["subject"][0], high=arrays["subject"][1]) if "subject" in arrays else None
@@ -64,7 +64,7 @@ def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, Box | None]:
 
 
 def outside_sky(maps: DepthMaps, sky: Sequence[Foreground]) -> DepthMaps:
-    """The same maps, unknown where more than half of a pixel is sky."""
+    """Return the maps with depth unknown where more than half of a pixel is sky."""
     depths = [
         np.where(_mostly(view.alpha, depth.shape), depth, 0).astype(np.float32)
         for depth, view in zip(maps.depths, sky, strict=True)
@@ -73,7 +73,7 @@ def outside_sky(maps: DepthMaps, sky: Sequence[Foreground]) -> DepthMaps:
 
 
 def stereo_view(view: View, side_px: int) -> StereoView:
-    """A grey picture of at most that many pixels a side."""
+    """Return a view's grey picture, at most `side_px` wide and high, with its camera's matrices."""
     picture = Image.fromarray(view.image).convert("L")
     picture.thumbnail((side_px, side_px), Image.Resampling.LANCZOS)
     grey = np.asarray(picture, np.float32) / 255
@@ -88,8 +88,8 @@ def stereo_view(view: View, side_px: int) -> StereoView:
 
 
 def _matched(model: SparseModel, views: list[StereoView], number: int, mask: Bool[np.ndarray, "H W"]) -> Hypotheses:
-    min_points = 12  # that a view must see to be matched
-    depth_percentiles, depth_slack = (1.0, 99.0), 1.25  # of a view's points
+    min_points = 12  # points that a view must see to be matched
+    depth_percentiles, depth_slack = (1.0, 99.0), 1.25  # percentiles of a view's points, and factor beyond them
     guess = _sparse_guess(model, views[0], number)
     points = model.points[model.seen[model.seen[:, 0] == number, 1]]
     if len(points) < min_points or len(views) == 1:
@@ -113,5 +113,5 @@ def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypothes
 
 
 def _mostly(alpha: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
-    """Where more than half of a pixel is covered, at another size."""
+    """Resize a mask; true where more than half of a pixel is covered."""
     return resized(alpha.astype(np.float32), (shape[1], shape[0])) >= 127.5

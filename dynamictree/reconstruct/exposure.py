@@ -1,7 +1,7 @@
-"""Photos of a scene in one light: cameras set exposure and white balance anew, so the same leaf is brighter in some.
+"""Equalize exposure and white balance between photos, which cameras set anew for each photo.
 
-A splat has one colour for a thing; what photos disagree about becomes fog before the cameras. So each photo's channels
-are divided by a gain of its own, found from the points that photos share (gain compensation, Brown and Lowe 2007).
+A splat has one colour per place; differences between photos become fog before the cameras. So each photo's channels are
+divided by gains estimated from points that photos share (gain compensation, Brown and Lowe 2007).
 """
 
 from dataclasses import replace
@@ -13,11 +13,11 @@ from scipy.ndimage import uniform_filter
 from dynamictree.reconstruct.views import SparseModel, View
 
 _SAME, _MOST = np.log(1.03), np.log(2.5)
-"""Gains that no photo exceeds make no difference; and what is no exposure any more."""
+"""Logarithms of gains: photos within the first are left unchanged; gains are clipped to the second."""
 
 
 def evenly_exposed(model: SparseModel) -> SparseModel:
-    """The same model, its photos in one exposure and white balance; unchanged where they have that within 3 %."""
+    """Return the model with photos of equal exposure and white balance; unchanged if they differ by less than 3 %."""
     log_gain = log_gains(model)
     if np.abs(log_gain).max(initial=0) < _SAME:
         return model
@@ -27,7 +27,7 @@ def evenly_exposed(model: SparseModel) -> SparseModel:
 
 
 def log_gains(model: SparseModel) -> Float64[np.ndarray, "V 3"]:
-    """Logarithm of each photo's gain by channel, by alternating weighted means; 0 in the mean over the photos."""
+    """Estimate each photo's log gain per channel by alternating weighted means; the mean over photos is 0."""
     color = np.zeros((len(model.seen), 3))
     for row, view in enumerate(model.views):
         mine = model.seen[:, 0] == row
@@ -39,10 +39,10 @@ def log_gains(model: SparseModel) -> Float64[np.ndarray, "V 3"]:
 
 
 def _log_gains_of(model: SparseModel, color: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, " V"]:
-    fewest = 30  # points that a photo must show in range, to be changed
-    outlier = 0.3  # of the logarithm: moving shadows, gloss and wrong pairs count as little as this
-    rounds = 200  # photos of a walk share points with their neighbours only, so differences spread slowly
-    dark, bright = 12, 243  # of 255: outside, a pixel may be cut off
+    fewest = 30  # well exposed points that a photo needs to be changed
+    outlier = 0.3  # log gain; residuals above it (moving shadows, gloss, wrong matches) count no more than this
+    rounds = 200  # photos of a walk share points with their neighbours only, so convergence is slow
+    dark, bright = 12, 243  # [0 to 255]; values outside may be clipped
     usable = (color >= dark) & (color <= bright)
     view, point = model.seen[usable].T
     value = np.log(color[usable])
@@ -67,7 +67,7 @@ def _mean(
 
 
 def _colors_at(view: View, points: Float64[np.ndarray, "P 3"]) -> Float64[np.ndarray, "P 3"]:
-    """Mean colour of a small window; 0 of a point outside of the picture."""
+    """Average the colour in a small window around each point; 0 for points outside the picture."""
     window_px = 3
     at, inside = view.pixels_of(points)
     smooth = uniform_filter(view.image.astype(np.float32), size=(window_px, window_px, 1))

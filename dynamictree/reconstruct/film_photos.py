@@ -1,4 +1,4 @@
-"""Photos of a film: sharp frames spread over it, and more of them where the cameras found leave a gap."""
+"""Choose photos from a film: sharp frames spread evenly, and more of them where the cameras leave a gap."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ _REDUCED = "force_original_aspect_ratio=decrease:flags=lanczos"
 
 @dataclass(frozen=True)
 class Stretch:
-    """Frames of a film from `first` up to `end`, of which `count` are wanted."""
+    """Range of a film's frames, from `first` up to `end`, from which `count` frames are to be chosen."""
 
     first: int
     end: int
@@ -38,19 +38,19 @@ def write_sharp_frames(
     wanted: int | Sequence[Stretch] = PHOTOS_OF_VIDEO,
     on_work: Callable[[], None] = lambda: None,
 ) -> list[Path]:
-    """Write sharp frames of a film as `frame-00123.png` (its number), upright as players show it, and return them.
+    """Write sharp frames of a film as `frame-00123.png` (frame number), rotated as players show it; return the paths.
 
     Needs the extra `video`.
 
     Args:
         video: the film.
-        folder: for the frames.
-        wanted: a number of frames, spread evenly over the film; or parts of the film.
+        folder: folder for the frames.
+        wanted: number of frames, spread evenly over the film, or ranges of the film.
         on_work: called while ffmpeg works; an exception in it ends ffmpeg.
 
     Raises:
-        InputError: too few frames, a count that is not possible, or the extra is not installed.
-        FormatError: not a film that ffmpeg reads.
+        InputError: too few frames, a count out of range, or the extra is not installed.
+        FormatError: ffmpeg cannot read the film.
     """
     if isinstance(wanted, int) and not MIN_PHOTOS <= wanted <= MAX_PHOTOS:
         raise InputError(f"{wanted} frames are asked for; a reconstruction takes {MIN_PHOTOS} to {MAX_PHOTOS} photos")
@@ -81,23 +81,23 @@ def write_sharp_frames(
 
 
 def frame_name(frame: int) -> str:
-    """Name of the file of a film's frame, counted from 0."""
+    """Return the file name of a frame, counted from 0."""
     return f"frame-{frame:05d}.png"
 
 
 def frame_of(name: str) -> int:
-    """The number in a name of `frame_name`."""
+    """Return the frame's number in a name of `frame_name`."""
     return int(name.removeprefix("frame-").removesuffix(".png"))
 
 
 def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) -> list[Stretch]:
-    """Parts of a film from which more frames are needed: beside frames without a camera, and where the walk was fast.
+    """List the ranges of a film that need more frames: next to frames without a camera, and where the walk was fast.
 
     Args:
         frames: numbers of the frames so far, in order.
-        azimuths_deg: of the cameras that were found, by frame.
+        azimuths_deg: azimuths of the registered cameras, by frame.
     """
-    wide_deg, filled_deg = 20.0, 10.0  # between neighbouring frames, of the 10 to 20° that photos should have
+    wide_deg, filled_deg = 20.0, 10.0  # angle between neighbouring frames that needs more, and the one aimed at
     stretches = []
     for first, second in pairwise(frames):
         angle = filled_deg
@@ -112,8 +112,8 @@ def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) 
 
 
 def chosen_frames(sharpness: Float64[np.ndarray, " F"], count: int) -> Int64[np.ndarray, " C"]:
-    """Numbers of the sharpest frame about the middle of each of `count` parts of equal length."""
-    centre = 0.7  # of a stretch, in whose middle its frame is chosen, so that two chosen ones are not neighbours
+    """Choose the sharpest frame near the middle of each of `count` parts of equal length."""
+    centre = 0.7  # central share of a part in which its frame is chosen, so that chosen frames are not adjacent
     edges = np.linspace(0, len(sharpness), count + 1)
     margin = (edges[1] - edges[0]) * (1 - centre) / 2
     chosen = []
@@ -124,8 +124,8 @@ def chosen_frames(sharpness: Float64[np.ndarray, " F"], count: int) -> Int64[np.
 
 
 def _sharpness(video: Path, on_work: Callable[[], None]) -> Float64[np.ndarray, " F"]:
-    """Variance of the Laplacian of each frame: blur by motion or by focus takes it away."""
-    probe_px = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film
+    """Compute the variance of each frame's Laplacian, which blur by motion or focus lowers."""
+    probe_px = 256  # side of the square to which frames are scaled; the distortion is the same for all frames of a film
     square = f"scale={probe_px}:{probe_px},format=gray"
     values = []
     with decoded(video, "-vf", square, "-fps_mode", "passthrough", "-f", "rawvideo", "-") as pixels:
@@ -140,15 +140,15 @@ def _sharpness(video: Path, on_work: Callable[[], None]) -> Float64[np.ndarray, 
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """A film of a walk around the tree."""
+    """Film of a walk around the tree."""
 
     path: Path
-    count: int = PHOTOS_OF_VIDEO  # frames that are taken as photos at first
+    count: int = PHOTOS_OF_VIDEO  # number of frames chosen at first
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilmPhotos:
-    """Frames of one film in a folder, which an interrupted attempt may have written."""
+    """Frames chosen from one film, in a folder that an interrupted attempt may have filled."""
 
     film: Film
     folder: Path
@@ -156,16 +156,16 @@ class FilmPhotos:
     write_frames: WriteFrames = field(default=write_sharp_frames)
 
     def first(self) -> list[Path]:
-        """Write sharp frames, spread evenly over the film, unless the folder has some; returns all that it has."""
+        """Write sharp frames, spread evenly over the film, unless the folder exists; return all its frames."""
         if not self.folder.exists():
             self._add(self.film.count)
         return self._frames()
 
     def more(self, model: SparseModel) -> list[Path]:
-        """Write frames, once, where no camera was found or neighbours are far apart; returns all, none if none is new.
+        """Write more frames, once, where cameras are missing or far apart; return all frames, or none if none is new.
 
         Args:
-            model: the cameras that were found.
+            model: registered cameras.
         """
         frames = [frame_of(path.name) for path in self._frames()]
         model = _upright(model)
@@ -180,7 +180,7 @@ class FilmPhotos:
         return self._frames()
 
     def _add(self, wanted: int | Sequence[Stretch]) -> None:
-        """Write frames beside the folder, and move them there once they are complete."""
+        """Write frames to a temporary folder, and move them once they are complete."""
         unfinished = self.folder.with_name(f"{self.folder.name}.unfinished")
         rmtree(unfinished, ignore_errors=True)
         written = self.write_frames(self.film.path, unfinished, wanted, self.on_work)

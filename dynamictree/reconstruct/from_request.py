@@ -1,4 +1,4 @@
-"""Reconstruction as the command line and a job request it."""
+"""Reconstruction from the parameters of the command line or of a job."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ def learn_scene(
     work: Path,
     callbacks: Callbacks | None = None,
 ) -> Reconstruction:
-    """Reconstruct photos, or the sharp frames of a film, as a request asks for it; arguments as of `reconstruct`."""
+    """Reconstruct photos, or sharp frames of a film, with a request's parameters; arguments as for `reconstruct`."""
     photos: Sequence[Path] | Film = [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
     if files[0].suffix.lower() in (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES):
         photos = Film(path=files[0], count=params.video_frames or PHOTOS_OF_VIDEO)
@@ -38,22 +38,22 @@ def learn_scene(
 def reconstruct_capture(
     files: Sequence[Path], folder: Path, params: ReconstructParams, *, work: Path, recall: Recall, callbacks: Callbacks
 ) -> Capture:
-    """Reconstruct a splat and a mesh from photos; all that is made of them is written into the folder.
+    """Reconstruct a splat and a mesh from photos, and write all results into the folder.
 
     Args:
-        files: a film, or photos and what may come with them: masks, and cameras as `find_input_cameras` reads them.
-        folder: for the results.
+        files: a film; or photos, optionally with masks and with camera files that `find_input_cameras` reads.
+        folder: folder for the results.
         params: height, training steps and box.
-        work: a folder for intermediate results; a second call continues there.
-        recall: gives the scene that was learned from the same photos, if any, whatever the box and height were.
-        callbacks: as of `reconstruct`.
+        work: folder for intermediate results, from which a second call continues.
+        recall: returns the cached scene of the same photos, for any box and height, or calls the function.
+        callbacks: see `reconstruct`.
 
     Raises:
         InputError: a file is no photo or film, or there are too few or too many.
         ReconstructionError: the photos do not fit together.
-        CameraSearchError: the program that looks for cameras failed.
+        CameraSearchError: the process of structure from motion failed.
     """
-    learning = 0.95  # of the progress; the rest is the cut
+    learning = 0.95  # share of the progress; the rest is the cut
     worked_s = 0.0
 
     def on_progress(progress: Progress) -> None:

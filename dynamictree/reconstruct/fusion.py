@@ -1,4 +1,4 @@
-"""Depth maps into one surface: a truncated signed distance on a grid (Curless and Levoy 1996), then marching cubes."""
+"""Fuse depth maps into a surface: truncated signed distance on a grid (Curless and Levoy 1996), then marching cubes."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
@@ -12,29 +12,29 @@ from dynamictree.mesh import connected_parts
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.stereo import StereoView
 
-_TRUNCATION = 3.0  # voxels on both sides of a surface
-_CARVE_WEIGHT = 0.25  # of a view that looks through a voxel, against one that sees a surface there
+_TRUNCATION = 3.0  # [voxels] on each side of a surface
+_CARVE_WEIGHT = 0.25  # weight of a view that looks through a voxel; 1 for one that sees a surface there
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """The part of space that is meshed."""
+    """Axis-aligned box that is meshed."""
 
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
 
 
 class Surface(NamedTuple):
-    """Triangles without colours."""
+    """Triangle mesh without colours."""
 
     vertices: Float32[np.ndarray, "N 3"]
     faces: Int32[np.ndarray, "F 3"]
 
 
 class _Volume(NamedTuple):
-    """Sums over views, to be divided by the weight."""
+    """Weighted sum of signed distances over views, and sum of the weights."""
 
-    distance: Float32[np.ndarray, "X Y Z"]  # in truncation bands, positive outside
+    distance: Float32[np.ndarray, "X Y Z"]  # [truncation bands], positive outside
     weight: Float32[np.ndarray, "X Y Z"]
     low: Float64[np.ndarray, "3"]
     voxel: float
@@ -44,7 +44,7 @@ NOTHING = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 
 
 def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box: Box, *, resolution: int) -> Surface:
-    """Mesh what the depth maps see inside a box, `resolution` voxels along its longest side; empty if nothing."""
+    """Mesh the surface in a box from depth maps, with `resolution` voxels along the longest side; it may be empty."""
     voxel = float((box.high - box.low).max()) / resolution
     size = np.maximum(np.ceil((box.high - box.low) / voxel).astype(int), 2)
     distance = np.zeros(tuple(size.tolist()), np.float32)
@@ -65,11 +65,11 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
 
 
 def main_cluster(surface: Surface, gap: float) -> Surface:
-    """The largest group of pieces that lie closer together than about the gap; specks count for nothing.
+    """Return the largest group of pieces that are closer together than about `gap`, without specks.
 
-    Leaves and twigs seldom hang together in a mesh of photos, but they are near one another.
+    Leaves and twigs are seldom connected in a reconstructed mesh, but they are near one another.
     """
-    speck_faces = 24  # a piece of fewer is noise
+    speck_faces = 24  # faces; smaller pieces are noise
     if len(surface.faces) == 0:
         return surface
     piece_of_face = connected_parts(surface.faces, len(surface.vertices))[surface.faces[:, 0]]
@@ -85,7 +85,7 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
 
 
 def above(surface: Surface, height: float) -> Surface:
-    """The faces whose corners are all above a height."""
+    """Return the faces whose corners are all above a height."""
     return _with_faces(surface, np.flatnonzero((surface.vertices[surface.faces][:, :, 2] > height).all(axis=1)))
 
 
@@ -97,7 +97,7 @@ def _with_faces(surface: Surface, chosen: Int64[np.ndarray, " C"]) -> Surface:
 @compiled
 @no_type_check
 def _integrate(first, end, volume, to_pixel, depth):
-    """Blend one view into slabs of the grid: positive before its surface, negative just behind, unknown farther on."""
+    """Add one view to slabs of the grid: positive before its surface, negative just behind it, unknown beyond."""
     distance, weight, low, voxel = volume
     _, size_y, size_z = distance.shape
     height, width = depth.shape

@@ -1,6 +1,6 @@
-"""Gradient of rendered pictures of Gaussians: the backward pass of `gaussian.rasterize.draw`.
+"""Backward pass of the rasterizer `gaussian.rasterize.draw`.
 
-The gradient of Kerbl et al. 2023, appendix A, with that of Mip-Splatting's opacity and of the depth; numba, on the CPU.
+The gradient is that of Kerbl et al. 2023, appendix A, extended by Mip-Splatting's opacity and depth; numba, on the CPU.
 """
 
 from typing import NamedTuple
@@ -14,16 +14,16 @@ from dynamictree.reconstruct.backward_kernel import ENTRY, blend_back, gather, p
 
 
 class Gradients(NamedTuple):
-    """Of a loss, by what is optimised. Zero for what the camera does not see."""
+    """Gradients of a loss by the Gaussians' parameters; zero for Gaussians that the camera does not see."""
 
-    table: Float32[np.ndarray, "G P"]  # mean, quaternion, ln scales, logit of the opacity, harmonics by channel
-    centres_px: Float32[np.ndarray, "G 2"]  # by the place in the picture, which decides on densification
+    table: Float32[np.ndarray, "G P"]  # columns: mean, quaternion, ln scales, logit opacity, harmonics by channel
+    centres_px: Float32[np.ndarray, "G 2"]  # gradient by the position in the picture, for densification
 
 
 def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"], *, width: int = 0) -> Gradients:
-    """The backward pass, from the gradient of a loss by the drawing's picture.
+    """Compute the gradients of a loss by the Gaussians, from its gradient by the drawing's picture.
 
-    A table of that width has zeros for harmonics that were not drawn.
+    A positive `width` pads the table with zeros for harmonics that were not drawn.
     """
     entries = np.zeros((len(drawing.order), ENTRY), np.float32)
     ellipses, bounds = drawing.ellipses, drawing.bounds

@@ -1,6 +1,6 @@
-"""Cameras that come with the photos: nerfstudio's or Blender's `transforms.json`, a COLMAP model, LLFF's poses.
+"""Read cameras given with the photos: nerfstudio's or Blender's `transforms.json`, a COLMAP model, LLFF's poses.
 
-nerfstudio docs/quickstart/data_conventions.md; COLMAP doc/format.rst; LLFF (Mildenhall et al. 2019), README.
+Formats: nerfstudio docs/quickstart/data_conventions.md; COLMAP doc/format.rst; LLFF (Mildenhall et al. 2019), README.
 """
 
 import json
@@ -38,17 +38,17 @@ Sizes = dict[str, tuple[Size, Size]]
 
 @dataclass(frozen=True, kw_only=True)
 class InputCamera:
-    """One photo's camera, in COLMAP's terms."""
+    """Camera of one photo, in COLMAP's conventions."""
 
-    photo: str  # path as the file names it
-    model: str  # one of COLMAP's
-    params: tuple[float, ...]  # [px], at the width and height
+    photo: str  # path in the cameras' file
+    model: str  # name of a COLMAP camera model
+    params: tuple[float, ...]  # [px] at `width` and `height`
     width: int
     height: int
     world_to_camera: Float64[np.ndarray, "3 4"]  # camera x right, y down, z forward
 
     def to_json(self) -> dict[str, Any]:
-        """As another process gets it."""
+        """Return the fields as JSON, for another process."""
         return vars(self) | {"world_to_camera": self.world_to_camera.tolist()}
 
     @classmethod
@@ -58,7 +58,7 @@ class InputCamera:
         return cls(**fields | {"params": tuple(fields["params"]), "world_to_camera": matrix})
 
     def scaled(self, photo: str, width: int, height: int) -> "InputCamera":
-        """The camera of a copy of the photo, of another name and size."""
+        """Return the camera of a copy of the photo that has another name and size."""
         across, down = width / self.width, height / self.height
         lengths = [across] if self.model in _ONE_FOCAL else [across, down]
         params = [value * by for value, by in zip(self.params, [*lengths, across, down], strict=False)]
@@ -67,23 +67,23 @@ class InputCamera:
 
 
 def files_with_cameras(root: Path) -> list[Path]:
-    """Files in a folder or below it that `find_input_cameras` may read."""
+    """List the files in a folder and its subfolders that `find_input_cameras` may read."""
     names = {TRANSFORMS, LLFF, *(name for pair in COLMAP for name in pair)}
     return sorted(path for path in root.rglob("*") if path.name in names)
 
 
 def find_input_cameras(root: Path, sizes: Sizes) -> tuple[InputCamera, ...] | None:
-    """Cameras in a folder of photos or below it; None if there are none.
+    """Read the cameras in a folder of photos or its subfolders; None if there are none.
 
     Args:
-        root: what was given, unpacked.
-        sizes: width and height of the photos as stored and as EXIF turns them, by path below the root; in order,
-            which is LLFF's link.
+        root: unpacked input.
+        sizes: width and height of the photos as stored and as EXIF rotates them, by path below the root; LLFF's
+            poses refer to the photos by this order.
 
     Raises:
-        FormatError: a file that cannot be read, or names no photo that is there.
+        FormatError: a file cannot be read, or names none of the photos.
     """
-    max_json_bytes = 16 * 2**20  # 50 kB for each of 300 photos; a byte of JSON becomes up to 30 in memory
+    max_json_bytes = 16 * 2**20  # 50 kB for each of 300 photos; a byte of JSON takes up to 30 in memory
     for path in sorted(root.rglob(TRANSFORMS)):
         return _matched(_transforms(_read(path, max_json_bytes), sizes), sizes, path.name)
     by_order = sorted(root.rglob(LLFF))
@@ -109,7 +109,7 @@ def _read(path: Path, most: int = MAX_BYTES) -> bytes:
 
 
 def _matched(cameras: list[InputCamera], sizes: Sizes, source: str) -> tuple[InputCamera, ...]:
-    """Only those whose photo is there, each named as it is there."""
+    """Return the cameras whose photo exists, each with that photo's name; check them."""
     matched = []
     for camera in cameras:
         name = _photo_named(camera.photo, sizes)
@@ -129,7 +129,7 @@ def _matched(cameras: list[InputCamera], sizes: Sizes, source: str) -> tuple[Inp
 
 
 def _photo_named(wanted: str, sizes: Sizes) -> str | None:
-    """The photo whose path ends as the wanted one does; a missing suffix is allowed, as Blender's files have it."""
+    """Find the photo whose path ends like the wanted one; the suffix may be missing, as in Blender's files."""
     parts = [part for part in PurePosixPath(wanted.replace("\\", "/")).parts if part not in (".", "..", "/")]
     for skipped in range(len(parts)):
         tail = "/".join(parts[skipped:])
@@ -154,7 +154,7 @@ def _check(camera: InputCamera, sizes: tuple[Size, Size], source: str) -> None:
 
 
 def fits(camera: InputCamera, size: Size) -> bool:
-    """Whether a picture of that size has the camera's shape; it may be a smaller copy."""
+    """Whether a picture's aspect ratio is the camera's; the picture may be a smaller copy."""
     return abs(camera.width * size[1] - camera.height * size[0]) <= 0.01 * camera.width * size[1]
 
 
@@ -186,7 +186,7 @@ def _from_frame(frame: dict[str, Any], sizes: Sizes) -> InputCamera:
         params=params if model == "PINHOLE" else (*params, *bends),
         width=width,
         height=height,
-        world_to_camera=_inverted(to_world[:3, :3] * [1, -1, -1], to_world[:3, 3]),  # OpenGL's y is up, z back
+        world_to_camera=_inverted(to_world[:3, :3] * [1, -1, -1], to_world[:3, 3]),  # OpenGL's axes: y up, z back
     )
 
 
@@ -210,7 +210,7 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[InputCamera, ...]:
             raise FormatError(f"{LLFF} says that {name} has {width:g} x {height:g} pixels; give its size")
         camera = InputCamera(
             photo=name,
-            model="SIMPLE_RADIAL",  # the file drops the lens's distortion, which refinement may find again
+            model="SIMPLE_RADIAL",  # the file lacks the lens's distortion, which refinement may estimate
             params=(float(focal), float(width) / 2, float(height) / 2, 0.0),
             width=int(width),
             height=int(height),
@@ -222,7 +222,7 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[InputCamera, ...]:
 
 
 def _inverted(rotation: Float64[np.ndarray, "3 3"], position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 4"]:
-    """Camera to world, as world to camera. A scale in the rotation, which some exporters leave, is taken out."""
+    """Invert a camera-to-world transform; a scale in its rotation, which some exporters leave, is removed."""
     size = np.cbrt(max(abs(np.linalg.det(rotation)), 1e-12))
     to_camera = rotation.T / size
     return np.concatenate([to_camera, -(to_camera @ position)[:, None]], axis=1)

@@ -1,7 +1,7 @@
-"""Structure from motion by pycolmap (BSD), as `python -m dynamictree.reconstruct.mapping` with a job on stdin.
+"""Structure from motion with pycolmap (BSD): `python -m dynamictree.reconstruct.mapping`, with a job on stdin.
 
 Its native code cannot be interrupted, so the caller ends the whole process. Progress goes to stdout, one JSON array
-per line: step, done, total, and the part of all the work that the search is, as two shares.
+per line: step, done, total, and the interval of the total progress that this search covers, as two shares.
 """
 
 import ctypes
@@ -26,25 +26,25 @@ from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.refine_poses import refined
 
 DATABASES = ("features.db", "features-whole.db")
-"""Of features within masks (everywhere without masks), and everywhere in spite of masks."""
+"""Databases of features within masks (everywhere if there are none), and of features everywhere despite masks."""
 MAX_MEMORY_BYTES = 12 * 2**30
 _SEED = 1
-_ENOUGH, _FEW = 0.9, 0.5  # of the photos
-_POINT_THRESHOLDS = (  # of COLMAP's triangulation
+_ENOUGH, _FEW = 0.9, 0.5  # [share of the photos]
+_POINT_THRESHOLDS = (  # options of COLMAP's triangulation
     *("create_max_angle_error", "continue_max_angle_error"),
     *("merge_max_reproj_error", "complete_max_reproj_error"),
 )
-_FLOWN = 30  # times as far from the middle of all cameras as half of them are
+_FLOWN = 30  # [median distance of the cameras from their middle]; a camera farther away is wrong
 
 
 def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | None) -> None:
-    """From `photos/` to undistorted photos with cameras: `undistorted/`, `points.npz` and, last of all, `views.json`.
+    """Register and undistort the photos in `photos/`: write `undistorted/`, `points.npz` and, last, `views.json`.
 
-    Features are sought within masks, since a plant on a turntable moves and its background does not; but where they
-    leave out most photos, as with thin stems, everywhere.
+    Features are detected within masks first, since a plant on a turntable moves against its background. If most photos
+    cannot be registered so, as with thin stems, they are detected everywhere.
     """
     masked = [photo.name for photo in photos if photo.masked]
-    most = 0.9 if given is None and masked else 1.0  # of the progress: a second search is seldom
+    most = 0.9 if given is None and masked else 1.0  # share of the progress: a second search is rare
     search = _Search(folder=folder, photos=photos, given=given, part=(0.0, most))
     model = search.model()
     if given is None and masked and (model is None or model.num_reg_images() < _FEW * len(photos)):
@@ -59,7 +59,7 @@ def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | Non
 
 @dataclass(frozen=True, kw_only=True)
 class _Search:
-    """One search for cameras. Features and matches stay in its database: another search with it goes on there."""
+    """Search for cameras; its database stores features and matches, so an interrupted search continues."""
 
     folder: Path
     photos: list[Photo]
@@ -103,13 +103,13 @@ def _match(search: _Search) -> None:
 
 
 def _extract(search: _Search) -> None:
-    """SIFT by groups of photos of one size and focal length, or of one known lens, which share a camera."""
+    """Detect SIFT features; photos of the same size and focal length, or of one known lens, share a camera."""
     max_features = 6000
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads = search.threads
     extraction.sift.max_num_features = max_features
     cameras_by_name = {camera.photo: camera for camera in search.given or ()}
-    done = _camera_ids(search.database)  # those of an interrupted search
+    done = _camera_ids(search.database)  # cameras of an interrupted search
     for photo, names in _camera_groups(search.photos, cameras_by_name):
         reader = _reader(search, photo, cameras_by_name.get(photo.name))
         missing = [name for name in names if name not in done]
@@ -127,7 +127,7 @@ def _extract(search: _Search) -> None:
 
 
 def _camera_ids(database: Path) -> dict[str, int]:
-    """The camera of each image whose features are stored, by the image's name."""
+    """Return the camera of each image whose features are stored, by the image's name."""
     with pycolmap.Database.open(database) as opened:
         return {
             image.name: image.camera_id
@@ -139,7 +139,7 @@ def _camera_ids(database: Path) -> dict[str, int]:
 def _reader(search: _Search, photo: Photo, camera: InputCamera | None) -> pycolmap.ImageReaderOptions:
     reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
     if photo.masked:
-        reader.mask_path = search.images  # of a photo `name` the mask is `name.png`: no features where it is black
+        reader.mask_path = search.images  # COLMAP's name of a mask: `name.png`; no features where it is black
     if camera is not None:
         reader.camera_model = camera.model
         reader.camera_params = ",".join(str(value) for value in camera.params)
@@ -161,8 +161,8 @@ def _camera_groups(photos: list[Photo], cameras_by_name: dict[str, InputCamera])
 
 
 def _map(search: _Search) -> pycolmap.Reconstruction | None:
-    """The model of most photos: by COLMAP's own thresholds or, where they leave out many, by lower ones."""
-    # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
+    """Return the model with most photos, found with COLMAP's thresholds or, if they leave out many, with lower ones."""
+    # COLMAP's defaults, then lower ones, which register 14 instead of 8 of an orbit's 16 photos
     pose_inliers = ((30, 0.25), (15, 0.1))
     best = None
     for attempt, (min_inliers, min_ratio) in enumerate(pose_inliers):
@@ -178,7 +178,7 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
 
 
 def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstruction:
-    """The known cameras, refined where the photos disagree with them, and what of the matches fits them."""
+    """Refine the given cameras where the photos disagree with them, and triangulate the matches that fit."""
     search.tell("cameras", 0, 1)
     model = pycolmap.Reconstruction()
     poses = {camera.photo: camera.world_to_camera for camera in given}
@@ -209,8 +209,8 @@ def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstr
 
 
 def leave_out_loose(model: pycolmap.Reconstruction) -> None:
-    """Take out photos that hang on few points, or on a far hedge or clouds alone: their cameras may be anywhere."""
-    least_points = 50  # that a photo must see; those of that orbit see 200 and more
+    """Remove photos that see few points, or whose camera is far from the others: their poses are unreliable."""
+    least_points = 50  # points that a photo must see; those of the orbit above see 200 and more
     posed = [image for image in model.images.values() if image.has_pose]
     if not posed:
         return
@@ -255,7 +255,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     if masked:
         masks = folder / "masks"
         masks.mkdir(exist_ok=True)
-        for name in masked:  # under the photos' names, so that they are bent as the photos are
+        for name in masked:  # copies with the photos' names, which COLMAP undistorts like the photos
             shutil.copyfile(folder / "photos" / f"{name}.png", masks / name)
         bent = folder / "undistorted-masks"
         pycolmap.undistort_images(bent, chosen, masks, masked, num_threads=threads, jpeg_quality=95)
@@ -302,9 +302,9 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
 
 
 def straighten(camera: pycolmap.Camera) -> None:
-    """Replace a lens that bends no place of a photo by a tenth of a pixel with a pinhole, in place.
+    """Replace a lens whose distortion is below a tenth of a pixel everywhere with a pinhole, in place.
 
-    COLMAP copies photos of a pinhole; all others it resamples, a pixel smaller and half a pixel aside.
+    COLMAP copies photos of a pinhole camera; it resamples all others, a pixel smaller and shifted by half a pixel.
     """
     least_px = 0.1
     edges = np.stack(np.meshgrid([0, camera.width / 2, camera.width], [0, camera.height / 2, camera.height]), -1)
@@ -316,13 +316,13 @@ def straighten(camera: pycolmap.Camera) -> None:
 
 
 def _end_with_parent() -> None:
-    """Ask the kernel (Linux) to kill this process when its parent dies: a killed parent cannot."""
+    """Ask the kernel (Linux) to kill this process when its parent dies; a killed parent cannot."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
 def reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, str]:
-    """A sentence for each photo that is not `placed`, by its name in the database."""
+    """Explain, for each photo that is not `placed`, why it has no camera; by its name in the database."""
     images = database.read_all_images()
     others = [image.image_id for image in images if image.name in placed]
     pairs = dict(zip(*database.read_two_view_geometry_num_inliers(), strict=True))
@@ -336,7 +336,7 @@ def reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, st
 
 
 def _reason(num_features: int, num_shared: int) -> str:
-    few_features, few_shared = 200, 30  # COLMAP places a photo by at least so many points that it shares with others
+    few_features, few_shared = 200, 30  # COLMAP registers a photo by at least 30 points that it shares with others
     if num_features < few_features:
         return f"it has {num_features} features; {few_features} are few: it is blurred, dark or plain"
     if num_shared < few_shared:
@@ -352,7 +352,7 @@ def _reason(num_features: int, num_shared: int) -> str:
 
 if __name__ == "__main__":
     _end_with_parent()
-    if not pycolmap.has_cuda:  # which is used by itself, and reserves more addresses than any limit of memory
+    if not pycolmap.has_cuda:  # CUDA reserves more address space than any limit allows
         resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     job = json.load(sys.stdin)
     cameras = None if job["given"] is None else [InputCamera.from_json(fields) for fields in job["given"]]

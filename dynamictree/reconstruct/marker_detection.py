@@ -1,6 +1,6 @@
-"""Printed AprilTags (family 36h11) in photos whose cameras are known, by the AprilTag library (BSD) and COLMAP.
+"""Detect and triangulate printed AprilTags (family 36h11) in posed photos, with the AprilTag library (BSD) and COLMAP.
 
-Only the process of `mapping` imports this: it is native code.
+Only the child process of `mapping` imports this module, since it is native code.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ FAMILY = "tag36h11"
 
 
 class Sighting(NamedTuple):
-    """The markers in an undistorted photo: corners [px] by number."""
+    """Markers detected in an undistorted photo: corners [px] by number."""
 
     camera: pycolmap.Camera
     cam_from_world: pycolmap.Rigid3d
@@ -25,17 +25,17 @@ class Sighting(NamedTuple):
 
 
 class MarkerFinder:
-    """The prepared detector."""
+    """Detector of AprilTags, prepared once."""
 
     def __init__(self) -> None:
-        self._detector = Detector(families=FAMILY, quad_decimate=1.0)  # in half the pixels, corners are half as exact
+        self._detector = Detector(families=FAMILY, quad_decimate=1.0)  # 2 makes corners half as exact
 
     def find(self, grey: UInt8[np.ndarray, "H W"]) -> dict[int, Float64[np.ndarray, "4 2"]]:
-        """Corners [px] of markers by number, always the same corner first, then round the square.
+        """Detect markers; return their corners [px] by number, in order around the square, always from the same corner.
 
-        Only markers count that are read without a wrong bit, and none whose number is there twice: both may be meant.
+        Markers with a wrong bit are ignored, and so are those whose number appears twice, which are ambiguous.
         """
-        least_margin = 30.0  # of the library's scale: markers in photos have 50 and more, leaves that look like one 10
+        least_margin = 30.0  # the library's `decision_margin`: markers in photos have 50 and more, similar leaves 10
         seen = [
             (int(tag.tag_id), np.array(tag.corners, np.float64))
             for tag in self._detector.detect(np.ascontiguousarray(grey))
@@ -46,15 +46,15 @@ class MarkerFinder:
 
 
 def placed_markers(sightings: Sequence[Sighting]) -> list[Marker]:
-    """Markers that three photos, and half of those that show them, agree on; those in most photos first."""
+    """Triangulate markers on which three photos, and half of those that show them, agree; most photos first."""
     numbers = sorted({number for sighting in sightings for number in sighting.corners})
     markers = [_placed(number, [one for one in sightings if number in one.corners]) for number in numbers]
     return sorted((marker for marker in markers if marker is not None), key=lambda marker: -marker.num_photos)
 
 
 def _placed(number: int, sightings: Sequence[Sighting]) -> Marker | None:
-    largest_spread = 0.1  # between the longest and the shortest edge: more is no square, or cameras are wrong
-    fits_px = 2.0  # between a corner and where a photo has it
+    largest_spread = 0.1  # relative difference of the longest and shortest edge; more means no square or wrong cameras
+    fits_px = 2.0  # reprojection error of a corner
     least_views = 3
     options = pycolmap.EstimateTriangulationOptions()
     options.residual_type = pycolmap.TriangulationResidualType.REPROJECTION_ERROR

@@ -1,7 +1,7 @@
-"""Optimisation of Gaussians against the photos. Kerbl et al. 2023, with a schedule for two cores.
+"""Optimisation of Gaussians against photos: Kerbl et al. 2023, with a schedule for two CPU cores.
 
-Coarse to fine: the first steps see small pictures, which cost little; Mip-Splatting's filter makes what is learned
-there hold at every size.
+Coarse to fine: the first steps use small pictures, which cost little; Mip-Splatting's filter makes their result valid
+at every size.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,16 +22,16 @@ from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNI
 from dynamictree.reconstruct.views import nearest_pixels, resized
 from dynamictree.render.camera import Camera
 
-_DISCARDED_LOGIT = np.float32(-20)  # not drawn, and pruned by the next densification
+_DISCARDED_LOGIT = np.float32(-20)  # logit of Gaussians that are not drawn, and pruned by the next densification
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """A photo to be matched, and its camera."""
+    """Photo to be matched, with its camera."""
 
     camera: Camera
-    photo: Float32[np.ndarray, "H W 3"]  # display space, in [0, 1]
-    alpha: Float32[np.ndarray, "H W"] | None = None  # where given, the photo is cut out by it
+    photo: Float32[np.ndarray, "H W 3"]  # display space, [0, 1]
+    alpha: Float32[np.ndarray, "H W"] | None = None  # mask that cuts the photo out
     depth: Float32[np.ndarray, "H W"] | None = None  # 0 where unknown
 
 
@@ -40,38 +40,38 @@ class Schedule:
     """Steps, sizes and learning rates. Steps are a tenth of Kerbl et al.'s, so rates are theirs times 2 to 20."""
 
     num_steps: int = 3000
-    side_px: int = 640  # of the finest pictures
-    coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # until this share of the steps, smaller by this
-    position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # of the extent, first and last; theirs times 2
-    cut_out_position_rates: tuple[float, float] = (1.6e-3, 3.2e-6)  # the same for photos that are cut out
+    side_px: int = 640  # long side of the finest pictures
+    coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # up to this share of the steps, reduced by
+    position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # [extent], first and last; theirs times 2
+    cut_out_position_rates: tuple[float, float] = (1.6e-3, 3.2e-6)  # the same for photos with masks
     color_rate: float = 1e-2  # theirs times 4
     opacity_rate: float = 0.1  # theirs times 2
     scale_rate: float = 2e-2  # theirs times 4
     turn_rate: float = 4e-3  # theirs times 4
     sh_degree: int = 1
-    degree_every: int = 300  # steps, until one more is used
-    densify: tuple[float, float] = (0.1, 0.7)  # between these shares of the steps
+    degree_every: int = 300  # steps between increases of the degree
+    densify: tuple[float, float] = (0.1, 0.7)  # first and last share of the steps
     densify_every: int = 100
-    depth_share: float = 0.1  # of the loss, at first; falls to a hundredth of it
+    depth_share: float = 0.1  # initial weight in the loss; falls to a hundredth
     rules: DensityRules = field(default_factory=DensityRules)
-    cut_out_min_opacity: float = 0.02  # below it a Gaussian is pruned, where photos are cut out
-    check_every: int = 250  # steps, between two looks at the photos held out
+    cut_out_min_opacity: float = 0.02  # `min_opacity` for photos with masks
+    check_every: int = 250  # steps between evaluations on the held-out photos
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplatTask:
-    """What Gaussians are fitted to."""
+    """Photos that Gaussians are fitted to and evaluated on."""
 
-    targets: Iterable[Target]  # gone through once, one at a time: photos as they were taken fill gigabytes
-    held_out: Iterable[Target]  # not learned from: they tell how good it is so far
-    extent: float  # of the cameras
-    cut_out: bool = False  # by masks: photos show the subject alone
+    targets: Iterable[Target]  # iterated once: all photos at full size would take gigabytes
+    held_out: Iterable[Target]  # photos for evaluation only
+    extent: float  # size of the cameras' region
+    cut_out: bool = False  # photos have masks and show the subject alone
 
 
 def optimise(
     state: SplatState, task: SplatTask, schedule: Schedule, on_step: Callable[[SplatState], None] = lambda state: None
 ) -> None:
-    """Optimise, split and prune Gaussians in place; `on_step` may save the state, or raise to stop."""
+    """Optimise and densify Gaussians in place; `on_step` may save the state, or raise to stop."""
     levels = _Levels(task, schedule)
     while state.step < schedule.num_steps:
         on_step(state)
@@ -116,7 +116,7 @@ def _given(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w
 @compiled_fused
 @no_type_check
 def _compose(first, end, picture, photo, alpha, behind, rendered, wanted):
-    """The picture in front of a colour, and the photo in front of it where it is cut out, as planes."""
+    """Compose the picture, and the photo if it has a mask, over a background colour; write them as planes."""
     for row in range(first, end):
         for c in range(3):
             for j in range(np.uint32(picture.shape[1])):
@@ -131,9 +131,9 @@ def _compose(first, end, picture, photo, alpha, behind, rendered, wanted):
 @compiled_fused
 @no_type_check
 def _back(first, end, picture, loss, behind, depth, share, gradient):
-    """Gradient by the drawn picture of the loss by planes, and of the mean relative error of depth where one is known.
+    """Compute the loss's gradient by the drawn picture: that of the planes, plus that of the mean relative depth error.
 
-    The latter is Σ w (z − z*) / z*, so opacity is left alone.
+    The depth error is Σ w (z − z*) / z*, where z* is known; it leaves opacity alone.
     """
     for row in range(first, end):
         for j in range(np.uint32(picture.shape[1])):
@@ -171,7 +171,7 @@ def _shrink(schedule: Schedule, step: int) -> int:
 
 
 def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
-    """Mean over the photos [dB]."""
+    """Return the mean PSNR over the photos [dB]."""
     return float(np.mean([psnr(drawn(table, target, sh_degree), on_black(target)) for target in targets]))
 
 
@@ -184,17 +184,17 @@ def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> 
 
 
 def on_black(target: Target) -> Float32[np.ndarray, "H W 3"]:
-    """The target's photo on black."""
+    """Return the target's photo, on black where it has a mask."""
     return target.photo if target.alpha is None else target.photo * target.alpha[..., None]
 
 
 def planes_of(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H W"]:
-    """A picture as one plane a channel."""
+    """Return a picture as one plane per channel."""
     return np.ascontiguousarray(picture.transpose(2, 0, 1))
 
 
 class _Levels:
-    """The photos at every size that is used, and which comes next: each once, then in another order."""
+    """Photos at every size of the schedule, in random order, shuffled anew after each epoch."""
 
     def __init__(self, task: SplatTask, schedule: Schedule) -> None:
         self.held_out = [smaller(target, schedule.side_px) for target in task.held_out]

@@ -1,7 +1,7 @@
-"""Optimisation of Gaussians by gsplat (Ye et al. 2025, extra `gpu`), the CUDA counterpart of `optimise`.
+"""Optimisation of Gaussians with gsplat (Ye et al. 2025, extra `gpu`), the CUDA counterpart of `optimise`.
 
-Gaussians are made by MCMC (Kheradmand et al. 2024), as gsplat has it, and steps are as many as Kerbl et al. 2023 take:
-ten for each one of the CPU's schedule. It has been run with a stand-in for gsplat only (docs/limits.md).
+Densification is gsplat's MCMC (Kheradmand et al. 2024), and the number of steps is that of Kerbl et al. 2023: ten per
+step of the CPU's schedule. It has been run with a stand-in for gsplat only (docs/limits.md).
 """
 
 from collections.abc import Callable
@@ -20,9 +20,9 @@ from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import COLOR, LOG_SCALE, LOGIT, MEAN, QUATERNION, REST
 
 STEPS = 10
-"""Of gsplat, for each one of the schedule."""
+"""Steps of gsplat per step of the schedule."""
 _RATES = {"means": 1.6e-4, "quats": 1e-3, "scales": 5e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 1.25e-4}
-"""Kerbl et al. 2023's learning rates; that of places is of the extent, and falls to a hundredth."""
+"""Learning rates of Kerbl et al. 2023; that of means is multiplied by the extent and falls to a hundredth."""
 _COLUMNS = {"means": MEAN, "quats": QUATERNION, "scales": LOG_SCALE, "opacities": slice(LOGIT, LOGIT + 1)}
 
 Picture = Float[torch.Tensor, "3 H W"]
@@ -36,9 +36,9 @@ def optimise_on_gpu(
     *,
     device: str = "cuda",
 ) -> None:
-    """Optimise Gaussians in place, as `optimise.optimise` does; arguments as there.
+    """Optimise Gaussians in place like `optimise.optimise`, with the same arguments.
 
-    The state is current whenever `on_step` gets it. A saved state continues with the moments of Adam at zero.
+    `on_step` always gets the current state. A saved state continues with Adam's moments at zero.
     """
     regularity = 0.01  # weights of mean opacity and scale in the loss, Kheradmand et al. 2024
     torch.manual_seed(state.step)
@@ -105,7 +105,7 @@ def _table(params: torch.nn.ParameterDict) -> Float[np.ndarray, "G P"]:
 
 
 def _drawn(params: torch.nn.ParameterDict, target: Target, degree: int) -> tuple[Picture, Picture, dict[str, Any]]:
-    """The picture and the photo, both before one random colour where the photo is cut out."""
+    """Render a target; return the picture and the photo, both on one random colour if the photo has a mask."""
     device, (height, width) = params["means"].device, target.photo.shape[:2]
     seen, alpha, information = gsplat.rasterization(
         means=params["means"],
@@ -131,7 +131,7 @@ def _drawn(params: torch.nn.ParameterDict, target: Target, degree: int) -> tuple
 
 
 def _loss(picture: Picture, photo: Picture) -> Float[torch.Tensor, ""]:
-    """As `picture_loss.picture_loss`, by autograd."""
+    """Compute `picture_loss.picture_loss` in torch, for autograd."""
     line = torch.from_numpy(WINDOW).to(picture.device)
     window = torch.outer(line, line).expand(15, 1, -1, -1)
     maps = torch.cat([picture, photo, picture * picture, photo * photo, picture * photo])[None]

@@ -1,4 +1,4 @@
-"""Options of a reconstruction, and what a request asks for."""
+"""Options of a reconstruction, and those that a request selects."""
 
 from dataclasses import dataclass, field
 
@@ -9,15 +9,15 @@ from dynamictree.reconstruct.optimise import Schedule
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions:
-    """How much of the photos is used, and how long the splat is learned."""
+    """Resolution and number of the photos used, and the schedule of the splat's optimisation."""
 
     schedule: Schedule = field(default_factory=Schedule)
     photo_px: int = QUALITIES["standard"].photo_px  # long side to which photos are reduced
-    max_views: int = QUALITIES["standard"].max_views  # that depths and splat are made of, evenly chosen
+    max_views: int = QUALITIES["standard"].max_views  # number of photos for depths and splat, evenly chosen
 
 
 def options_of(params: LearningParams) -> ReconstructOptions:
-    """Options of the reconstruction that a request asks for; box and height come after it."""
+    """Return the options that a request selects; its box and height are applied afterwards."""
     limits = QUALITIES[params.quality]
     schedule = Schedule(
         num_steps=params.splat_steps or limits.num_steps,

@@ -1,4 +1,4 @@
-"""Cameras of a finished reconstruction, in `cameras.json`."""
+"""Cameras of a finished reconstruction, stored in `cameras.json`."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ class PhotoCamera:
     height: int
 
     def reduced(self, side_px: int) -> "PhotoCamera":
-        """The same with a smaller picture; its shape may change by half a pixel."""
+        """Return the camera for a smaller picture; its aspect ratio may change by half a pixel."""
         shrink = min(1.0, side_px / max(self.width, self.height))
         width, height = max(1, round(shrink * self.width)), max(1, round(shrink * self.height))
         return PhotoCamera(photo=self.photo, camera=self.camera, width=width, height=height)
@@ -40,7 +40,7 @@ def write_cameras(cameras: Sequence[PhotoCamera], folder: Path, *, scale: str) -
 
 
 def read_cameras(document: Mapping[str, Any]) -> list[PhotoCamera]:
-    """Cameras as `write_cameras` writes them."""
+    """Read the cameras of a document that `write_cameras` wrote."""
     return [_camera(fields) for fields in document["cameras"]]
 
 
@@ -69,7 +69,7 @@ def _camera(fields: Mapping[str, Any]) -> PhotoCamera:
 
 
 def camera_of_photo(views: list[PhotoCamera], name: str) -> PhotoCamera:
-    """The camera of a photo by its name, without folders if no other has the same.
+    """Find the camera of a photo by its name, which may omit folders if it is unique.
 
     Raises:
         InputError: there is no such photo, or there are several.
@@ -84,14 +84,14 @@ def camera_of_photo(views: list[PhotoCamera], name: str) -> PhotoCamera:
 
 
 def focus_of(views: list[PhotoCamera]) -> tuple[Float64[np.ndarray, "3"], float]:
-    """The point nearest to all viewing axes, and the cameras' median distance from it [m]."""
+    """Return the point nearest to all viewing axes, and the cameras' median distance from it [m]."""
     positions = np.array([view.camera.position_m for view in views])
     focus = nearest_to_axes([view.camera for view in views])
     return focus, float(np.median(np.linalg.norm(positions - focus, axis=1)))
 
 
 def nearest_to_axes(cameras: Iterable[Camera]) -> Float64[np.ndarray, "3"]:
-    """The point of least squared distance to all viewing axes."""
+    """Find the point with the smallest sum of squared distances to all viewing axes."""
     positions, forward = np.array([(camera.position_m, camera.world_to_camera[2]) for camera in cameras]).swapaxes(0, 1)
     projectors = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [V, 3, 3]
     wanted = np.einsum("vij,vj->i", projectors, positions)

@@ -1,4 +1,4 @@
-"""Some of the photos of a reconstruction as their cameras see them: what strokes are drawn on."""
+"""Previews of a reconstruction's photos, undistorted, on which users draw strokes."""
 
 import json
 from collections.abc import Collection, Sequence
@@ -16,18 +16,18 @@ from dynamictree.reconstruct.views import View
 PHOTO_PREVIEWS = "photos.safetensors"
 _FORMAT, _VERSION = "tree-photos", "1"
 MOST_PHOTOS = 24
-"""One per 15° of a walk around the plant: each side of it is seen in some."""
+"""One per 15° around the plant, so that each side is seen."""
 SIDE_PX = 960
 
 
 def write_photo_previews(views: Sequence[View], folder: Path, *, needed: Collection[str] = ()) -> None:
     """Write `photos.safetensors`: JPEG bytes `photo_0`, …, and their names in the metadata.
 
-    The pictures are undistorted, and a place on one is the same share of its width and height as in `Scribble`.
+    The pictures are undistorted; a position in one, as a share of its width and height, is the same as in `Scribble`.
 
     Args:
         views: all photos with a camera; at most 24 of them are written, evenly chosen.
-        folder: for the file.
+        folder: folder for the file.
         needed: names of photos that are written in any case.
     """
     named = {row for row, view in enumerate(views) if view.source in needed}
@@ -41,7 +41,7 @@ def write_photo_previews(views: Sequence[View], folder: Path, *, needed: Collect
 
 
 def read_photo_previews(folder: Path) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
-    """Pictures that `write_photo_previews` wrote, by the names of their photos; none if there is no file."""
+    """Read the pictures that `write_photo_previews` wrote, by photo name; none if there is no file."""
     if not (folder / PHOTO_PREVIEWS).exists():
         return {}
     with opened(folder / PHOTO_PREVIEWS) as stream:

@@ -1,4 +1,4 @@
-"""Check photos, turn them upright, reduce them, and remove EXIF with its GPS position."""
+"""Check photos, rotate them by EXIF, reduce them, and remove EXIF with its GPS position."""
 
 import re
 import warnings
@@ -25,25 +25,25 @@ _REDUCED = re.compile(r"(?P<name>images|rgb)(_(?P<by>[0-9]{1,2}))?")
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """A photo ready for matching."""
+    """Photo prepared for feature matching."""
 
     source: str  # the file's name as given
-    name: str  # of the prepared file, below its folder; the same whatever other photos there are
+    name: str  # file name of the prepared photo, independent of the other photos
     width: int
     height: int
-    focal_px: float | None  # as EXIF tells it, or None
+    focal_px: float | None  # focal length by EXIF, if any
     masked: bool = False  # `<name>.png` lies beside it, white where the tree is
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFile:
-    """A photo in its original file."""
+    """Original file of a photo."""
 
     path: Path
-    name: str  # its own; with its folders where two have the same
-    mask: Path | None = None  # a picture of the same size, white where the tree is
-    side_px: int = QUALITIES["standard"].photo_px  # to which its long side is reduced
-    as_stored: bool = False  # a given camera is of the picture as it is stored, whatever EXIF says of its top
+    name: str  # file name; with folders where two photos have the same
+    mask: Path | None = None  # picture of the same size, white where the tree is
+    side_px: int = QUALITIES["standard"].photo_px  # long side after reduction
+    as_stored: bool = False  # ignore EXIF's orientation, since the given camera does
 
 
 Given = tuple[InputCamera, ...] | None
@@ -54,7 +54,7 @@ ReadPhotos = Callable[[Sequence[PhotoFile], Path | None, Path, OnPhoto], tuple[G
 def list_photos(
     paths: Sequence[Path], root: Path | None = None, *, side_px: int = QUALITIES["standard"].photo_px
 ) -> list[PhotoFile]:
-    """Name the photos, and find their masks: of the same name, or stem, in a folder `masks`."""
+    """Name the photos, and find their masks: files of the same name or stem in a folder `masks`."""
     masks: dict[str, Path] = {}
     if root is not None:
         for path in sorted(root.rglob("*")):
@@ -74,7 +74,7 @@ def list_photos(
 
 
 def _without_reduced(paths: Sequence[Path]) -> list[Path]:
-    """Leave out the reduced copies of photos that LLFF and nerfstudio lay beside them, as `images_4`."""
+    """Leave out reduced copies of photos, which LLFF and nerfstudio store in folders such as `images_4`."""
     copies: dict[Path, list[int]] = {}
     for folder in {path.parent for path in paths}:
         if (match := _REDUCED.fullmatch(folder.name)) is not None:
@@ -84,16 +84,16 @@ def _without_reduced(paths: Sequence[Path]) -> list[Path]:
 
 
 def sizes_of(photo: PhotoFile) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Width and height as stored, and as EXIF turns it.
+    """Return width and height as stored, and as rotated by EXIF.
 
     Raises:
-        FormatError: it is no photo, damaged, or too large or too small.
+        FormatError: the file is no photo, or is damaged, too large or too small.
     """
     sideways = (5, 6, 7, 8)
     with _opened(photo.path, photo.name) as image:
         stored = image.size
         try:
-            turned = image.getexif().get(_ORIENTATION) in sideways  # of a PNG, the whole picture is decoded
+            turned = image.getexif().get(_ORIENTATION) in sideways  # decodes the whole picture if it is a PNG
         except (OSError, SyntaxError) as error:
             raise _undecodable(photo, error) from error
     return stored, (stored[::-1] if turned else stored)
@@ -102,15 +102,15 @@ def sizes_of(photo: PhotoFile) -> tuple[tuple[int, int], tuple[int, int]]:
 def prepare_photos(
     photos: Sequence[PhotoFile], folder: Path, *, on_photo: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Photo]:
-    """Write an upright, reduced JPEG of each photo, without EXIF and so without GPS; order as given.
+    """Write an upright, reduced JPEG of each photo, without EXIF and so without GPS; retain the order.
 
-    Where a photo has an alpha channel or a mask, `<name>.png` is written beside, white where the tree is; unless no
+    If a photo has an alpha channel or a mask, `<name>.png` is written beside it, white where the tree is; not if no
     pixel of any photo is transparent.
 
     Raises:
         InputError: too few or too many photos.
-        FormatError: a file that is no JPEG, PNG, WebP, TIFF or HEIC, is truncated, too large or too small; a mask of
-            another size than its photo.
+        FormatError: a file is no JPEG, PNG, WebP, TIFF or HEIC, is truncated, too large or too small; or the size of a
+            mask differs from its photo's.
     """
     advice = "walk around the tree and take one every 10 to 20 degrees"
     if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
@@ -128,7 +128,7 @@ def prepare_photos(
 
 
 def _any_transparent(prepared: list[Photo], folder: Path) -> bool:
-    """Whether any mask leaves something out: an image editor may add an alpha channel of 255 to every photo."""
+    """Whether any mask has a transparent pixel; if not, delete the masks, since image editors may add opaque alpha."""
     opaque = 255  # alpha
     for photo in prepared:
         if photo.masked:
@@ -171,7 +171,7 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
 
 def _decoded(image: Image.Image, photo: PhotoFile, *, reduced: bool) -> Image.Image:
     if reduced:
-        image.draft("RGB", (photo.side_px, photo.side_px))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
+        image.draft("RGB", (photo.side_px, photo.side_px))  # decode a JPEG at the next larger of 1/2, 1/4, 1/8
     try:
         turned = in_eight_bits(image.copy() if photo.as_stored else ImageOps.exif_transpose(image))
         return turned.convert("RGBA" if "A" in turned.getbands() or "transparency" in turned.info else "RGB")
@@ -186,13 +186,13 @@ def _undecodable(photo: PhotoFile, error: Exception) -> FormatError:
 @contextmanager
 def _opened(path: Path, name: str) -> Iterator[Image.Image]:
     min_side_px = 240
-    max_photo_pixels = 64_000_000  # the largest common camera's; decoding takes 200 MB
+    max_photo_pixels = 64_000_000  # size of the largest common cameras; decoding takes 200 MB
     size = path.stat().st_size
     if size > MAX_PHOTO_BYTES:
         raise FormatError(f"{name} has {size:,} bytes; a photo may have {MAX_PHOTO_BYTES:,}; reduce it")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap, below, is tighter
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below is lower
             image = open_photo(path, name)
     except UnidentifiedImageError as error:
         raise FormatError(f"{name} is none of {', '.join(PHOTO_FORMATS)}; convert it to one of them") from error
@@ -207,7 +207,7 @@ def _opened(path: Path, name: str) -> Iterator[Image.Image]:
 
 
 def _focal_35mm(image: Image.Image) -> float | None:
-    focal_range_mm = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
+    focal_range_mm = (8, 800)  # EXIF has 0 for unknown; some editors write other wrong values
     focal = image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_35MM)
     if isinstance(focal, int) and focal_range_mm[0] <= focal <= focal_range_mm[1]:
         return float(focal)
@@ -220,13 +220,13 @@ def read_photos(
     """Return the cameras that came with the photos, if any, and the photos that `prepare_photos` wrote to `folder`.
 
     Raises:
-        InputError: as `find_input_cameras` and `prepare_photos`.
+        InputError: see `find_input_cameras` and `prepare_photos`.
     """
     given = None
     if root is not None:
         sizes = {photo.name: sizes_of(photo) for photo in sorted(photos, key=lambda photo: photo.name)}
         given = find_input_cameras(root, sizes)
-    if given is not None:  # a photo is turned upright only if its camera saw it so: some programs heed EXIF
+    if given is not None:  # a photo is not rotated if its camera fits the stored size: some programs ignore EXIF
         by_photo = {camera.photo: camera for camera in given}
         photos = [
             replace(photo, as_stored=fits(by_photo[photo.name], sizes[photo.name][0]))

@@ -1,4 +1,4 @@
-"""How far a picture is from a photo: L1 and D-SSIM, and their gradient. Kerbl et al. 2023, eq. 7."""
+"""Loss between a picture and a photo, L1 and D-SSIM, with its gradient. Kerbl et al. 2023, eq. 7."""
 
 from typing import NamedTuple, no_type_check
 
@@ -12,14 +12,14 @@ _RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
 _BELL = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
 WINDOW = (_BELL / _BELL.sum()).astype(np.float32)
-"""Along each axis."""
+"""SSIM's separable Gaussian window along one axis."""
 _W = tuple(WINDOW)
 _TAPS = 2 * _RADIUS + 1
 _ONE, _TWO = np.float32(1), np.float32(2)
 
 
 class Loss(NamedTuple):
-    """A loss and its gradient by the picture."""
+    """Loss and its gradient by the picture."""
 
     value: float
     gradient: Float32[np.ndarray, "3 H W"]
@@ -28,16 +28,16 @@ class Loss(NamedTuple):
 def picture_loss(
     picture: Float32[np.ndarray, "3 H W"], photo: Float32[np.ndarray, "3 H W"], *, ssim_share: float = SSIM_SHARE
 ) -> Loss:
-    """(1 − λ) L1 + λ (1 − SSIM), means over pixels and channels in [0, 1].
+    """Compute (1 − λ) L1 + λ (1 − SSIM), averaged over pixels and channels in [0, 1], and its gradient.
 
-    SSIM is Wang et al.'s (2004), in a Gaussian window of 11 pixels, zero beyond the edge.
+    SSIM is that of Wang et al. 2004, with a Gaussian window of 11 pixels and zero padding.
     """
     rows = picture.shape[0] * picture.shape[1]
     flat, flat_photo = picture.reshape(rows, -1), photo.reshape(rows, -1)
     maps = np.empty((4, *picture.shape), np.float32)
     in_bands(_products, rows, flat, flat_photo, maps.reshape(4, rows, -1))
     blurred = blur(maps.reshape(-1, *picture.shape[1:])).reshape(4, rows, -1)
-    back = maps[:3].reshape(3, rows, -1)  # written over
+    back = maps[:3].reshape(3, rows, -1)  # buffers reused for the derivatives
     similarity, distance = np.empty(rows, np.float64), np.empty(rows, np.float64)
     in_bands(_compare, rows, blurred, np.float32(ssim_share / picture.size), back, similarity)
     by_maps = blur(back.reshape(-1, *picture.shape[1:])).reshape(3, rows, -1)
@@ -49,17 +49,17 @@ def picture_loss(
 
 
 def psnr(picture: Float32[np.ndarray, "*shape"], photo: Float32[np.ndarray, "*shape"]) -> float:
-    """Peak signal to noise of values in [0, 1] [dB]."""
+    """Compute the peak signal-to-noise ratio of values in [0, 1] [dB]."""
     return -10 * float(np.log10(max(np.square(picture - photo, dtype=np.float64).mean(), 1e-12)))
 
 
 def ssim(picture: Float32[np.ndarray, "3 H W"], photo: Float32[np.ndarray, "3 H W"]) -> float:
-    """Structural similarity, the mean over pixels and channels; 1 for the same picture."""
+    """Compute the structural similarity, averaged over pixels and channels; 1 for equal pictures."""
     return 1 - picture_loss(picture, photo, ssim_share=1.0).value
 
 
 def blur(planes: Float32[np.ndarray, "P H W"]) -> Float32[np.ndarray, "P H W"]:
-    """Each plane blurred by SSIM's window, zero beyond its edges; its own adjoint."""
+    """Convolve each plane with SSIM's window, with zero padding; the operator is self-adjoint."""
     result = np.empty_like(planes)
     in_bands(_blur_rows, planes.shape[0] * planes.shape[1], planes, result)
     return result
@@ -69,7 +69,7 @@ def blur(planes: Float32[np.ndarray, "P H W"]) -> Float32[np.ndarray, "P H W"]:
 @no_type_check
 def _blur_rows(first, end, planes, result):
     _, height, width = planes.shape
-    down = np.zeros(width + 2 * _RADIUS, np.float32)  # with a margin of zeros on both sides
+    down = np.zeros(width + 2 * _RADIUS, np.float32)  # zero padding on both sides
     rows = np.empty((_TAPS, width), np.float32)
     for place in range(first, end):
         plane, row = place // height, place % height
@@ -86,7 +86,7 @@ def _blur_rows(first, end, planes, result):
 @compiled_fused
 @no_type_check
 def _blur_down(a, out):
-    """The eleven rows, summed by the window, behind a margin; terms are written out, so that LLVM makes vectors."""
+    """Convolve eleven rows vertically, and write behind the padding; terms are spelled out so that LLVM vectorizes."""
     for j in range(np.uint32(a.shape[1])):
         far = _W[0] * (a[0, j] + a[10, j]) + _W[1] * (a[1, j] + a[9, j]) + _W[2] * (a[2, j] + a[8, j])
         near = _W[3] * (a[3, j] + a[7, j]) + _W[4] * (a[4, j] + a[6, j]) + _W[5] * a[5, j]
@@ -96,7 +96,7 @@ def _blur_down(a, out):
 @compiled_fused
 @no_type_check
 def _blur_along(a, out):
-    """The same along a row that has margins."""
+    """Convolve a padded row horizontally."""
     b, c, d, e, f, g, h, i, k, last = a[1:], a[2:], a[3:], a[4:], a[5:], a[6:], a[7:], a[8:], a[9:], a[10:]
     for j in range(np.uint32(len(out))):
         far = _W[0] * (a[j] + last[j]) + _W[1] * (b[j] + k[j]) + _W[2] * (c[j] + i[j])
@@ -115,7 +115,7 @@ def _products(first, end, picture, photo, maps):
 @compiled_fused
 @no_type_check
 def _combine(first, end, picture, photo, by_maps, share, gradient, distance):
-    """Chain rule through the maps, and the gradient of L1."""
+    """Combine the gradients through the SSIM maps with that of L1; write the sum of absolute differences."""
     for row in range(first, end):
         total = np.float32(0)
         for j in range(np.uint32(picture.shape[1])):
@@ -129,7 +129,7 @@ def _combine(first, end, picture, photo, by_maps, share, gradient, distance):
 @compiled_fused
 @no_type_check
 def _compare(first, end, blurred, share, back, values):
-    """SSIM of blurred maps, and its derivatives by the mean, the sum of squares and the product."""
+    """Compute SSIM from blurred maps, with its derivatives by the mean, the sum of squares and the product."""
     for row in range(first, end):
         total = 0.0
         for j in range(blurred.shape[2]):

@@ -1,8 +1,8 @@
-"""Separate the plant's Gaussians from all others by a minimum cut. GrabCut (Rother et al. 2004), on Gaussians.
+"""Segment the plant's Gaussians by a minimum cut: GrabCut (Rother et al. 2004) on Gaussians.
 
-The graph joins each Gaussian with its nearest neighbours, by edges that are the stronger the nearer and the more alike
-in colour they are. Strokes decide for what is seen under them; all else is decided by colour, the proposal and the
-smallest sum of edges that the cut severs.
+The graph connects each Gaussian with its nearest neighbours; edges are stronger between near Gaussians of similar
+colour. Strokes fix the label of the Gaussians seen under them; the others are labelled by colour, the proposal and the
+smallest sum of severed edges.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,14 +33,13 @@ def plant_of(
     masked: bool = False,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians are the plant: by strokes, and by what the photos circle and the ground is.
+    """Return a mask of the plant's Gaussians, found by strokes, the cameras' focus and the ground.
 
-    With `masked`, masks have said what the plant is: all that was learned is, where no stroke says otherwise.
-    `on_progress` gets the share that is done, between strokes and between rounds of the cut; what it raises passes
-    through.
+    With `masked`, photos had masks, so all Gaussians are the plant except where strokes exclude them.
+    `on_progress` gets the completed share, between strokes and between rounds of the cut; its exceptions propagate.
 
     Raises:
-        InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
+        InputError: a stroke names no photo with a camera, or no Gaussian lies under the strokes of the plant.
     """
     on_progress(0.0)
     every = np.ones(cloud.num_gaussians, np.bool_)
@@ -65,14 +64,14 @@ def _cut(
     cloud: GaussianCloud, proposal: Proposal, strokes: Int8[np.ndarray, " G"], on_progress: Callable[[float], None]
 ) -> Bool[np.ndarray, " G"]:
     certain = 1000.0
-    rejected = 4.0  # and of what it takes for background
-    proposed = 1.5  # log odds of what the proposal takes for the plant
-    rounds = 4  # of colours from the cut, and the cut from colours
+    rejected = 4.0  # log odds against Gaussians that the proposal takes for background
+    proposed = 1.5  # log odds of Gaussians that the proposal takes for the plant
+    rounds = 4  # iterations of colour model and cut
     color = lab_of(cloud)
     edges, weights = _edges(cloud, color)
     prior = np.where(proposal.central, proposed, 0.0) - np.where(proposal.background, rejected, 0.0)
     drawn = _stroke_odds(cloud, color, edges, strokes)
-    if not (strokes[proposal.background] > 0).any():  # nobody says that it is the plant, so it is not by being near
+    if not (strokes[proposal.background] > 0).any():  # no stroke marks background as plant, so neither does nearness
         drawn = np.where(proposal.background, np.minimum(drawn, 0), drawn)
     prior += drawn
     own = proposal.central & (strokes >= 0) | (strokes > 0)
@@ -87,7 +86,7 @@ def _cut(
 
 
 def lab_of(cloud: GaussianCloud) -> Float32[np.ndarray, "G 3"]:
-    """Mean colour of each Gaussian from all around, in CIELAB."""
+    """Return each Gaussian's mean colour over all directions, in CIELAB."""
     lab: Float32[np.ndarray, "G 3"] = rgb2lab(np.clip(cloud.sh[:, 0] * SH_0 + 0.5, 0, 1)).astype(np.float32)
     return lab
 
@@ -95,15 +94,15 @@ def lab_of(cloud: GaussianCloud) -> Float32[np.ndarray, "G 3"]:
 def _edges(
     cloud: GaussianCloud, color: Float32[np.ndarray, "G 3"]
 ) -> tuple[Int64[np.ndarray, "E 2"], Float64[np.ndarray, " E"]]:
-    """Pairs of neighbours, each once, and the price of parting them, in log odds."""
-    color_spread = 12.0  # CIELAB, a just visible difference being about 2: half an edge at this times 1.2
-    smoothness = 1.5  # of an edge between neighbours of one colour, in log odds
+    """Return the pairs of neighbours, each once, and the cost of separating them [log odds]."""
+    color_spread = 12.0  # CIELAB distance that weakens an edge to 61 %; about 2 is just visible
+    smoothness = 1.5  # cost of an edge between neighbours of one colour [log odds]
     number = cloud.num_gaussians
     query = cKDTree(cloud.means).query(cloud.means, k=min(_NEIGHBOURS + 1, number))
     distance, near = np.asarray(query[0]), np.asarray(query[1])
     first = np.repeat(np.arange(number), near.shape[1] - 1)
     pairs = np.sort(np.stack([first, near[:, 1:].ravel()], axis=1), axis=1)
-    rows = np.unique(pairs[:, 0] * number + pairs[:, 1], return_index=True)[1]  # of axis 0 it takes 10 times as long
+    rows = np.unique(pairs[:, 0] * number + pairs[:, 1], return_index=True)[1]  # axis=0 is 10 times slower
     pairs = pairs[rows]
     apart = distance[:, 1:].ravel()[rows]
     alike = np.exp(-(((color[pairs[:, 0]] - color[pairs[:, 1]]) ** 2).sum(axis=1)) / (2 * color_spread**2))
@@ -117,9 +116,9 @@ def _stroke_odds(
     edges: Int64[np.ndarray, "E 2"],
     strokes: Int8[np.ndarray, " G"],
 ) -> Float64[np.ndarray, " G"]:
-    """Log odds from strokes, which fade with the way from them: along neighbours, longer where the colour changes."""
-    color_step = 8.0  # CIELAB: a difference that makes a step twice as long
-    stroke_reach = 20.0  # steps between neighbours of one colour, after which they are e times less
+    """Compute log odds from strokes; they decay with the path length along neighbours, longer across colours."""
+    color_step = 8.0  # CIELAB distance that doubles the length of a step
+    stroke_reach = 20.0  # steps between neighbours of one colour over which the odds decay by e
     stroke_odds = 6.0  # log odds beside a stroke
     number = cloud.num_gaussians
     first, second = edges.T
@@ -138,9 +137,9 @@ def _stroke_odds(
 def _color_odds(
     color: Float32[np.ndarray, "G 3"], weight: Float32[np.ndarray, " G"], own: Bool[np.ndarray, " G"]
 ) -> Float64[np.ndarray, " G"]:
-    """Log odds of each colour among the chosen against the others, from smoothed histograms."""
-    bins = (12, 18, 18)  # of lightness, and of green to red and blue to yellow, from -90 to 90
-    most_color = 2.0  # log odds that a colour can give
+    """Compute each colour's log odds in the plant against the background, from smoothed histograms."""
+    bins = (12, 18, 18)  # number for L*, and for a* and b* from -90 to 90
+    most_color = 2.0  # limit of the log odds
     low, high = np.array([0.0, -90.0, -90.0]), np.array([100.0, 90.0, 90.0])
     share = np.clip((color - low) / (high - low), 0, 1 - 1e-6)
     cell = tuple((share * bins).astype(np.int64).T)
@@ -156,8 +155,8 @@ def _color_odds(
 def minimum_cut(
     odds: Float64[np.ndarray, " G"], edges: Int64[np.ndarray, "E 2"], weights: Float64[np.ndarray, " E"]
 ) -> Bool[np.ndarray, " G"]:
-    """The choice with the smallest sum of severed edges and of log odds against it; what is undecided is not chosen."""
-    unit = 1000  # of a capacity: the flow is in integers
+    """Return the labels with the smallest sum of severed edges and log odds against them; undecided nodes are false."""
+    unit = 1000  # scale of capacities, since the flow is in integers
     number = len(odds)
     source, sink = number, number + 1
     every = np.arange(number)
@@ -177,11 +176,11 @@ def minimum_cut(
 
 
 def faint_floaters(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
-    """Which of the chosen Gaussians hang in the air around the plant: faint ones away from all opaque ones, and strays.
+    """Return a mask of floaters around the plant: faint Gaussians far from all opaque ones, and stray opaque ones.
 
-    Learning leaves them before a textured background that it shows not quite right. Where few are opaque, none is one.
+    They compensate errors of a textured background. If few Gaussians are opaque, none is a floater.
     """
-    together, stray = 8, 3.0  # the opaque ones that tell how dense they lie; times the usual distance: strays
+    together, stray = 8, 3.0  # rank of the neighbour that gives the spacing; multiple of the median spacing of strays
     rows = np.flatnonzero(own)
     floaters = np.zeros(cloud.num_gaussians, np.bool_)
     opaque = rows[cloud.opacity[rows] > 0.5]

@@ -1,4 +1,4 @@
-"""What is probably the plant in a scene of Gaussians, without help: not ground, not far, what the cameras circle."""
+"""Automatic proposal of the plant in a scene of Gaussians: near, not ground, and central in the photos."""
 
 from dataclasses import dataclass
 
@@ -12,30 +12,30 @@ from dynamictree.plant.still import touching_groups
 from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.reconstruct.photo_cameras import PhotoCamera, focus_of
 
-_NEAR = 0.85  # of the cameras' distance from what they look at: farther away is background
-_WHOLE = 0.7  # of a thing's Gaussians must lie in most photos
-_CENTRAL = 0.5  # of half the picture: things farther from the middle count little
-_IN_GROUND, _BELOW = 0.2, 0.7  # of the thickness of the ground: above it, and aside of what stands there
-THICKNESS = 0.015  # of the cameras' distance
+_NEAR = 0.85  # share of the cameras' distance from their focus; Gaussians farther away are background
+_WHOLE = 0.7  # share of an object's Gaussians that must lie in most photos
+_CENTRAL = 0.5  # share of half the picture; objects farther from its middle count little
+_IN_GROUND, _BELOW = 0.2, 0.7  # share of the ground's thickness: feet are higher, and horizontally nearer to the plant
+THICKNESS = 0.015  # share of the cameras' distance, within which points lie on a plane
 
 
 @dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """Of each Gaussian what the cameras and the ground say of it."""
+    """Labels of each Gaussian by the cameras and the ground."""
 
-    near: Bool[np.ndarray, " G"]  # can be the plant at all
-    background: Bool[np.ndarray, " G"]  # near, and surely not the plant: ground, pot, what leaves the pictures
-    central: Bool[np.ndarray, " G"]  # probably the plant: the largest thing in the middle of the pictures
+    near: Bool[np.ndarray, " G"]  # candidates for the plant
+    background: Bool[np.ndarray, " G"]  # near, but not the plant: ground, pot, partly outside the photos
+    central: Bool[np.ndarray, " G"]  # probably the plant: the largest object in the middle of the photos
 
 
 def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
-    """Separate what is far, what is ground, pot or thing, and what stands in the middle of the photos."""
-    level = 0.9  # +Z part of the normal of a ground
+    """Label Gaussians as near or far, background (ground, pots and other objects) and central."""
+    level = 0.9  # least z of the ground's normal
     most_views = 40
-    cell = 0.02  # of the cameras' distance: what is so near to one another is one thing
-    faint = 0.05  # opacity that shows next to nothing
-    wide = 0.15  # of the cameras' distance: a Gaussian so wide belongs to the background
-    in_picture = 0.5  # of the photos must hold what is the plant: floors, walls and cloths go on beyond them
+    cell = 0.02  # share of the cameras' distance; Gaussians closer together are one object
+    faint = 0.05  # opacity of nearly invisible Gaussians
+    wide = 0.15  # share of the cameras' distance; wider Gaussians are background
+    in_picture = 0.5  # share of the photos that must contain the plant; floors and walls extend beyond them
     chosen = [views[row] for row in np.unique(np.linspace(0, len(views) - 1, most_views).round().astype(int))]
     focus, distance = focus_of(chosen)
     means = cloud.means.astype(np.float64)
@@ -71,7 +71,7 @@ def _feet(
     plant: Bool[np.ndarray, " G"],
     thickness_m: float,
 ) -> Bool[np.ndarray, " G"]:
-    """Points within the ground's thickness straight below the plant: a trunk goes down to the ground."""
+    """Find points within the ground's thickness directly below the plant: the base of its trunk."""
     feet = np.zeros(len(points), np.bool_)
     lowest = np.flatnonzero(plant & (above_m < 2 * thickness_m))
     rows = np.flatnonzero((above_m > _IN_GROUND * thickness_m) & (above_m < thickness_m))
@@ -84,7 +84,7 @@ def _feet(
 def _places_in_pictures(
     points: Float64[np.ndarray, "G 3"], views: list[PhotoCamera]
 ) -> tuple[Float64[np.ndarray, " G"], Float64[np.ndarray, " G"]]:
-    """Share of the pictures that hold each point, and its mean distance from their middle: 1 at a side."""
+    """Return the share of pictures that contain each point, and its mean distance from their middle (1 at a side)."""
     coverage, total = np.zeros(len(points)), np.zeros(len(points))
     for view in views:
         x, y, depth = view.camera.project(points, view.width, view.height).T
@@ -102,8 +102,8 @@ def _inside_groups(
     *,
     cell_m: float,
 ) -> Bool[np.ndarray, " G"]:
-    """Points of the things that the pictures hold whole, and of those only the most central and what is near to it."""
-    apart_cells = 4.0  # between the plant and a loose piece of it
+    """Find the points of the most central object that the photos show whole, and of such objects near it."""
+    apart_cells = 4.0  # largest gap between the plant and a loose piece of it
     if len(points) == 0:
         return np.zeros(0, np.bool_)
     cells, cell, _, group_of_cell = touching_groups(points, cell_m)
@@ -124,15 +124,15 @@ def _inside_groups(
 
 
 def wide_planes(points: Points, cameras: Points, focus: Direction, distance_m: float) -> list[Plane]:
-    """Each plane that is wide and flat, and that cameras and what they look at are in front of.
+    """Find wide planes that have the cameras and their focus in front of them.
 
-    Points nearer than `THICKNESS` times the distance are on it. Planes are sought by RANSAC among the points' own
-    normals, so that a crown's points, which have all normals, are no plane.
+    Points nearer than `THICKNESS` times the distance are on a plane. RANSAC uses the points' own normals, so that a
+    crown, whose points have normals in all directions, is no plane.
     """
-    least_share = 0.04  # of the points
+    least_share = 0.04  # share of the points on a plane
     most_planes = 4
     trials = 400
-    sampled = 8000  # points that planes are sought in
+    sampled = 8000  # points used by RANSAC
     if len(points) <= NEIGHBOURS:
         return []
     rng = np.random.default_rng(0)
@@ -157,9 +157,9 @@ def wide_planes(points: Points, cameras: Points, focus: Direction, distance_m: f
 
 
 def _is_wall(points: Points, normal: Direction, cameras: Points, focus: Direction, distance_m: float) -> bool:
-    focus_gap = 0.03  # of the cameras' distance: the plane does not pass through what the cameras look at
-    in_front = 0.95  # of the cameras
-    least_width = 0.3  # of the cameras' distance, in both directions
+    focus_gap = 0.03  # share of the cameras' distance, least gap between plane and focus
+    in_front = 0.95  # share of the cameras
+    least_width = 0.3  # share of the cameras' distance, least width in both directions
     middle = points.mean(axis=0)
     if (focus - middle) @ normal < focus_gap * distance_m:
         return False

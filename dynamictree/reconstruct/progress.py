@@ -1,4 +1,4 @@
-"""Progress of a reconstruction as a share of its expected time, and the time that all attempts took."""
+"""Progress of a reconstruction as a share of its expected time, and the time taken over all attempts."""
 
 import json
 import resource
@@ -14,33 +14,33 @@ from dynamictree.reconstruct.cameras import search_seconds
 from dynamictree.reconstruct.options import ReconstructOptions
 
 STAGES = ("photos", "cameras", "depth", "splat", "mesh")
-"""In order."""
+"""Stages of a reconstruction, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a reconstruction is."""
+    """Progress of a reconstruction."""
 
     stage: str  # one of `STAGES`, or `cut`
-    share: float  # of the stage that is done, in [0, 1]
-    total: float  # of the expected time of everything, in [0, 1]
-    worked_s: float = 0.0  # by this attempt and earlier ones that it continues
-    psnr_db: float | None = None  # of the held-out photos so far, while the splat is learned
+    share: float  # completed share of the stage, [0, 1]
+    total: float  # completed share of the total expected time, [0, 1]
+    worked_s: float = 0.0  # time worked by this and earlier attempts
+    psnr_db: float | None = None  # latest PSNR of held-out photos, during the splat stage
 
 
 OnProgress = Callable[[Progress], None]
-"""Called at least every quarter of a second except while the mesh is made; an exception in it stops the work."""
+"""Called at least every quarter of a second, except in the mesh stage; an exception in it stops the work."""
 
 
 class StageReport(Protocol):
-    """Reports the share of one stage."""
+    """Callback that reports progress within one stage."""
 
     def __call__(self, share: float, psnr_db: float | None = None) -> None:
-        """Report a share in [0, 1]."""
+        """Report the completed share, in [0, 1]."""
 
 
 def expected_seconds(num_photos: int, options: ReconstructOptions) -> dict[str, float]:
-    """Processor seconds that each stage usually takes; only their ratios matter. Measured: docs/decisions."""
+    """Estimate each stage's processor seconds; only their ratios matter. Measured: docs/decisions."""
     schedule = options.schedule
     return {
         "photos": 0.1 * num_photos,
@@ -52,20 +52,20 @@ def expected_seconds(num_photos: int, options: ReconstructOptions) -> dict[str, 
 
 
 class StageClock:
-    """Reports progress by expected time, and adds up the time that each stage takes over all attempts."""
+    """Clock that reports progress by expected time, and sums each stage's time over all attempts."""
 
     def __init__(self, on_progress: OnProgress, expected_s: Mapping[str, float], saved: Path) -> None:
-        """Continue with the times of earlier attempts, which are saved in a file."""
+        """Continue with the times of earlier attempts, read from a file."""
         self._on_progress, self._expected_s, self._saved = on_progress, expected_s, saved
         self._total, self._saved_at = 0.0, time.perf_counter()
         earlier = json.loads(saved.read_text()) if saved.exists() else {}
         self.seconds: dict[str, float] = earlier.get("seconds", {})
-        self.processor_seconds: dict[str, float] = earlier.get("processor_seconds", {})  # with ended child processes
+        self.processor_seconds: dict[str, float] = earlier.get("processor_seconds", {})  # ended child processes too
 
     @contextmanager
     def stage(self, name: str) -> Iterator[StageReport]:
-        """Measure a stage, and get the function that reports its progress."""
-        save_every_s = 20.0  # of work that a killed attempt loses from the report
+        """Measure a stage's time; yield the function that reports its progress."""
+        save_every_s = 20.0  # time that a killed attempt may lose from the report
         before = sum(self._expected_s[earlier] for earlier in STAGES[: STAGES.index(name)])
         whole = sum(self._expected_s.values())
         start, processor_start = time.perf_counter(), _processor_s()

@@ -1,4 +1,4 @@
-"""A folder of photos to cameras, a splat, a coloured mesh and a report."""
+"""Reconstruct cameras, a splat, a coloured mesh and a report from photos or a film."""
 
 import tempfile
 from collections.abc import Sequence
@@ -41,12 +41,12 @@ _LEAST_GAUSSIANS = 50
 
 @dataclass(frozen=True, kw_only=True)
 class Callbacks:
-    """How files are read, and who listens; a service reads them in confined processes."""
+    """Readers of files, and listeners; the service reads files in sandboxed processes."""
 
     read_photos: ReadPhotos = read_photos
     write_frames: WriteFrames = write_sharp_frames
-    on_progress: OnProgress = lambda progress: None  # an exception in it ends child processes and passes through
-    on_file: OnFile = lambda path: None  # gets each product as soon as it is complete, and each draft
+    on_progress: OnProgress = lambda progress: None  # its exceptions end child processes and propagate
+    on_file: OnFile = lambda path: None  # called with each complete product and each draft
 
 
 def reconstruct(
@@ -58,28 +58,28 @@ def reconstruct(
     work: Path | None = None,
     callbacks: Callbacks | None = None,
 ) -> Reconstruction:
-    """Find cameras, depths, a splat and a mesh, and write each to the folder as soon as it is ready.
+    """Reconstruct cameras, depths, a splat and a mesh, and write each to the folder as soon as it is complete.
 
-    The files are `cameras.json`; `photos.safetensors` (some of the photos, to draw strokes on); `splat.ply` (the tree)
+    The files are `cameras.json`; `photos.safetensors` (photos to draw strokes on); `splat.ply` (the tree)
     and `scene.ply` (everything); `mesh.ply`; `report.json` and `report.png`. Without a marker of the sheet in the
-    photos, the mesh is 1 m high and the report calls its scale unknown. Meanwhile `draft.splat` shows
-    the splat so far; it is replaced as learning goes on, and deleted at the end.
+    photos, the mesh is 1 m high and the report calls its scale unknown. During the work `draft.splat` shows
+    the current splat; it is replaced at intervals, and deleted at the end.
 
     Args:
         photos: JPEG, PNG, WebP, TIFF or HEIC files, or a film.
-        folder: for the files.
-        options: how much of the photos is used, and how long the splat is learned.
-        root: the folder that contains the photos, searched for cameras (`given`) and masks (`photos`).
-        work: a folder for the results of finished stages; a later call with the same photos continues there. None:
-            nothing is saved.
+        folder: folder for the files.
+        options: resolution and number of photos, and schedule of the optimisation.
+        root: folder that contains the photos, searched for files with cameras and for masks.
+        work: folder for the results of finished stages, from which a later call with the same photos continues; if
+            None, nothing is saved.
         callbacks: readers of files, and listeners.
 
     Raises:
-        InputError: too few or too many photos, one that cannot be used, or another process uses `work`.
+        InputError: there are too few or too many photos, one cannot be used, or another process uses `work`.
         ReconstructionError: the photos do not fit together or show no surface.
-        CameraSearchError: the program that looks for cameras failed.
+        CameraSearchError: the process of structure from motion failed.
     """
-    unknown_height_m = 1.0  # of a mesh whose scale is unknown
+    unknown_height_m = 1.0  # height of a mesh whose scale is unknown
     options, callbacks = options or ReconstructOptions(), callbacks or Callbacks()
     draft = Draft(folder=folder, on_file=callbacks.on_file)
     latest = Progress(stage="photos", share=0.0, total=0.0)
@@ -103,7 +103,7 @@ def reconstruct(
         listed = list_photos(photos, root, side_px=options.photo_px)
         stack.enter_context(alone_in_work(path, _sources(listed, root), options))
         expected_s = expected_seconds(len(listed), options)
-        half = 1.0 if frames is None else 0.5  # a film's cameras are sought again, with frames that fill its gaps
+        half = 1.0 if frames is None else 0.5  # a film's cameras are searched twice, the second time with more frames
         expected_s["cameras"] /= half
         clock = StageClock(on_progress, expected_s, path / TIMES)
         model = _find_cameras(listed, root, path, clock, callbacks.read_photos, part=(0.0, half))
@@ -128,8 +128,8 @@ def reconstruct(
             fit = fit_splat(
                 scene.matched, scene.depths, options.schedule, sky=scene.sky, saved=path / SPLAT, on_state=on_state
             )
-        scene = replace(scene, sky=None)  # hundreds of megabytes, which a mesh does without
-        return_freed_memory()  # photos at the sizes that were learned from
+        scene = replace(scene, sky=None)  # hundreds of megabytes that the mesh does not need
+        return_freed_memory()  # memory of the photos at the sizes of the optimisation
         with clock.stage("mesh"):
             cloud = cloud_of(fit.table)
             mesh, mesh_by = best_mesh_of(fit.table, scene, fit.figures["held_out"])
@@ -156,7 +156,7 @@ def reconstruct(
 
 
 def _sources(photos: list[PhotoFile], root: Path | None) -> list[Path]:
-    """All files that decide on cameras, depths and splat."""
+    """List all files that determine cameras, depths and splat."""
     masks = [photo.mask for photo in photos if photo.mask is not None]
     return [*(photo.path for photo in photos), *masks, *([] if root is None else files_with_cameras(root))]
 
@@ -170,9 +170,9 @@ def _find_cameras(
     *,
     part: tuple[float, float],
 ) -> SparseModel:
-    """Take cameras from files beside the photos, from an earlier call, or from structure from motion.
+    """Read cameras given with the photos or saved by an earlier call, or run structure from motion.
 
-    `part` is of the stage that looks for cameras: where it begins and ends, in [0, 1].
+    `part` is the interval of the stage's progress that this search covers, in [0, 1].
     """
     first, last = part
     with clock.stage("photos") as report:
@@ -185,10 +185,10 @@ def _find_cameras(
 
 
 def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians of the scene, in the stage's frame, are the thing.
+    """Return a mask of the Gaussians that belong to the mesh, in the stage's frame.
 
     Raises:
-        ReconstructionError: next to none, since the cameras are wrong: what they saw fits at no place.
+        ReconstructionError: there are too few, which means that the cameras are wrong.
     """
     own = of_the_mesh(scene, mesh, radius=1.0)
     if own.sum() < _LEAST_GAUSSIANS:
@@ -200,7 +200,7 @@ def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, 
 
 
 def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Report:
-    """The report in the stage's frame, without times and without what `Reconstruction.write` adds."""
+    """Create the report in the stage's frame, without times and the sizes that `Reconstruction.write` adds."""
     model, figures = scene.model, fit.figures
     cameras = {view.source: view.camera for view in model.views}
     circle = camera_circle(cameras)

@@ -1,4 +1,4 @@
-"""Cut the plant out of a finished reconstruction, and give it another height, without learning again."""
+"""Cut the plant out of a finished reconstruction, and rescale it, without optimising again."""
 
 import zipfile
 from collections.abc import Callable
@@ -24,20 +24,20 @@ from dynamictree.reconstruct.surface_choice import of_the_mesh
 def recut(
     source: Path, target: Path, choice: CutParams, *, on_progress: Callable[[float], None] = lambda share: None
 ) -> Capture:
-    """Write the files of a finished reconstruction again, of the plant alone, and as high as asked for.
+    """Write the files of a finished reconstruction again, cut to the plant and scaled to the requested height.
 
-    The plant is what is in a box, what strokes on photos say (`plant_of`), or both. What is cut out stands on z = 0
-    afterwards. Without a cut the mesh stays as it is, without a height the scale.
+    The plant is selected by a box, by strokes on photos (`plant_of`), or by both. A cut moves the plant to stand on
+    z = 0. Without a cut the mesh is unchanged; without a height the scale is.
 
     Args:
         source: folder of a finished reconstruction.
-        target: folder for the files; may be the same.
-        choice: the box, in the frame of the files in `source`; strokes; and the height of the plant: of the mesh
-            without pots, ground and what else is found to be no plant.
-        on_progress: gets the share that is done; what it raises passes through, and no file is written.
+        target: folder for the files, which may be `source`.
+        choice: the box, in the frame of the files in `source`; strokes; and the plant's height, which excludes pots,
+            ground and other still parts.
+        on_progress: called with the completed share; if it raises, the exception propagates and no file is written.
 
     Raises:
-        InputError: the folder holds no reconstruction, or box and strokes no plant.
+        InputError: the folder contains no reconstruction, or box and strokes select no plant.
     """
     finished = Reconstruction.read(source)
     finished = _cut_out(finished, choice, lambda share: on_progress(0.1 + 0.8 * share))
@@ -57,10 +57,10 @@ def recut(
 
 
 def _judge_plant(finished: Reconstruction, quality: PlantQuality | None, choice: CutParams) -> None:
-    """Add to the report how well held-out photos show the plant, or refuse a plant that they do not show.
+    """Add the plant's PSNR in held-out photos to the report, or reject a plant that they do not show.
 
     Raises:
-        InputError: nobody has marked the plant, and photos held out look hardly worse without what was found.
+        InputError: the plant was found automatically, and held-out photos are rendered about as well without it.
     """
     if quality is None:
         return
@@ -81,7 +81,7 @@ def _judge_plant(finished: Reconstruction, quality: PlantQuality | None, choice:
 
 
 def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[[float], None]) -> Reconstruction:
-    """The plant's Gaussians and its mesh."""
+    """Cut the reconstruction to the plant's Gaussians and mesh."""
     scene, radius_m = finished.scene, finished.report["radius_m"]
     if not choice.cuts:
         return replace(finished, own=of_the_mesh(scene, finished.mesh, radius=radius_m))
@@ -97,7 +97,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
         )
         _require_plant(own)
         on_progress(0.6)
-        if not masked:  # masks leave no fog, but twigs that look like it
+        if not masked:  # masks leave no floaters, but twigs that look like them
             own &= ~faint_floaters(scene, own)
         on_progress(0.8)
     mesh = mesh_of_plant(scene, own, finished.mesh, radius_m)
@@ -109,7 +109,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
 
 
 def _scale(finished: Reconstruction, choice: CutParams) -> tuple[float, str]:
-    """By what the result is enlarged, and what says so: `given`, `marker`, or as before.
+    """Return the factor by which the result is scaled, and its source: `given`, `marker`, or as before.
 
     Raises:
         InputError: the photos show no marker.
@@ -134,7 +134,7 @@ def _require_plant(own: Bool[np.ndarray, " G"]) -> None:
 
 
 def pack(folder: Path, archive: Path) -> None:
-    """Put the files of a reconstruction into one."""
+    """Put the files of a reconstruction into a ZIP archive."""
     with zipfile.ZipFile(archive, "w") as packed:
         for path in sorted(folder.iterdir()):
             if path.is_file() and not path.name.startswith("."):
@@ -142,13 +142,13 @@ def pack(folder: Path, archive: Path) -> None:
 
 
 def unpack(archive: Path, folder: Path) -> None:
-    """Undo `pack`."""
+    """Extract the files that `pack` stored."""
     with zipfile.ZipFile(archive) as packed:
         packed.extractall(folder)
 
 
 def _plant_height(cloud: GaussianCloud, mesh: TriangleMesh) -> float:
-    """Height of the faces that are no still part [m]."""
+    """Return the height of the faces that can move [m]."""
     carrying = carrying_mesh(with_still_parts(Capture(cloud=cloud, mesh=mesh)))
     faces = mesh.faces if carrying.still_faces is None else mesh.faces[~carrying.still_faces]
     return float(np.ptp(mesh.vertices[faces, 2]))

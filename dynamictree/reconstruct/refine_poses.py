@@ -1,4 +1,4 @@
-"""Given poses refined by bundle adjustment, where the photos disagree with them; runs in the process of `mapping`."""
+"""Refine given poses by bundle adjustment if the photos disagree with them; runs in the process of `mapping`."""
 
 from collections.abc import Callable
 
@@ -7,10 +7,10 @@ import pycolmap
 from jaxtyping import Float64
 
 ENOUGH_PX = 0.5
-"""Mean reprojection error up to which given cameras are left as they are."""
+"""Mean reprojection error up to which given cameras are left unchanged."""
 
 ENOUGH_POINTS = 50
-"""That a photo sees, for its pose to be adjusted: the few of a thin plant before a plain background are often wrong."""
+"""Points that a photo must see for its pose to be adjusted; the few points of thin plants are often wrong."""
 
 
 Triangulate = Callable[[pycolmap.Reconstruction, float], pycolmap.Reconstruction]
@@ -19,15 +19,15 @@ Triangulate = Callable[[pycolmap.Reconstruction, float], pycolmap.Reconstruction
 def refined(
     model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], triangulate: Triangulate
 ) -> pycolmap.Reconstruction:
-    """Adjust poses if the mean reprojection error is above 0.5 px; if it stays above, focal lengths and distortion too.
+    """Adjust poses if the mean reprojection error exceeds 0.5 px; if it still does, also focal lengths and distortion.
 
-    Given positions hold frame and scale. Points are matched anew after each round: wrong poses let few agree. A photo
-    that sees fewer than 50 points keeps the pose that was given.
+    The given positions fix frame and scale. Points are triangulated again after each round, since with wrong poses few
+    agree. A photo that sees fewer than 50 points keeps its given pose.
 
     Args:
-        model: triangulated with the given cameras.
-        positions: given, by image name.
-        triangulate: makes the points of a model anew, cameras fixed; its thresholds are COLMAP's times the number.
+        model: model triangulated with the given cameras.
+        positions: given camera positions by image name.
+        triangulate: triangulates a model's points with fixed cameras; the number multiplies COLMAP's thresholds.
     """
     for lenses in (False, True):
         if model.compute_mean_reprojection_error() > ENOUGH_PX and model.num_points3D() > 0:
@@ -42,9 +42,9 @@ def _best(
     *,
     lenses: bool,
 ) -> pycolmap.Reconstruction:
-    """Adjust and match in turn until the error stays."""
-    slack = 4.0  # times COLMAP's thresholds of points, at first: by strict ones, a photo far off keeps next to none
-    least_gain = 0.95  # of the error, or the last round was the last
+    """Alternate bundle adjustment and triangulation until the error no longer falls."""
+    slack = 4.0  # initial factor of COLMAP's thresholds; strict ones leave a misplaced photo hardly any points
+    least_gain = 0.95  # ratio of errors above which to stop
     max_rounds = 8
     error_px = model.compute_mean_reprojection_error()
     start = triangulate(pycolmap.Reconstruction(model), slack)
@@ -62,14 +62,14 @@ def _best(
 
 
 def _well_seen(model: pycolmap.Reconstruction) -> set[int]:
-    """Images that see enough points."""
+    """Return the images that see enough points."""
     return {image.image_id for image in model.images.values() if image.num_points3D >= ENOUGH_POINTS}
 
 
 def _adjusted(
     model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], *, lenses: bool
 ) -> pycolmap.Reconstruction:
-    prior_share = 0.1  # of the cameras' spread, standard deviation of a given position: weak, photos decide
+    prior_share = 0.1  # standard deviation of given positions [cameras' spread]; weak, so photos dominate
     model = pycolmap.Reconstruction(model)
     config = pycolmap.BundleAdjustmentConfig()
     priors = []

@@ -1,4 +1,4 @@
-"""Files of a reconstruction: products, numbers, cameras, and held-out photos beside the splat and the mesh."""
+"""Quality of a reconstruction: warnings, the plant's PSNR, and a picture that compares held-out photos with it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,13 +18,13 @@ from dynamictree.reconstruct.result import Reconstruction
 from dynamictree.render import Camera, Look, Renderer, write_png
 
 LEAST_GAIN_DB = 3.0
-"""Above a picture of one colour, or the splat shows nothing: half of the variance that a plain colour leaves."""
+"""Least gain of the splat over a picture of one colour; it halves the squared error."""
 _REPORT_SIDE_PX = 640
-_INSIDE = 0.5  # alpha
+_INSIDE = 0.5  # least alpha
 
 
 def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -> list[str]:
-    """Warn if the held-out photos are shown hardly better than by pictures of one colour."""
+    """Warn if the splat matches held-out photos hardly better than a picture of one colour."""
     reached, blank = float(np.mean(psnr_db)), float(np.mean(blank_psnr_db))
     if reached >= blank + LEAST_GAIN_DB:
         return []
@@ -35,16 +35,16 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
 
 
 def photos_to_compare(held_out: Sequence[str]) -> list[str]:
-    """The held-out photos that `report.png` shows, evenly chosen."""
-    most_rows = 6  # held-out photos of 50 photos; a picture of 37 rows is looked at by nobody
+    """Choose the held-out photos for `report.png`, evenly."""
+    most_rows = 6  # number held out of 50 photos; more rows are hard to view
     rows = np.linspace(0, len(held_out) - 1, min(len(held_out), most_rows)).round().astype(int)
     return [held_out[row] for row in rows]
 
 
 def write_report_picture(result: Reconstruction, folder: Path) -> None:
-    """Write `report.png`: photos held out beside splat and mesh, and the circle of the cameras from above.
+    """Write `report.png`: held-out photos beside splat and mesh, and the circle of cameras from above.
 
-    The previews of the photos are in the folder; a photo without one is left out.
+    The folder contains the photos' previews; a photo without one is left out.
     """
     previews = read_photo_previews(folder)
     cameras = {one.photo: one.camera for one in result.cameras}
@@ -58,20 +58,20 @@ def write_report_picture(result: Reconstruction, folder: Path) -> None:
 
 
 class PlantQuality(NamedTuple):
-    """PSNR of held-out photos where the plant's Gaussians are seen [dB]; 0 where they are seen in none."""
+    """PSNR of held-out photos in the pixels that the plant's Gaussians cover [dB]; 0 if there are none."""
 
-    with_db: float  # by the whole scene
-    without_db: float  # by the scene without the plant
-    one_color_db: float  # by the photo's mean colour there
+    with_db: float  # PSNR of the whole scene
+    without_db: float  # PSNR of the scene without the plant
+    one_color_db: float  # PSNR of the photo's mean colour in these pixels
 
     @property
     def is_plant(self) -> bool:
-        """Whether the photos need the plant's Gaussians, and show more of them than one colour."""
+        """Whether the plant's Gaussians improve the match with the photos, beyond that of one colour."""
         return self.with_db >= max(self.without_db + LEAST_GAIN_DB, self.one_color_db) > 0
 
 
 def plant_quality(result: Reconstruction, folder: Path) -> PlantQuality | None:
-    """Compare held-out photos with the scene where the plant is seen; None where no photo has a preview."""
+    """Measure the scene's PSNR in held-out photos where the plant is visible; None if no photo has a preview."""
     plant_side_px = 320
     previews, scene, plant = read_photo_previews(folder), result.scene, result.own
     cameras = {one.photo: one.camera for one in result.cameras}
@@ -98,7 +98,7 @@ def plant_quality(result: Reconstruction, folder: Path) -> PlantQuality | None:
 def comparison_row(
     mesh: TriangleMesh, scene: GaussianCloud, camera: Camera, photo: UInt8[np.ndarray, "H W 3"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A photo, the splat and the mesh side by side, from the same camera and at the same size."""
+    """Draw a photo, the splat and the mesh side by side, from the same camera and at the same size."""
     small = shrunk(photo, _REPORT_SIDE_PX)
     height, width = small.shape[:2]
     splat = render_cloud(scene, camera, width=width, height=height).over((0.0, 0.0, 0.0))
@@ -107,7 +107,7 @@ def comparison_row(
 
 
 def shrunk(picture: UInt8[np.ndarray, "H W 3"], side_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture of at most that many pixels a side."""
+    """Reduce a picture to at most `side_px` pixels per side."""
     image = Image.fromarray(picture)
     image.thumbnail((side_px, side_px), Image.Resampling.LANCZOS)
     return np.array(image)

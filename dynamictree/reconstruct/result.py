@@ -1,4 +1,4 @@
-"""Result of a reconstruction: mesh, splat, cameras, and a report of how good they are."""
+"""Result of a reconstruction: mesh, splat, cameras, and a report on their quality."""
 
 import json
 from dataclasses import dataclass, replace
@@ -20,24 +20,24 @@ from dynamictree.reconstruct.photo_cameras import PhotoCamera, read_cameras, wri
 
 
 class MarkerReport(TypedDict):
-    """A printed marker in the photos."""
+    """Printed marker detected in the photos."""
 
     number: int
-    edge_m: float  # of its black square, as measured in the result
-    num_photos: int  # that it was placed by
+    edge_m: float  # edge of its black square, measured in the result
+    num_photos: int  # number of photos that agree on its position
 
 
 class SplatFigures(TypedDict):
-    """How well the splat shows photos that it was not learned from."""
+    """Quality of the splat in held-out photos, which the optimisation did not use."""
 
-    held_out: list[str]  # photos that the splat was not learned from and that judge it
-    held_out_psnr_db: list[float]  # of each
-    held_out_masked_psnr_db: list[float]  # inside the mask; empty without masks
+    held_out: list[str]  # names of the held-out photos
+    held_out_psnr_db: list[float]  # PSNR of each photo
+    held_out_masked_psnr_db: list[float]  # PSNR inside the mask; empty without masks
     held_out_ssim: list[float]
-    held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
+    held_out_blank_psnr_db: list[float]  # PSNR of a picture of one colour, for comparison
     held_out_size_px: list[int]
     splat_steps: int
-    num_gaussians_discarded: int  # since their gradient was not finite
+    num_gaussians_discarded: int  # Gaussians whose gradient was not finite
 
 
 class Report(SplatFigures):
@@ -46,47 +46,47 @@ class Report(SplatFigures):
     num_photos: int
     num_registered: int
     left_out: list[str]  # photos without a camera
-    left_out_because: dict[str, str]  # a sentence on each
+    left_out_because: dict[str, str]  # reason for each, as a sentence
     reprojection_error_px: float
     num_points: int
     ground_found: bool
-    scale: str  # `given`, `marker` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
-    markers: list[MarkerReport]  # found in at least three photos, those in most photos first
+    scale: str  # `given`, `marker` or `unknown`; a mesh of unknown scale is 1 m high
+    markers: list[MarkerReport]  # markers in at least three photos, most photos first
     height_m: float
-    radius_m: float  # of the region that the photos look at
-    mesh_by: str  # `stereo` or `splat`: made from depth maps or from the splat's opacity
+    radius_m: float  # radius of the region that the photos show
+    mesh_by: str  # `stereo` or `splat`: from depth maps or from the splat's opacity
     num_vertices: int
     num_faces: int
-    num_gaussians: int  # of the tree
+    num_gaussians: int  # Gaussians of the tree
     num_gaussians_scene: int
-    camera_azimuths_deg: dict[str, float]  # seen from above, counter-clockwise, in that order; by photo
-    largest_gap_deg: float  # between neighbouring cameras around the plant
-    beside_largest_gap: list[str]  # the two photos at its ends
-    warnings: list[str]  # what makes the result doubtful, and what to do
-    seconds: dict[str, float]  # by stage
-    processor_seconds: dict[str, float]  # by stage, of all cores
-    plant_psnr_db: float | None  # of held-out photos where the plant is seen; None unless it was cut out
-    without_plant_psnr_db: float | None  # the same of the scene without the plant
-    plant_blank_psnr_db: float | None  # and of one colour
+    camera_azimuths_deg: dict[str, float]  # azimuth by photo, ascending, counter-clockwise seen from above
+    largest_gap_deg: float  # largest angle between neighbouring cameras around the plant
+    beside_largest_gap: list[str]  # the two photos at the ends of the largest gap
+    warnings: list[str]  # reasons to doubt the result, with advice
+    seconds: dict[str, float]  # duration of each stage
+    processor_seconds: dict[str, float]  # processor time of each stage, all cores
+    plant_psnr_db: float | None  # PSNR of held-out photos where the plant is visible; None unless it was cut out
+    without_plant_psnr_db: float | None  # the same for the scene without the plant
+    plant_blank_psnr_db: float | None  # the same for one colour
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
-    """A mesh, all Gaussians and the photos' cameras [m, +Z up, the mesh standing on z = 0]; and how good they are."""
+    """Mesh, all Gaussians and the photos' cameras [m, +Z up, the mesh standing on z = 0], with a quality report."""
 
     mesh: TriangleMesh
     scene: GaussianCloud
-    own: Bool[np.ndarray, " G"]  # which Gaussians are the thing that the mesh shows
+    own: Bool[np.ndarray, " G"]  # mask of the Gaussians that belong to the mesh
     cameras: list[PhotoCamera]
     report: Report
 
     @property
     def splat(self) -> GaussianCloud:
-        """The Gaussians of the thing."""
+        """The Gaussians that belong to the mesh."""
         return self.scene.subset(self.own)
 
     def moved(self, scale: float, origin: Float64[np.ndarray, "3"]) -> "Reconstruction":
-        """Scale about a point, which becomes the origin."""
+        """Return the reconstruction scaled about a point, which becomes the origin."""
 
         def points(values: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
             moved: Float32[np.ndarray, "N 3"] = (scale * (values - origin)).astype(np.float32)
@@ -108,7 +108,7 @@ class Reconstruction:
         )
 
     def write(self, folder: Path) -> None:
-        """Write `mesh.ply`, `splat.ply`, `scene.ply`, `cameras.json` and `report.json`, with the sizes of them."""
+        """Write `mesh.ply`, `splat.ply`, `scene.ply`, `cameras.json` and `report.json`; add sizes to the report."""
         self.report.update(
             {
                 "height_m": self.mesh.height_m,
@@ -128,10 +128,10 @@ class Reconstruction:
 
     @staticmethod
     def read(folder: Path) -> "Reconstruction":
-        """Read what `write` wrote, all Gaussians counting as the thing's.
+        """Read the files that `write` wrote; all Gaussians belong to the mesh.
 
         Raises:
-            InputError: the folder holds no reconstruction.
+            InputError: the folder contains no reconstruction.
         """
         if not (folder / "report.json").is_file():
             raise InputError(f"{folder} holds no report.json; name the output folder of `dynamictree reconstruct`")

@@ -1,4 +1,4 @@
-"""Region of the subject and depth maps of the photos, in a frame with +Z up."""
+"""Scene of the photos in a frame with +Z up: cameras, depth maps and the subject's box."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,8 +13,8 @@ from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel
 
-LEAST_FACES = 200  # of a surface
-GAP = 0.06  # of the region's radius: pieces nearer to one another belong together
+LEAST_FACES = 200  # faces of a surface
+GAP = 0.06  # share of the region's radius; pieces closer together belong together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,12 +22,12 @@ class Scene:
     """Cameras and depth maps in the stage's frame."""
 
     model: SparseModel  # all views
-    matched: SparseModel  # those of the depth maps
+    matched: SparseModel  # views of the depth maps
     depths: DepthMaps
-    subject: Box | None  # around what the depths show of it; None with masks, or where they show nothing
-    cut: float  # height below which is ground
+    subject: Box | None  # bounds in the depth maps; None with masks, or if they show no subject
+    cut: float  # height; everything below is ground
     ground_found: bool
-    sky: list[Foreground] | None = None  # of the matched views, where they show one
+    sky: list[Foreground] | None = None  # matched views without sky, if they show any
 
 
 def find_scene(
@@ -38,18 +38,18 @@ def find_scene(
     on_model: Callable[[SparseModel], None] = lambda model: None,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Scene:
-    """Find up, match all views, and find the subject in their depths.
+    """Find the vertical, compute depth maps by stereo, and find the subject in them.
 
-    Where photos show sky, its depths are left out: stereo gives it those of the leaves before it.
+    Depths of sky are left out, since stereo assigns it the depth of leaves in front of it.
 
     Args:
-        model: as structure from motion gives it.
-        max_views: that are matched, evenly chosen: bounds time and memory.
-        saved: a file for the depth maps; those of an earlier call with the same model are read from it.
-        on_model: gets the model in the stage's frame before the views are matched.
-        on_progress: gets the share that is done; what it raises passes through.
+        model: result of structure from motion.
+        max_views: number of views to match, evenly chosen; bounds time and memory.
+        saved: file for the depth maps; if it exists, it is read, and must be of the same model.
+        on_model: called with the model in the stage's frame, before stereo.
+        on_progress: called with the completed share; its exceptions propagate.
     """
-    ground_cut = 0.02  # of the region's radius: lower parts count as ground
+    ground_cut = 0.02  # share of the region's radius; lower parts count as ground
     cut_out = all(view.alpha is not None for view in model.views)
     stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
@@ -73,9 +73,9 @@ def find_scene(
 
 
 def _subject(depths: DepthMaps, cut: float) -> Box | None:
-    """The box around the main thing above the ground; None where too little is seen of it."""
-    box_margin = 0.08  # of the shape's extent: thin ends have no depth
-    voxels = 128  # along the longest side
+    """Return the box of the main object above the ground; None if too little of it is visible."""
+    box_margin = 0.08  # share of the shape's extent, since thin ends have no depth
+    voxels = 128  # number along the longest side
     region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
     surface = main_cluster(above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), GAP)
     if len(surface.faces) < LEAST_FACES:

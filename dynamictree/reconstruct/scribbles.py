@@ -1,4 +1,4 @@
-"""Strokes on photos, and the Gaussians that are seen under them."""
+"""Find the Gaussians that are visible under strokes on photos."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -24,16 +24,16 @@ def marked(
     background: Bool[np.ndarray, " G"] | None = None,
     on_stroke: Callable[[int], None] = lambda done: None,
 ) -> Int8[np.ndarray, " G"]:
-    """1 for Gaussians seen under strokes of the plant, -1 under other strokes, 0 elsewhere.
+    """Label Gaussians by strokes: 1 under strokes of the plant, -1 under other strokes, 0 elsewhere.
 
-    A Gaussian under both belongs to the stroke in whose pixels it has the larger share. A stroke of the plant that lies
-    on more else than on `background` takes nothing of that: down a trunk, hands draw on into the soil.
+    A Gaussian under both belongs to the stroke in whose pixels it has the larger weight. A stroke of the plant that is
+    mostly outside `background` selects none of it, since strokes along a trunk often extend into the soil.
 
     Raises:
-        InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
+        InputError: a stroke names no photo with a camera, or no Gaussian lies under the strokes of the plant.
     """
-    least_weight = 0.15  # of a pixel: a Gaussian with less is not what was meant
-    side_px = 480  # of the picture that strokes are drawn on
+    least_weight = 0.15  # weight in a pixel; Gaussians with less are not selected
+    side_px = 480  # long side of the picture on which strokes are rasterized
     weights = {True: np.zeros(cloud.num_gaussians, np.float32), False: np.zeros(cloud.num_gaussians, np.float32)}
     for done, scribble in enumerate(scribbles):
         on_stroke(done)
@@ -53,9 +53,9 @@ def marked(
 
 
 def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P 2"]:
-    """Column and row of the pixels of a stroke, each once; of a long one some of them."""
-    most_pixels = 1000  # of a stroke, evenly along it: each costs a look at every Gaussian
-    click_px = 1  # to each side of a stroke of one point
+    """Return column and row of a stroke's pixels, without repetition; a long stroke is subsampled."""
+    most_pixels = 1000  # number per stroke; each costs a pass over all Gaussians
+    click_px = 1  # half width of a stroke of one point
     at = [(min(int(y * height), height - 1), min(int(x * width), width - 1)) for x, y in scribble.points]
     if len(at) == 1:
         (row, column), reach = at[0], np.arange(-click_px, click_px + 1)
@@ -70,14 +70,14 @@ def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P
 def weights_at(
     cloud: GaussianCloud, camera: Camera, pixels: Int64[np.ndarray, "P 2"], *, width: int, height: int
 ) -> Float32[np.ndarray, " G"]:
-    """The largest share that each Gaussian has in one of the pixels, as `render_cloud` blends them.
+    """Compute each Gaussian's largest blending weight in any of the pixels, as in `render_cloud`.
 
     Args:
-        cloud: in metres.
-        camera: where from.
-        pixels: column and row of each.
-        width: of the picture [px].
-        height: of the picture [px].
+        cloud: Gaussians [m].
+        camera: camera of the picture.
+        pixels: column and row of each pixel.
+        width: width of the picture [px].
+        height: height of the picture [px].
     """
     drawing = draw(cloud, camera, width=width, height=height)
     ellipses, bounds = drawing.ellipses, drawing.bounds

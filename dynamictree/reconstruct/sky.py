@@ -1,7 +1,7 @@
-"""Sky in photos. It has no place, so a splat that seeks one for it puts fog between the leaves.
+"""Detect sky in photos and remove it; it has no position, so it would become fog between the leaves.
 
-Plain sky is a large bright piece without texture at the photo's rim, above the horizon. All other pixels there are
-divided by where their colour lies between that of the plain sky nearby and that of what is unlike it, as mattes are.
+Plain sky is a large bright piece without texture at the photo's edge, above the horizon. Other pixels above the horizon
+get an alpha by matting: the position of their colour between that of plain sky nearby and that of the foreground.
 """
 
 from collections.abc import Sequence
@@ -18,26 +18,26 @@ from dynamictree.reconstruct.visual_hull import textured_mask
 Mask = Bool[np.ndarray, "H W"]
 Picture = Float32[np.ndarray, "H W 3"]
 
-_LEAST_SKY = 0.04  # of a photo, in half of those that look up: a window or a lamp is no sky
-_HORIZON = -0.1  # sine of an elevation: eyes are above low hedges, and up is found within some degrees
-_LEAST_CONTRAST = 0.15  # between sky and plant: with less they cannot be separated
-_REACH = 1 / 16  # of the longer side, standard deviation of the window in which colours are averaged
+_LEAST_SKY = 0.04  # share of a photo, in half of those that look up; windows and lamps have less
+_HORIZON = -0.1  # sine of the elevation; below 0, since hedges are low and the vertical has errors
+_LEAST_CONTRAST = 0.15  # least distance between the colours of sky and foreground
+_REACH = 1 / 16  # standard deviation of the averaging window [longer side]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Foreground:
-    """A photo without its sky, in bytes: of 60 photos of 12 megapixels, four times as many were a gigabyte."""
+    """Photo without its sky, in bytes, since floats of 60 photos of 12 megapixels take gigabytes."""
 
-    image: UInt8[np.ndarray, "H W 3"]  # of the share that is not sky
-    alpha: UInt8[np.ndarray, "H W"]  # that share, 255 for all of a pixel
+    image: UInt8[np.ndarray, "H W 3"]  # colour of the foreground
+    alpha: UInt8[np.ndarray, "H W"]  # share of the foreground, 255 for a whole pixel
 
 
 def without_sky(views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]) -> list[Foreground] | None:
-    """Each photo without its sky, or None where fewer than half of the photos that look up show one.
+    """Remove the sky from photos; return None if fewer than half of the photos that look up show sky.
 
     Args:
-        views: in a frame with +Z up.
-        depths: of each view, of any size, 0 where unknown.
+        views: photos in a frame with +Z up.
+        depths: depth map of each view, of any size, 0 where unknown.
     """
     plain = [_plain_sky(view, _elevation(view), depth) for view, depth in zip(views, depths, strict=True)]
     num_looking_up = sum(float(_elevation(view).max()) > 0 for view in views)
@@ -48,7 +48,7 @@ def without_sky(views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _
 
 
 def _elevation(view: View) -> Float32[np.ndarray, "H W"]:
-    """Sine of the angle between each pixel's ray and the horizon."""
+    """Compute the sine of each pixel's elevation above the horizon."""
     height, width = view.image.shape[:2]
     to_world = view.camera.world_to_camera.T @ np.linalg.inv(view.camera.intrinsics_px(width, height))
     column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -58,10 +58,10 @@ def _elevation(view: View) -> Float32[np.ndarray, "H W"]:
 
 
 def _plain_sky(view: View, elevation: Float32[np.ndarray, "H W"], depth: Float32[np.ndarray, "h w"]) -> Mask:
-    """Large bright pieces at the rim without texture and depth."""
-    brighter = 1.1  # than the median of what is not plain sky
-    least_blue = 0.9  # of red and of green: sky is blue, grey or white
-    least_piece = 0.01  # of a photo, plain and at its rim
+    """Find large bright pieces without texture and depth at the photo's edge."""
+    brighter = 1.1  # brightness over the median of the rest
+    least_blue = 0.9  # blue over red and green, since sky is blue, grey or white
+    least_piece = 0.01  # share of a photo
     measured = np.asarray(Image.fromarray(depth > 0).resize(elevation.shape[::-1], Image.Resampling.NEAREST))
     piece, number = label((elevation > _HORIZON) & (textured_mask(view.image) == 0) & ~measured)
     if number == 0:
@@ -80,9 +80,9 @@ def _plain_sky(view: View, elevation: Float32[np.ndarray, "H W"], depth: Float32
 
 
 def _foreground(view: View, elevation: Float32[np.ndarray, "H W"], sky: Mask) -> Foreground:
-    rim = 4 / 320  # of the longer side: so near to trees and roofs sky looks textured
-    noise = 0.15  # of a cover, nearer to 0 or 1
-    unlike = 0.3  # distance of colours in [0, 1]³: what differs so much from the sky is none
+    rim = 4 / 320  # share of the longer side; sky this near to trees and roofs looks textured
+    noise = 0.15  # alpha nearer to 0 or 1 than this is rounded
+    unlike = 0.3  # distance of colours in [0, 1]³ from which a pixel is foreground
     if not sky.any():
         return Foreground(image=view.image, alpha=np.full(sky.shape, 255, np.uint8))
     photo = view.image.astype(np.float32) / 255
@@ -102,9 +102,9 @@ def _foreground(view: View, elevation: Float32[np.ndarray, "H W"], sky: Mask) ->
 
 
 def _mean_nearby(photo: Picture, chosen: Mask) -> Picture:
-    """Mean colour of the chosen pixels around each pixel; where none is near, of all of them."""
-    far_weight = 1e-4  # of pixels all over the photo, against those near
-    coarser = 4  # pixels, for those means
+    """Average the colour of the chosen pixels around each pixel; if none is near, of all of them."""
+    far_weight = 1e-4  # weight of the mean over the whole photo
+    coarser = 4  # [px] per pixel of the averaged pictures
     weight = chosen.astype(np.float32)
     height, width = chosen.shape
     size = max(1, width // coarser), max(1, height // coarser)

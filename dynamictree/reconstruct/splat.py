@@ -1,4 +1,4 @@
-"""Fit a splat to the photos, and save the state regularly. Some photos are held out and judge the result."""
+"""Fit a splat to photos, with regular checkpoints; held-out photos evaluate the result."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -19,19 +19,19 @@ from dynamictree.reconstruct.splat_start import first_table, sky_table
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.views import SparseModel, View, nearest_pixels
 
-_INSIDE = 0.5  # alpha
+_INSIDE = 0.5  # least alpha
 
 
 class SplatFit(NamedTuple):
-    """Gaussians in the frame of the model, and how good they are."""
+    """Gaussians in the frame of the model, and their quality."""
 
     table: Float32[np.ndarray, "G P"]
     figures: SplatFigures
 
 
 def held_out_views(number: int) -> list[int]:
-    """Every eighth of the photos and at least two, spread over the walk, neither the first nor the last."""
-    one_in = 8  # photos is held out, and two at least
+    """Choose an eighth of the photos, at least two, evenly spaced, without the first and last."""
+    one_in = 8  # photos is held out
     count = max(2, number // one_in)
     return [int((place + 0.5) * number / count) for place in range(count)]
 
@@ -45,15 +45,15 @@ def fit_splat(
     saved: Path | None = None,
     on_state: Callable[[SplatState], None] = lambda state: None,
 ) -> SplatFit:
-    """Fit Gaussians to all photos but those held out, which judge the result.
+    """Fit Gaussians to all photos except those held out, which evaluate the result.
 
     Args:
-        model: in the stage's frame.
-        depths: of the same views, where stereo has some; only those of photos that are learned from are used.
-        schedule: how long and how fine.
-        sky: the photos without their sky, where they show one; it is put behind what was learned.
-        saved: a file for the state, every 20 s and when `on_state` raises; the run continues from it if it exists.
-        on_state: gets the state every quarter of a second; what it raises passes through.
+        model: views and points in the stage's frame.
+        depths: depth maps of the same views, if there are any; those of held-out photos are not used.
+        schedule: number of steps, picture sizes and learning rates.
+        sky: photos without their sky, if they show any; Gaussians of sky are added behind the result.
+        saved: file for the state, written every 20 s and when `on_state` raises; the run continues from it.
+        on_state: called with the state every quarter of a second; its exceptions propagate.
     """
     save_every_s, report_every_s = 20.0, 0.25
     start_gaussians = 25_000
@@ -111,7 +111,7 @@ def fit_splat(
 
 
 def camera_extent(views: Sequence[View]) -> float:
-    """Kerbl et al.'s measure of a scene: 1.1 times the largest distance of a camera from their middle."""
+    """Compute Kerbl et al.'s scene extent: 1.1 times the largest distance of a camera from their centre."""
     positions = np.array([view.camera.position_m for view in views])
     return 1.1 * float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
 

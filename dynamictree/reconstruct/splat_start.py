@@ -1,4 +1,4 @@
-"""Initial Gaussians: at points of structure from motion, stereo, masks and textured parts, and on a far dome."""
+"""Initial Gaussians: at points from structure from motion, stereo, masks and texture, and on a far dome."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.reconstruct.visual_hull import hull_points, texture_points
 
-_OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
-_DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
-_LEAST_SOLID, _LEAST_SKY = 0.8, 0.02  # of the photos that see a place of the dome
-_COVERED = 230  # of 255, of a pixel whose colour counts
+_OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al.'s 0.1 lets the optimisation remove errors of stereo
+_DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # number, and distance [radius of the region]
+_LEAST_SOLID, _LEAST_SKY = 0.8, 0.02  # share of the photos that see a point of the dome
+_COVERED = 230  # least cover of a pixel that counts, of 255
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 Cover = UInt8[np.ndarray, "H W"]
 
@@ -29,11 +29,11 @@ def first_table(
     rng: np.random.Generator,
     sky: Sequence[Foreground] | None = None,
 ) -> Float32[np.ndarray, "G P"]:
-    """Up to about `number` round Gaussians as wide as their neighbours are near; and without masks, some far away.
+    """Create about `number` isotropic Gaussians, sized by their spacing; without masks also some on a far dome.
 
-    The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
+    The model is in the stage's frame, in which the region's radius is 1; it has the views of the depth maps.
     """
-    crown_share = 0.4  # of the other points: in a thin crown there are none of them
+    crown_share = 0.4  # share of the other points, which are missing in thin crowns
     covers = None if sky is None else [view.alpha for view in sky]
     points, colors = model.points, model.colors / np.float32(255)
     if depths is not None:
@@ -57,9 +57,9 @@ def first_table(
 
 
 def sky_table(views: Sequence[View], sky: Sequence[Foreground], sh_degree: int) -> Float32[np.ndarray, "S P"]:
-    """Opaque Gaussians behind all else, where photos show sky and a little beyond; they are not learned."""
-    sky_distance, beside_sky = 100.0, 0.15  # of the region's radius; of that distance, how far it goes on unseen
-    sky_points, sky_width = 12_000, 1.5  # on a whole sphere; of the dome's Gaussians
+    """Create opaque Gaussians behind the scene where photos show sky, and slightly beyond; they are not optimised."""
+    sky_distance, beside_sky = 100.0, 0.15  # [region's radius], and extension beyond the seen sky [that distance]
+    sky_points, sky_width = 12_000, 1.5  # number on a whole sphere, and factor of the dome's widths
     points, colors, share = dome_points(views, [255 - view.alpha for view in sky], sky_points, sky_distance)
     clear = np.flatnonzero(share >= _LEAST_SKY)
     away, nearest = (np.asarray(part) for part in cKDTree(points[clear]).query(points))
@@ -71,7 +71,7 @@ def sky_table(views: Sequence[View], sky: Sequence[Foreground], sh_degree: int) 
 def _dome_table(
     points: Float32[np.ndarray, "D 3"], colors: Float32[np.ndarray, "D 3"], width: float, number: int, sh_degree: int
 ) -> Float32[np.ndarray, "D P"]:
-    """Gaussians as wide as half the distance between neighbours, times `width`, of `number` on a whole sphere."""
+    """Create Gaussians of half the spacing of `number` points on a whole sphere, times `width`."""
     size = np.full(len(points), width * _DOME_DISTANCE * np.sqrt(4 * np.pi / number) / 2, np.float32)
     return table_of_points(points, colors, size, opacity=_DOME_OPACITY, sh_degree=sh_degree)
 
@@ -79,7 +79,7 @@ def _dome_table(
 def points_of_depths(
     model: SparseModel, depths: DepthMaps, sky: Sequence[Foreground] | None = None
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Back-project every pixel that has a depth, with the photo's colour, of which sky is no part."""
+    """Back-project every pixel that has a depth, with the photo's colour without sky."""
     points, colors = [], []
     images = [view.image for view in model.views] if sky is None else [view.image for view in sky]
     for image, stereo, depth in zip(images, depths.views, depths.depths, strict=True):
@@ -92,11 +92,11 @@ def points_of_depths(
 
 
 def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:
-    """Rows of about `number` points, evenly in space: a random one per cell of a grid."""
+    """Subsample about `number` points evenly in space, a random one per cell of a grid; return their rows."""
     if len(points) <= number:
         return np.arange(len(points))
     order = rng.permutation(len(points))
-    low, high = 1e-4, 1.0  # of the spread, the cell's side
+    low, high = 1e-4, 1.0  # bounds of a cell's side [spread of the points]
     spread = float(np.percentile(np.abs(points - np.median(points, axis=0)), 95))
     for _ in range(16):
         side = np.sqrt(low * high)
@@ -110,8 +110,8 @@ def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Gene
 
 
 def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
-    """Mean distance to the nearest three others, as Kerbl et al. begin; of lonely ones not more than the widest."""
-    widest_share = 0.1  # of the cameras' distance, for a point far from all others
+    """Compute half the mean distance to the three nearest points, with an upper limit; after Kerbl et al."""
+    widest_share = 0.1  # [region's radius], limit for isolated points
     distance = np.asarray(cKDTree(points).query(points, k=4)[0])[:, 1:].mean(axis=1)
     limited: Float32[np.ndarray, " G"] = np.clip(distance / 2, 1e-5, widest_share).astype(np.float32)
     return limited
@@ -123,9 +123,9 @@ def dome_points(
     number: int = _DOME_POINTS,
     distance: float = _DOME_DISTANCE,
 ) -> tuple[Float32[np.ndarray, "D 3"], Float32[np.ndarray, "D 3"], Float64[np.ndarray, " D"]]:
-    """Points on a far sphere, their mean colour in the photos, and the share of those that count; 0 where none does.
+    """Return points on a far sphere, their mean colour, and the share of the photos seeing them that count.
 
-    With `covers` a photo counts where a pixel is covered.
+    With `covers`, a photo counts only where it is covered.
     """
     place = np.arange(number) + 0.5
     z = 1 - 2 * place / number

@@ -1,4 +1,4 @@
-"""Gaussians as a table of parameters, one row each, and back to a cloud."""
+"""Convert between Gaussians and a table of their optimised parameters, one row per Gaussian."""
 
 import numpy as np
 from jaxtyping import Float32
@@ -8,7 +8,7 @@ from dynamictree.gaussian.harmonics import SH_0
 
 MEAN, QUATERNION, LOG_SCALE, LOGIT = slice(0, 3), slice(3, 7), slice(7, 10), 10
 COLOR, REST = slice(11, 14), 14
-"""Columns; harmonics follow one another, three channels each."""
+"""Columns; harmonics are consecutive, with three channels each."""
 
 
 def table_of_points(
@@ -19,7 +19,7 @@ def table_of_points(
     opacity: float,
     sh_degree: int,
 ) -> Float32[np.ndarray, "G P"]:
-    """Round Gaussians at points; colours are display colours in [0, 1], sizes standard deviations."""
+    """Create isotropic Gaussians at points; colours are display colours in [0, 1], sizes standard deviations."""
     table = np.zeros((len(points), REST - 3 + 3 * (sh_degree + 1) ** 2), np.float32)
     table[:, MEAN] = points
     table[:, QUATERNION.start] = 1
@@ -30,7 +30,7 @@ def table_of_points(
 
 
 def cloud_of(table: Float32[np.ndarray, "G P"], sh_degree: int | None = None) -> GaussianCloud:
-    """The table as a cloud, with harmonics up to a degree; all of them by default. Its quaternions are unit ones."""
+    """Convert a table with unit quaternions to a cloud, with harmonics up to a degree (by default all)."""
     num_harmonics = (table.shape[1] - COLOR.start) // 3 if sh_degree is None else (sh_degree + 1) ** 2
     sh = table[:, COLOR.start : COLOR.start + 3 * num_harmonics].reshape(len(table), num_harmonics, 3)
     return GaussianCloud(
@@ -43,6 +43,6 @@ def cloud_of(table: Float32[np.ndarray, "G P"], sh_degree: int | None = None) ->
 
 
 def unit_quaternions(table: Float32[np.ndarray, "G P"]) -> None:
-    """Make the quaternions of a table unit ones, in place."""
+    """Normalize the quaternions of a table, in place."""
     turns = table[:, QUATERNION]
-    turns /= np.sqrt(np.einsum("gi,gi->g", turns, turns))[:, None]  # half the time of `norm`
+    turns /= np.sqrt(np.einsum("gi,gi->g", turns, turns))[:, None]  # twice as fast as `norm`

@@ -1,4 +1,4 @@
-"""Up, ground and region of the subject, from cameras and points alone."""
+"""Estimate the vertical, the ground and the subject's region from cameras and points."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,22 @@ from dynamictree.planes import Plane, best_plane, fit_plane, planes_of_triples, 
 from dynamictree.reconstruct.photo_cameras import nearest_to_axes
 from dynamictree.reconstruct.views import SparseModel
 
-_LEAST_UP = 0.4  # cosine between the ground's normal and up, where the cameras' cues for up disagree
-_AGREE_DEG = 5.0  # between cues for up; and between the ground's normal and cues that agree
+_LEAST_UP = 0.4  # least cosine between the ground's normal and up, if the cues for up disagree
+_AGREE_DEG = 5.0  # angle between agreeing cues for up, and between them and the ground's normal
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A frame with +Z up whose origin lies on the ground below the middle of what the cameras look at."""
+    """Frame with +Z up; its origin lies on the ground below the cameras' focus."""
 
     up: Float64[np.ndarray, "3"]
     origin: Float64[np.ndarray, "3"]
-    radius: float  # of the region that the pictures hold, around the point they look at
+    radius: float  # radius of the region that the photos show, around the focus
     ground_found: bool
 
     @property
     def rotation(self) -> Float64[np.ndarray, "3 3"]:
-        """World to stage."""
+        """Rotation from world to stage."""
         side = np.eye(3)[np.argmin(np.abs(self.up))]
         right = np.cross(side, self.up)
         right /= np.linalg.norm(right)
@@ -32,12 +32,12 @@ class Stage:
 
 
 def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = True) -> Stage:
-    """Find the vertical from the photos' orientations, and the ground as the plane below that has most points.
+    """Find the vertical from the cameras' orientations, and the ground as the plane below with most points.
 
-    Where two cues of the cameras agree on up, a plane that leans away from it is no ground, unless most points lie on
-    it. With `ground=False` none is searched: masks leave it out.
+    If two cues agree on the vertical, an inclined plane is ground only if many points lie on it. With `ground=False`
+    no ground is searched, since masks exclude it.
     """
-    ground_thickness = 0.02  # of the region's radius
+    ground_thickness = 0.02  # share of the region's radius
     positions = np.array([view.camera.position_m for view in model.views])
     up, cues_agree = camera_up(positions, np.array([view.camera.world_to_camera for view in model.views]))
     focus = nearest_to_axes([view.camera for view in model.views])
@@ -58,13 +58,13 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
 def camera_up(
     positions: Float64[np.ndarray, "V 3"], rotations: Float64[np.ndarray, "V 3 3"]
 ) -> tuple[Float64[np.ndarray, "3"], bool]:
-    """Up from three cues, and whether at least two agree: the photos' mean up, level right axes, a flat orbit.
+    """Estimate up from three cues, the photos' mean up, level right axes and a flat orbit; tell if two agree.
 
-    Photographers hold the camera level, so its right axis is horizontal whatever the pitch: up is the direction that
-    right axes have least of.
+    Photographers hold the camera level, so its right axis is horizontal at any pitch: up is the direction in which
+    the right axes vary least.
     """
-    flat_orbit = 0.25  # height of the cameras' path over its width
-    least_turn = 0.1  # of the photos' right axes that must point aside, or the cameras do not tell what is level
+    flat_orbit = 0.25  # largest height of the cameras' path over its width
+    least_turn = 0.1  # share of the right axes' variance in the second direction; with less, level is ambiguous
     mean_up = -rotations[:, 1].sum(axis=0)
     mean_up /= np.linalg.norm(mean_up)
     cues = [mean_up]
@@ -88,9 +88,9 @@ def _ground_plane(
     *,
     cues_agree: bool,
 ) -> tuple[Float64[np.ndarray, "3"], float] | None:
-    """Normal and offset of the plane with most points on it, few below, and all cameras above (RANSAC)."""
-    clear_ground_share, clear_ground_deg = 0.3, 15.0  # a plane of that many points may lean more: a slope
-    ground_share = 0.08  # of the points near the subject must lie on a plane that is called ground
+    """Find the plane with most points, few points below and all cameras above by RANSAC; return normal and offset."""
+    clear_ground_share, clear_ground_deg = 0.3, 15.0  # a plane of that share of the points may be steeper
+    ground_share = 0.08  # share of the points near the subject that must lie on the ground
     trials = 400
     if len(points) < 50:
         return None

@@ -1,7 +1,7 @@
-"""Depth of every pixel by PatchMatch stereo (Bleyer 2011; checkerboard of Galliani 2015), on the CPU.
+"""Dense depth by PatchMatch stereo (Bleyer 2011; checkerboard of Galliani 2015), on the CPU.
 
-A hypothesis is the inverse depth at a pixel and its change a pixel to the right and down: on a plane inverse depth is
-affine in the picture, so a hypothesis moves to a neighbour by adding, and a pixel to another view by a homography.
+A hypothesis is the inverse depth at a pixel and its change per pixel to the right and down. Inverse depth is affine in
+the picture of a plane, so a hypothesis moves to a neighbour by addition, and a pixel to another view by a homography.
 """
 
 from typing import NamedTuple, no_type_check
@@ -11,17 +11,17 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 
 from dynamictree.parallel import compiled, in_bands
 
-_PATCH_REACH, _PATCH_STEP = 4, 2  # pixels: 25 samples in a square of 9
+_PATCH_REACH, _PATCH_STEP = 4, 2  # [px]: 25 samples in a square of 9
 _PATCH_SIDE = 2 * _PATCH_REACH // _PATCH_STEP + 1
-_TRIALS = 8  # a pixel and sweep: four neighbours, four changes
-_FLAT = np.float32(1e-5)  # variance of grey below which nothing can be compared
+_TRIALS = 8  # number per pixel and sweep: four neighbours, four random changes
+_FLAT = np.float32(1e-5)  # variance of grey below which matching is impossible
 _HALF = np.float32(0.5)
-_GREY_FALLOFF = 0.08  # of the weight of samples unlike the centre: keeps patches on one side of an edge
-_REPROJECTION_PX, _DEPTH_SHARE = 1.5, 0.012  # how well two views must agree
+_GREY_FALLOFF = 0.08  # difference from the centre that lowers a sample's weight by e: patches do not cross edges
+_REPROJECTION_PX, _DEPTH_SHARE = 1.5, 0.012  # largest errors of agreeing views
 
 
 class StereoView(NamedTuple):
-    """A grey picture and the two ways between its pixels and the world."""
+    """Grey picture, with the transforms between its pixels and the world."""
 
     grey: Float32[np.ndarray, "H W"]
     to_pixel: Float64[np.ndarray, "3 4"]  # world to pixel times depth
@@ -29,7 +29,7 @@ class StereoView(NamedTuple):
     position: Float64[np.ndarray, "3"]
 
     def places(self, pixels: Float64[np.ndarray, "P 2"], depth: Float[np.ndarray, " P"]) -> Float64[np.ndarray, "P 3"]:
-        """Where in the world what is seen at pixels is, by its depth."""
+        """Back-project pixels to the world by their depth."""
         rays = pixels @ self.to_ray[:, :2].T + self.to_ray[:, 2]
         places: Float64[np.ndarray, "P 3"] = self.position + depth[:, None] * rays
         return places
@@ -37,27 +37,27 @@ class StereoView(NamedTuple):
     def pixels(
         self, places: Float64[np.ndarray, "P 3"]
     ) -> tuple[Float64[np.ndarray, "P 2"], Float64[np.ndarray, " P"]]:
-        """Where places of the world are seen, and their depth; no pixel of those that are not before the camera."""
+        """Project points of the world to pixels and depths; pixels of points behind the camera are NaN."""
         across, down, depth = self.to_pixel[:, :3] @ places.T + self.to_pixel[:, 3:]
         before = np.where(depth > 0, depth, np.nan)
         return np.stack([across / before, down / before], axis=1), depth
 
 
 class Hypotheses(NamedTuple):
-    """One plane a pixel."""
+    """Plane hypothesis of each pixel."""
 
     inverse: Float32[np.ndarray, "H W"]  # 1 / depth
-    slope: Float32[np.ndarray, "H W 2"]  # its change to the right and down
-    cost: Float32[np.ndarray, "H W"]  # 1 − correlation; 2 where nothing could be compared
+    slope: Float32[np.ndarray, "H W 2"]  # change of 1 / depth to the right and down
+    cost: Float32[np.ndarray, "H W"]  # 1 − correlation; 2 without any match
 
 
 class _Matching(NamedTuple):
-    """What the sweeps over one view read."""
+    """Inputs of the sweeps over one view."""
 
     grey: Float32[np.ndarray, "H W"]
-    greys: Float32[np.ndarray, "S h w"]  # of the neighbours, padded to one size
+    greys: Float32[np.ndarray, "S h w"]  # pictures of the neighbours, padded to one size
     sizes: Int32[np.ndarray, "S 2"]
-    turn: Float32[np.ndarray, "S 3 3"]  # a pixel of inverse depth ρ maps to turn (x, y, 1) + shift ρ
+    turn: Float32[np.ndarray, "S 3 3"]  # pixel (x, y) of inverse depth ρ maps to turn (x, y, 1) + shift ρ
     shift: Float32[np.ndarray, "S 3"]
     limits: Float32[np.ndarray, "3"]  # least and most inverse depth, steepest slope over inverse depth
 
@@ -71,7 +71,7 @@ def match_view(
     num_iterations: int = 4,
     seed: int = 0,
 ) -> Hypotheses:
-    """Find the planes on which the first view looks most like the others, where the mask is set.
+    """Find the planes that maximise the correlation of the first view with the others, where the mask is set.
 
     `bounds` are the least and the greatest depth of surfaces [units of the cameras].
     """
@@ -103,8 +103,8 @@ def match_view(
 def neighbours_of(
     positions: Float64[np.ndarray, "V 3"], points: Float64[np.ndarray, "P 3"], seen: Int64[np.ndarray, "M 2"]
 ) -> list[list[int]]:
-    """For each view the others that see the same points at a good angle, best first."""
-    angles_deg = (4.0, 12.0, 35.0)  # between rays to a point: least, best, most
+    """List, for each view, the others that see the same points at a good angle, best first."""
+    angles_deg = (4.0, 12.0, 35.0)  # angle between rays to a point: least, best, most
     num_neighbours = 4
     visible = np.zeros((len(positions), len(points)), bool)
     visible[seen[:, 0], seen[:, 1]] = True
@@ -126,7 +126,7 @@ def neighbours_of(
 def agreed_depths(
     views: list[StereoView], hypotheses: list[Hypotheses], neighbours: list[list[int]], *, min_agreeing: int
 ) -> list[Float32[np.ndarray, "H W"]]:
-    """Depth maps [units of the cameras] that hold only what enough neighbours confirm; 0 elsewhere."""
+    """Return depth maps [units of the cameras] with the depths that enough neighbours confirm; 0 elsewhere."""
     max_cost = 0.55  # 1 − correlation
     depths = []
     for view, others in enumerate(neighbours):
@@ -140,11 +140,11 @@ def agreed_depths(
 def _agree(
     inverse: Float32[np.ndarray, "H W"], view: StereoView, other: Float32[np.ndarray, "h w"], other_view: StereoView
 ) -> Bool[np.ndarray, "H W"]:
-    """Where the other view's depth leads back to the same pixel at the same depth."""
+    """Whether the other view's depth, projected back, gives the same pixel at the same depth."""
     row, column = np.indices(inverse.shape).reshape(2, -1) + 0.5
     pixels, depth = np.stack([column, row], axis=1), 1 / inverse.ravel().astype(np.float64)
     seen, _ = other_view.pixels(view.places(pixels, depth))
-    inside = np.all((seen >= 0) & (seen < other.shape[::-1]), axis=1)  # not where there is no pixel
+    inside = np.all((seen >= 0) & (seen < other.shape[::-1]), axis=1)  # false for NaN
     column, row = np.where(inside[:, None], seen, 0).astype(np.int64).T
     back, back_depth = view.pixels(other_view.places(seen, 1 / other[row, column].astype(np.float64)))
     near = ((back - pixels) ** 2).sum(axis=1) < _REPROJECTION_PX**2
@@ -155,7 +155,7 @@ def _agree(
 @compiled
 @no_type_check
 def _chance(x, y, number):
-    """A number in [0, 1) that depends on nothing but where and when it is drawn."""
+    """Return a pseudo-random number in [0, 1), a hash of the pixel and a counter."""
     bits = np.uint32(x) * np.uint32(0x9E3779B1) ^ np.uint32(y) * np.uint32(0x85EBCA77)
     bits ^= np.uint32(number) * np.uint32(0xC2B2AE3D)
     bits = (bits ^ (bits >> np.uint32(15))) * np.uint32(0x2C1B3C6D)
@@ -167,7 +167,7 @@ def _chance(x, y, number):
 @compiled
 @no_type_check
 def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
-    """Every second pixel takes over from pixels of the other colour, then tries changes of its own."""
+    """Propagate hypotheses to every second pixel from its neighbours, then try random changes."""
     grey = matching.grey
     height, width = grey.shape
     least, most, steepest = matching.limits[0], matching.limits[1], matching.limits[2]
@@ -221,7 +221,7 @@ def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
 @compiled
 @no_type_check
 def _reference_patch(grey, x, y, values, weight):
-    """Samples around a pixel, their weights by likeness to it, weighted mean and variance."""
+    """Sample a patch; weight samples by similarity to the centre; return weighted mean and variance."""
     height, width = grey.shape
     centre = grey[y, x]
     number = 0
@@ -244,7 +244,7 @@ def _reference_patch(grey, x, y, values, weight):
 @compiled
 @no_type_check
 def _cost(at, plane, matching, patch, costs):
-    """1 − weighted correlation, the mean over the better half of the neighbours."""
+    """Compute 1 − weighted correlation, averaged over the better half of the neighbours."""
     number = len(costs)
     for view in range(number):
         costs[view] = _cost_in_view(view, at, plane, matching, patch)
@@ -267,7 +267,7 @@ def _cost_in_view(view, at, plane, matching, patch):
     inverse, right, down = plane
     value_of, weight, mean, variance = patch
     grey, size, turn, shift = matching.greys[view], matching.sizes[view], matching.turn[view], matching.shift[view]
-    # homogeneous pixel at the patch's first sample, and its change from sample to sample
+    # homogeneous pixel at the patch's first sample, and its change per sample
     px, py = np.float32(x) + _HALF - np.float32(_PATCH_REACH), np.float32(y) + _HALF - np.float32(_PATCH_REACH)
     start = inverse - np.float32(_PATCH_REACH) * (right + down)
     u0 = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] + shift[0] * start
@@ -277,7 +277,7 @@ def _cost_in_view(view, at, plane, matching, patch):
     ux, uy = step * (turn[0, 0] + shift[0] * right), step * (turn[0, 1] + shift[0] * down)
     vx, vy = step * (turn[1, 0] + shift[1] * right), step * (turn[1, 1] + shift[1] * down)
     wx, wy = step * (turn[2, 0] + shift[2] * right), step * (turn[2, 1] + shift[2] * down)
-    for corner in range(4):  # where they are inside, all samples are
+    for corner in range(4):  # if the corners are inside, all samples are
         i, j = np.float32(corner % 2 * (_PATCH_SIDE - 1)), np.float32(corner // 2 * (_PATCH_SIDE - 1))
         w = w0 + i * wx + j * wy
         if w <= 0:

@@ -1,4 +1,4 @@
-"""Choose a mesh by photos that no Gaussian was learned from: where it is drawn, they must show its colours."""
+"""Choose the mesh whose rendered colours match held-out photos best."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,21 +14,21 @@ from dynamictree.reconstruct.report import shrunk
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
 
-BESIDE = 0.02  # of the region's radius: how far from the mesh a Gaussian of it may stand
+BESIDE = 0.02  # share of the region's radius; farthest distance of a mesh's Gaussian from it
 
 
 def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: Sequence[View], radius: float) -> str:
-    """The name of the mesh that the photos agree with best.
+    """Return the name of the mesh that matches the photos best.
 
-    Each is drawn, in its vertices' colours, before what is left of the scene without the Gaussians of any mesh; the
-    PSNR counts where a mesh or those Gaussians are seen. So what a mesh lacks costs as much as what it has too much.
+    Each mesh is rendered with its vertex colours in front of the scene without the Gaussians of any mesh. The PSNR is
+    measured where a mesh or those Gaussians are visible, so missing parts cost as much as superfluous ones.
 
     Args:
-        meshes: candidates, at least one, with vertex colours, in the frame of the scene and the cameras; the first one
-            is taken unless another is better by half a decibel.
+        meshes: candidates, at least one, with vertex colours, in the frame of the scene and the cameras; the first is
+            chosen unless another is better by half a decibel.
         scene: all Gaussians.
-        views: photos that were not learned from.
-        radius: of the region.
+        views: held-out photos.
+        radius: radius of the region.
     """
     if len(meshes) == 1:
         return next(iter(meshes))
@@ -52,7 +52,7 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
 def _drawn(
     mesh: TriangleMesh, view: View, width: int, height: int
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """The mesh in its own colours, without light, and where it is."""
+    """Render the mesh in its own colours, without light; return the picture and a mask."""
     assert mesh.look.vertex_colors is not None
     face = Renderer(mesh, Look(width=width, height=height, shadows=False)).buffers(view.camera).face
     of_face = mesh.look.vertex_colors[mesh.faces, :3].mean(axis=1).astype(np.float32) / 255
@@ -62,7 +62,7 @@ def _drawn(
 def of_the_mesh(cloud: GaussianCloud, mesh: TriangleMesh, *, radius: float) -> Bool[np.ndarray, " G"]:
     """Select Gaussians near the mesh that are neither wide nor faint; `radius` is that of the region."""
     faintest = 0.02
-    largest = 0.15  # of the region's radius: what is wider belongs to the background
+    largest = 0.15  # share of the region's radius; wider Gaussians belong to the background
     distance = cKDTree(mesh.vertices).query(cloud.means, distance_upper_bound=BESIDE * radius)[0]
     narrow = cloud.scales.max(axis=1) < largest * radius
     chosen: Bool[np.ndarray, " G"] = np.isfinite(distance) & narrow & (cloud.opacity > faintest)

@@ -1,4 +1,4 @@
-"""Registered photos: an undistorted picture and its camera each, and the points that they share."""
+"""Registered photos, each with an undistorted picture and a camera, and their shared points."""
 
 import json
 from collections.abc import Mapping
@@ -16,23 +16,23 @@ from dynamictree.render.camera import Camera
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One registered photo."""
+    """Registered photo."""
 
     source: str  # the photo's name as given
     image: UInt8[np.ndarray, "H W 3"]  # undistorted
     camera: Camera
-    alpha: UInt8[np.ndarray, "H W"] | None = None  # of what is wanted, 255 where it is; None where nothing is cut out
+    alpha: UInt8[np.ndarray, "H W"] | None = None  # mask of the subject, 255 inside; None without masks
 
     @property
     def photo_camera(self) -> PhotoCamera:
-        """The camera, with the photo's name and size."""
+        """Camera with the photo's name and size."""
         height, width = self.image.shape[:2]
         return PhotoCamera(photo=self.source, camera=self.camera, width=width, height=height)
 
     def pixels_of(
         self, points: Float[np.ndarray, "P 3"]
     ) -> tuple[tuple[Int64[np.ndarray, " P"], Int64[np.ndarray, " P"]], Bool[np.ndarray, " P"]]:
-        """Row and column of points in the picture, and whether they are in it; 0 for those that are not."""
+        """Project points to row and column, and test whether they are in the picture; 0 for those outside."""
         height, width = self.image.shape[:2]
         x, y, depth = self.camera.project(points, width, height).T
         inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
@@ -42,12 +42,12 @@ class View:
 def resized(
     plane: Float32[np.ndarray, "H W"], size: tuple[int, int], how: Image.Resampling = Image.Resampling.BOX
 ) -> Float32[np.ndarray, "h w"]:
-    """A picture of one channel with another width and height."""
+    """Resize a picture of one channel to another width and height."""
     return np.array(Image.fromarray(np.ascontiguousarray(plane)).resize(size, how), np.float32)
 
 
 def nearest_pixels(picture: Float32[np.ndarray, "H W *C"], height: int, width: int) -> Float32[np.ndarray, "h w *C"]:
-    """A picture at another size, no pixel mixed with another."""
+    """Resize a picture by nearest-neighbour sampling."""
     rows, columns = (np.arange(new) * old // new for new, old in zip((height, width), picture.shape, strict=False))
     return np.ascontiguousarray(picture[np.ix_(rows, columns)])
 
@@ -61,8 +61,8 @@ class SparseModel:
     colors: UInt8[np.ndarray, "P 3"]
     seen: Int64[np.ndarray, "M 2"]  # pairs of a view's and a point's row
     reprojection_error_px: float
-    left_out: Mapping[str, str] = field(default_factory=dict)  # why a photo has no camera, by its name as given
-    markers: tuple[Marker, ...] = ()  # those in most photos first
+    left_out: Mapping[str, str] = field(default_factory=dict)  # reason by the photo's original name
+    markers: tuple[Marker, ...] = ()  # most photos first
 
     def transformed(
         self, scale: float, rotation: Float64[np.ndarray, "3 3"], origin: Float64[np.ndarray, "3"]
@@ -92,9 +92,9 @@ def _pixels(path: Path, mode: str, size: tuple[int, int]) -> UInt8[np.ndarray, "
 
 
 def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
-    """Read what `mapping` wrote; None where no two photos fitted together. `sources` gives each photo's own name.
+    """Read the files of `mapping`; None if no photos could be registered. `sources` has the photos' original names.
 
-    Photos whose pixels are not square (two focal lengths) are stretched until they are: cameras have one focal length.
+    Photos with non-square pixels (two focal lengths) are stretched, since a `Camera` has one focal length.
     """
     if not (folder / "views.json").exists():
         return None

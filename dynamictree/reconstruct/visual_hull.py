@@ -1,4 +1,4 @@
-"""Visual hull: the part of space that the masks of the photos agree on (Laurentini 1994), refined from coarse cells."""
+"""Visual hull: the part of space inside the masks of the photos (Laurentini 1994), refined from coarse cells."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,14 +11,14 @@ from scipy.ndimage import binary_dilation, distance_transform_cdt, gaussian_filt
 from dynamictree.errors import ReconstructionError
 from dynamictree.reconstruct.views import View
 
-_COVERED = 32  # of 255, the alpha of what counts as masked: a twig narrower than a pixel covers part of it only
-_FARTHEST_PX = 255  # that a distance from a mask is known to
-_REGION = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 2.0]])  # of the stage
-_LEAST_CONTRAST = 8.0  # of 255: sky in JPEG has 1 to 3, leaves before it 20 and more
+_COVERED = 32  # least alpha inside a mask, of 255; low, since twigs narrower than a pixel cover a part of it
+_FARTHEST_PX = 255  # largest distance from a mask that is stored
+_REGION = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 2.0]])  # bounds in the stage's frame
+_LEAST_CONTRAST = 8.0  # standard deviation of grey, of 255; sky in JPEG has 1 to 3, leaves in front of it 20 and more
 
 
 class _Mask(NamedTuple):
-    """A photo, and how far each of its pixels is from the mask [px], by rows and columns; 0 inside."""
+    """Photo with each pixel's taxicab distance from the mask [px]; 0 inside."""
 
     view: View
     away_px: UInt8[np.ndarray, "H W"]
@@ -27,13 +27,13 @@ class _Mask(NamedTuple):
 def hull_points(
     views: Sequence[View], number: int, rng: np.random.Generator
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Random points in the visual hull with the photos' mean colours; none where no photo has a mask.
+    """Sample random points in the visual hull, with the photos' mean colours; none if no photo has a mask.
 
-    A point counts if seven in eight of the photos that see it, and at least half of all, have it inside the mask
-    dilated by 2 px. Where enough points are inside the masks as they are, only those count.
+    A point is in the hull if half of the photos see it and seven in eight of these have it inside the mask, dilated by
+    2 px. If enough points are also inside the masks without dilation, only those are returned.
 
     Raises:
-        ReconstructionError: the masks agree on no place at all.
+        ReconstructionError: the masks have no common point in space.
     """
     masked = [view for view in views if view.alpha is not None]
     if not masked:
@@ -51,8 +51,8 @@ def hull_points(
 def points_in_masks(
     masked: list[View], number: int, rng: np.random.Generator
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """As `hull_points`, of photos that all have masks; no points where the masks agree on no place."""
-    candidates = 8  # random places per wanted point
+    """Like `hull_points`, for photos that all have masks; no points if the masks have no common one."""
+    candidates = 8  # random positions per wanted point
     masks = [_mask(view) for view in masked]
     centres, half = _refined(masks, number)
     if len(centres) == 0:
@@ -79,7 +79,7 @@ def _mask(view: View) -> _Mask:
 
 
 def _refined(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"], float]:
-    """Centres and half the side of the cells that may hold the subject, halved until they are a pixel wide."""
+    """Return centres and half side of the cells that may contain the subject, refined down to a pixel."""
     first_cell, finest_cell_px, most_cells = 1 / 8, 1.5, 50_000
     half = 0.5 * first_cell
     sides = [np.arange(low + half, high, first_cell) for low, high in _REGION.T]
@@ -99,9 +99,9 @@ def _refined(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"
 
 def _agreed(masks: list[_Mask], centres: Float64[np.ndarray, "C 3"], half: float = 0.0) -> Bool[np.ndarray, " C"]:
     """Whether enough dilated masks are set somewhere in each cell's projection."""
-    least_seen = 1 / 2  # of the photos
-    max_disagreeing = 1 / 8  # of the photos that see a place: one bad mask must not cut a hole into the plant
-    dilation_px = 2  # of the masks: a stem one pixel wide is lost to cameras that are off by a pixel
+    least_seen = 1 / 2  # share of the photos
+    max_disagreeing = 1 / 8  # share of the photos that see a point; one bad mask must not cut a hole into the plant
+    dilation_px = 2  # tolerance for camera errors of a pixel, which would lose stems one pixel wide
     seen, inside = np.zeros(len(centres), np.int32), np.zeros(len(centres), np.int32)
     for mask in masks:
         at, radius_px, visible = _projected(mask.view, centres, np.sqrt(3) * half)
@@ -114,7 +114,7 @@ def _agreed(masks: list[_Mask], centres: Float64[np.ndarray, "C 3"], half: float
 def _projected(
     view: View, centres: Float64[np.ndarray, "C 3"], reach: float = 0.0
 ) -> tuple[tuple[Int64[np.ndarray, " C"], Int64[np.ndarray, " C"]], Float64[np.ndarray, " C"], Bool[np.ndarray, " C"]]:
-    """Row and column, radius [px] and visibility of spheres with a radius `reach`; nearest pixel of those outside."""
+    """Project spheres of radius `reach`: row and column (clipped to the picture), radius [px] and visibility."""
     height, width = view.image.shape[:2]
     x, y, depth = view.camera.project(centres, width, height).T
     radius_px = np.minimum(reach * view.camera.focal * height / np.maximum(depth - reach, 1e-6), width + height)
@@ -125,7 +125,7 @@ def _projected(
 
 
 def _mean_colors(masks: list[_Mask], points: Float64[np.ndarray, "P 3"]) -> Float32[np.ndarray, "P 3"]:
-    """Mean over the photos that have a point inside their mask; over all that see it where none has."""
+    """Average each point's colour over the photos with it inside their mask, or else over all that see it."""
     total, weight = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
     for mask in masks:
         at, _, visible = _projected(mask.view, points)
@@ -142,11 +142,11 @@ def texture_points(
     rng: np.random.Generator,
     covers: Sequence[UInt8[np.ndarray, "H W"]] | None = None,
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Up to `number` random points of the region that photos show as textured, with the photos' mean colours.
+    """Sample up to `number` random points of the region where photos are textured, with their mean colours.
 
-    `covers` are the shares of pixels that are not sky.
+    `covers` are the shares of each pixel that are not sky.
     """
-    low, high, radius = 0.02, 2.0, 1.0  # of the stage's region, in whose middle the plant stands
+    low, high, radius = 0.02, 2.0, 1.0  # cylinder of the stage's region around the plant
     masks = [textured_mask(view.image) for view in views]
     if covers is not None:
         masks = [np.minimum(mask, cover) for mask, cover in zip(masks, covers, strict=True)]
@@ -159,8 +159,8 @@ def texture_points(
 
 
 def textured_mask(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W"]:
-    """255 where the brightness varies around a pixel, dilated by the window."""
-    window_share = 1 / 320  # of the longer side, standard deviation of the window in which contrast is measured
+    """Return a mask, 255 where the local contrast is high, dilated by the window."""
+    window_share = 1 / 320  # standard deviation of the window in which contrast is measured [longer side]
     window = max(1.0, window_share * max(image.shape))
     grey = image.astype(np.float32).mean(axis=2)
     variance = gaussian_filter(grey * grey, window) - gaussian_filter(grey, window) ** 2

@@ -1,7 +1,7 @@
-"""Results of finished stages in a folder, so that an interrupted reconstruction continues where it was.
+"""Folder with the results of finished stages, from which an interrupted reconstruction continues.
 
-`photos.key` says which photos, masks and cameras the results belong to, `depths.key` how many views the depths are of,
-`splat.key` with which schedule the splat was learned. Results with another key are deleted before the work begins.
+Each key is a hash of a result's inputs: `photos.key` of photos, masks and cameras, `depths.key` also of the number of
+views, `splat.key` also of the schedule. Results with another key are deleted before the work begins.
 """
 
 import fcntl
@@ -22,19 +22,19 @@ _OF_PHOTOS = (
     *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz", "times.json"),
 )
 PHOTOS, TIMES, DEPTHS, SPLAT = "photos", "times.json", "depths.npz", "splat.npz"
-"""Prepared photos and masks; time that each stage took, in all attempts; depth maps; state of the optimisation."""
+"""Prepared photos and masks; duration of each stage over all attempts; depth maps; state of the optimisation."""
 _RESULTS = {"photos.key": _OF_PHOTOS, "depths.key": ("depths.npz",), "splat.key": ("splat.npz",)}
-"""Files of each stage; one whose key differs is deleted, with all later ones."""
+"""Files of each stage; if its key differs, they are deleted, and those of all later stages too."""
 
 
 @contextmanager
 def alone_in_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> Iterator[None]:
-    """Use a folder alone, with what an earlier call with the same inputs left there.
+    """Lock a folder, and delete its results that belong to other inputs.
 
     Args:
         path: the folder.
         sources: photos, masks and files with cameras, in order.
-        options: with which results are computed.
+        options: options of the reconstruction.
 
     Raises:
         InputError: another process uses the folder.
@@ -50,14 +50,14 @@ def alone_in_work(path: Path, sources: Iterable[Path], options: ReconstructOptio
 
 
 def extend_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> None:
-    """Go on with more photos: features of the earlier ones stay, cameras are to be found anew."""
+    """Continue with more photos: retain the features of the earlier ones, delete the cameras."""
     (path / "views.json").unlink(missing_ok=True)
     for name, key in _keys(sources, options).items():
         _write_key(path / name, key)
 
 
 def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str]:
-    depths_version, splat_version = 2, 5  # of what the file holds, and of the way in which a splat is learned
+    depths_version, splat_version = 2, 5  # versions of the depth maps' file, and of the splat's optimisation
     photos = f"{_photos_key(sources)} {options.photo_px}"
     depths = f"{photos} {depths_version} {options.max_views}"
     splat = f"{depths} {splat_version} {json.dumps(asdict(options.schedule), sort_keys=True)}"
@@ -66,7 +66,7 @@ def _keys(sources: Iterable[Path], options: ReconstructOptions) -> dict[str, str
 
 
 def _photos_key(sources: Iterable[Path]) -> str:
-    version = 4  # of the files in the folder
+    version = 4  # version of the files in the folder
     digest = sha256(str(version).encode())
     for source in sources:
         with source.open("rb") as stream:
@@ -78,8 +78,8 @@ def _photos_key(sources: Iterable[Path]) -> str:
 
 
 def _delete_others(folder: Path, keys: dict[str, str]) -> None:
-    """Delete results that belong to another key, then write the keys."""
-    for name, results in _RESULTS.items():  # a later key contains what the earlier ones do
+    """Delete results with another key, and write the new keys."""
+    for name, results in _RESULTS.items():  # a later key includes the inputs of the earlier ones
         if (folder / name).is_file() and (folder / name).read_text() == keys[name]:
             continue
         (folder / name).unlink(missing_ok=True)
