@@ -1,1 +1,1 @@
-"""What of a source is plant and what stands still, which way is up, how large it is, and how many trees it holds."""
+"""Find the plant in a source: still parts, up axis, unit, and individual trees."""

@@ -1,9 +1,9 @@
-"""A splat or scan as uploaded: the cloud, an optional mask of what may move, and an optional mesh."""
+"""Uploaded splat or scan: the cloud, an optional mask of Gaussians that may move, and an optional mesh."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, Int32, UInt8
 
 from dynamictree.errors import InputError
@@ -18,15 +18,15 @@ from dynamictree.requests import CloudParams
 
 @dataclass(frozen=True, kw_only=True)
 class Capture:
-    """A cloud and what came with it."""
+    """Cloud with its optional mask, mesh, trees and still parts."""
 
     cloud: GaussianCloud
-    mask: Bool[np.ndarray, " G"] | None = None  # which Gaussians may move; all if there is none
-    mesh: TriangleMesh | None = None  # what they hang on, where the cloud is; made from the cloud if there is none
-    tree: Int32[np.ndarray, " G"] | None = None  # of several trees the one, from 0; -1 for ground; None for one tree
+    mask: Bool[np.ndarray, " G"] | None = None  # mask of Gaussians that may move; None for all
+    mesh: TriangleMesh | None = None  # mesh to bind to, in the cloud's frame; None to extract it from the cloud
+    tree: Int32[np.ndarray, " G"] | None = None  # number of the tree, from 0; -1 for ground; None for one tree
     warnings: tuple[SourceWarning, ...] = ()
-    still_parts: tuple[StillPart, ...] = ()  # what was found to be no plant
-    part_of: UInt8[np.ndarray, " G"] | None = None  # number of the part from 1, or 0; None if there are none
+    still_parts: tuple[StillPart, ...] = ()  # detected parts that are no plant
+    part_of: UInt8[np.ndarray, " G"] | None = None  # number of the still part from 1, or 0; None if there are none
 
     def __post_init__(self) -> None:
         if self.mask is not None and len(self.mask) != self.cloud.num_gaussians:
@@ -41,7 +41,7 @@ class Capture:
 
 
 def with_still_parts(capture: Capture) -> Capture:
-    """The capture with what is not the plant found in it, unless a mask says what may move."""
+    """Detect the capture's still parts, unless a mask says what may move."""
     if capture.mask is not None:
         return capture
     parts, part_of = find_still_gaussians(capture.cloud)
@@ -49,16 +49,16 @@ def with_still_parts(capture: Capture) -> Capture:
 
 
 def moving_part(capture: Capture, choice: CloudParams | None = None) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians may move: those of the mask, or of the plant if there is none, and what the request says.
+    """Return a mask of the Gaussians that may move, from the capture's mask, its still parts and the request.
 
     Raises:
-        InputError: there are none, or a name or box that fits nothing.
+        InputError: no Gaussian may move, or a name or box of the request matches nothing.
     """
     mask = np.ones(capture.cloud.num_gaussians, np.bool_) if capture.mask is None else capture.mask
     if capture.part_of is not None:
         mask = mask & (capture.part_of == 0)
     if capture.tree is not None:
-        mask = mask & (capture.tree >= 0)  # the ground stands still
+        mask = mask & (capture.tree >= 0)  # excludes the ground
     if choice is None:
         return mask
     names = [part.name for part in capture.still_parts]
@@ -66,12 +66,12 @@ def moving_part(capture: Capture, choice: CloudParams | None = None) -> Bool[np.
 
 
 def carrying_mesh(capture: Capture, choice: CloudParams | None = None) -> TriangleMesh:
-    """The mesh that was sent, or one of the part that moves: what is voxelised, and what the Gaussians hang on.
+    """Return the mesh to voxelize and to bind Gaussians to: the given one, or one of the moving Gaussians.
 
-    Of a mesh that was sent, faces stand still where detected parts of the cloud do.
+    Faces of a given mesh are still where the nearest Gaussian belongs to a still part.
 
     Raises:
-        InputError: nothing is in the box, or nothing is opaque enough to have a surface.
+        InputError: the box is empty, or no Gaussian in it is opaque enough for a surface.
     """
     from dynamictree.gaussian.cloud_mesh import mesh_of_trees
 
@@ -95,7 +95,7 @@ def _still_where_gaussians_are(mesh: TriangleMesh, cloud: GaussianCloud, still: 
 
 
 def only_tree(capture: Capture, number: int) -> Capture:
-    """One of several trees by itself, counted from 1; without the ground.
+    """Extract one of several trees, counted from 1, without the ground.
 
     Raises:
         InputError: there is no such tree.
@@ -104,15 +104,15 @@ def only_tree(capture: Capture, number: int) -> Capture:
     if capture.tree is None:
         return capture
     own = (capture.tree == number - 1) & moving_part(capture)
-    nothing = None if capture.part_of is None else np.zeros(int(own.sum()), np.uint8)  # names of parts stay valid
+    nothing = None if capture.part_of is None else np.zeros(int(own.sum()), np.uint8)  # the names of parts remain valid
     return replace(capture, cloud=capture.cloud.subset(own), mask=None, tree=None, part_of=nothing)
 
 
 def move_only_tree(capture: Capture, number: int) -> Capture:
-    """The whole cloud, of which only one of several trees may move; counted from 1.
+    """Return the whole cloud with only one of several trees, counted from 1, allowed to move.
 
     Raises:
-        InputError: there is no such tree, or the mask lets none of it move.
+        InputError: there is no such tree, or the mask excludes all of it.
     """
     require_tree(number, capture.tree)
     if capture.tree is None:

@@ -1,4 +1,4 @@
-"""Choose the moving parts of a mesh, splat or scan: detected ones, changed by the request's names and boxes."""
+"""Choose the moving parts of a mesh, splat or scan: those detected, changed by the request's names and boxes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,10 +14,10 @@ from dynamictree.requests import CloudParams
 
 
 def with_choice(mesh: TriangleMesh, choice: CloudParams) -> TriangleMesh:
-    """The mesh, its still faces as the request says; what it does not say stays as detected.
+    """Change the still faces of a mesh by a request; faces that the request does not name stay as detected.
 
     Raises:
-        InputError: a name or box that fits nothing, or nothing is left to move.
+        InputError: a name or box matches nothing, or no face is left to move.
     """
     materials, parts = _names(mesh)
     nothing = np.full(mesh.num_faces, -1)
@@ -37,10 +37,10 @@ def choose_gaussians(
     part_of: UInt8[np.ndarray, " G"] | None,
     choice: CloudParams,
 ) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians move: those that may, with what the request says by the names of detected parts and by boxes.
+    """Return a mask of the moving Gaussians: `may_move`, changed by the request's names of parts and boxes.
 
     Raises:
-        InputError: a name or box that fits nothing, or nothing is left to move.
+        InputError: a name or box matches nothing, or no Gaussian is left to move.
     """
     number = np.full(len(means), -1) if part_of is None else part_of.astype(np.int64) - 1
     moving = _changed(may_move, means, ((parts, number),), choice)
@@ -55,7 +55,7 @@ def _changed(
     named: Sequence[tuple[Sequence[str], Int[np.ndarray, " E"]]],
     choice: CloudParams,
 ) -> Bool[np.ndarray, " E"]:
-    """Which elements move, after a request; `named` are lists of names, and the number of each element's or -1."""
+    """Apply a request to a mask of elements; `named` has lists of names, with each element's index or -1."""
     names = [name for some, _ in named for name in some]
 
     def chosen(option: str, patterns: Sequence[str] | None, box: Box | None) -> Bool[np.ndarray, " E"]:
@@ -72,7 +72,7 @@ def _changed(
 
 
 def part_names(mesh: TriangleMesh) -> tuple[str, ...]:
-    """By which parts of a mesh can be named: materials, and nodes or groups."""
+    """List the names by which a request can select parts of a mesh: materials, and nodes or groups."""
     materials, parts = _names(mesh)
     return tuple(dict.fromkeys(name for name in [*materials, *parts] if name))
 
@@ -83,8 +83,8 @@ def _names(mesh: TriangleMesh) -> tuple[list[str], list[str]]:
 
 
 def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str]) -> list[bool]:
-    """Which names fit one of the patterns, as a whole or in a step of their path; case does not count."""
-    most_names = 30  # of a message
+    """Whether each name matches a pattern, as a whole or by one component of its path; case is ignored."""
+    most_names = 30  # names in a message
     result = [False] * len(names)
     for pattern in patterns or ():
         fits = [

@@ -1,4 +1,4 @@
-"""Find the plant in what a reader gives: upright, in metres, with what stands still and the trees separated."""
+"""Find the plant in a file's mesh or cloud: upright, in metres, with still parts and trees separated."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -24,10 +24,10 @@ from dynamictree.up_axis import up_rotation
 
 
 def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> TriangleMesh:
-    """The plant in a mesh that lies in its file's axes and unit.
+    """Find the plant in a mesh in its file's axes and unit.
 
     Raises:
-        InputError: the method cannot work on the mesh as it is to be read.
+        InputError: the method cannot work on the mesh.
     """
     upright = validate_mesh(mesh_to_z_up(source, reading, file))
     parts, still = find_still_parts(upright)
@@ -45,9 +45,9 @@ def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class CloudFacts:
-    """What a file of a cloud says of itself."""
+    """Metadata of a cloud's file."""
 
-    origin: Literal["scan", "photos", "splat"]  # a scanner knows up and the metre; points made from photos do not
+    origin: Literal["scan", "photos", "splat"]  # only scans have a reliable up axis and unit
     says_axis: bool = False
     says_unit: bool = False
 
@@ -57,13 +57,13 @@ def plant_of_cloud(
     reading: Reading,
     file: CloudFacts,
     *,
-    mask: Bool[np.ndarray, " G"] | None = None,  # which Gaussians may move, if the caller knows
+    mask: Bool[np.ndarray, " G"] | None = None,  # Gaussians that may move, if known
     tell_trees: bool = True,
 ) -> Capture:
-    """The plant in a splat or scan that was read in metres and +Z up as the caller, its file or its format says.
+    """Find the plant in a splat or scan that was converted to metres and +Z up by the request, file or format.
 
     Raises:
-        InputError: a scan of more than one tree shows no stems, or the mask does not fit.
+        InputError: a scan of several trees shows no stems, or the mask has another length.
     """
     turned: tuple[SourceWarning, ...] = ()
     if not (reading.up_axis or file.says_axis):
@@ -78,7 +78,7 @@ def plant_of_cloud(
 
 
 def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
-    """Turn a cloud until what it stands on is level, and `by_shape` first until the shape stands; a warning says so."""
+    """Rotate a cloud so that its ground is level, with `by_shape` first by its likeliest up axis; add a warning."""
     usual, seen = cloud.source.up_axis, (cloud.opacity >= VISIBLE) & ~find_sky(cloud)
     judged = judge_up_axis_of_points(cloud.means[seen & by_shape])
     sure = judged.confidence >= SURE_OF_POINTS
@@ -101,8 +101,8 @@ def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tu
 
 
 def _doubt_axis(capture: Capture) -> tuple[SourceWarning, ...]:
-    """A warning if the shape of what moves stands along another axis than the one taken, or one plant rather lies."""
-    lies, widest = 0.75, 2.0  # 117 that stand have 0.69 at most; times the height: plots and hedges are wider
+    """Warn if the moving part stands along another axis than the assumed one, or a single plant rather lies."""
+    lies, widest = 0.75, 2.0  # 117 standing plants have 0.69 at most; [height], since plots and hedges are wider
     points = capture.cloud.means[moving_part(capture) & (capture.cloud.opacity >= VISIBLE)]
     judged, taken = judge_up_axis_of_points(points), capture.cloud.source.up_axis
     if judged.confidence >= SURE_OF_POINTS:

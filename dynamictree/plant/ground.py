@@ -1,24 +1,24 @@
-"""Ground and tables in points: a plane at the bottom that is filled, wide and flat."""
+"""Detect ground and tables in points: a dense, wide and flat plane at the bottom."""
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, Float64, Int64
 
 from dynamictree.planes import Plane, Points, best_plane, fit_plane, planes_of_triples, support
 
 UP = np.array([0.0, 0.0, 1.0])
-_COLUMNS = 25  # of the slab, along its longer side
+_COLUMNS = 25  # number along the slab's longer side
 _FEWEST = 30  # columns
 
 
 def find_ground(points: Points, height_m: float, rng: np.random.Generator) -> Plane | None:
-    """A plane above the ground, its normal upward; None where none is to be seen."""
-    slab_share = 0.05  # of the height: the ground is looked for from the bottom up to here
-    tolerated, tolerated_if_narrow = 0.012, 0.04  # of the height; and of the slab's width, where it is narrow
+    """Find a plane just above the ground, with its normal upward; None if there is no ground."""
+    slab_share = 0.05  # share of the height, from the bottom, that is searched for ground
+    tolerated, tolerated_if_narrow = 0.012, 0.04  # share of the height, and of a narrow slab's width
     steepest = np.cos(np.radians(20))
     trials = 200
-    wide, wider = 0.3, 3.0  # the narrower width: of the height, or of the width of what stands on it
-    below = 0.05  # of them at most, may have something below the plane
+    wide, wider = 0.3, 3.0  # narrower width [height], or [width of the standing object]
+    below = 0.05  # largest share of columns with points below the plane
     bottom = np.quantile(points[:, 2], 0.002)
     slab = points[points[:, 2] < bottom + slab_share * height_m]
     if len(slab) < _FEWEST:
@@ -57,7 +57,7 @@ def find_ground(points: Points, height_m: float, rng: np.random.Generator) -> Pl
 
 
 def _lowest(points: Points, key: Int64[np.ndarray, " P"]) -> tuple[Int64[np.ndarray, " C"], Float64[np.ndarray, "C 3"]]:
-    """The lowest point of each column, but for a few strays."""
+    """Return the lowest point of each column, without a few strays."""
     order = np.lexsort((points[:, 2], key))
     columns, start, count = np.unique(key[order], return_index=True, return_counts=True)
     return columns, points[order[start + np.minimum(count // 50 + (count > 5), count - 1)]]
@@ -75,7 +75,7 @@ def _largest_patch(columns: Int64[np.ndarray, " C"]) -> Bool[np.ndarray, "X Y"]:
 
 
 def _fills(patch: Bool[np.ndarray, "X Y"]) -> bool:
-    filled = 0.6  # of the columns in its outline
+    filled = 0.6  # share of the columns in its outline
     places = np.argwhere(patch)
     if len(places) < _FEWEST:
         return False
@@ -94,11 +94,11 @@ def _width(points: Points) -> float:
 
 
 def is_level(points: Points, reach: float, rng: np.random.Generator) -> bool:
-    """Whether the surface through most of the points is level, as that of leaves and roots is not."""
-    level_share = 0.5  # of its places at least, are flat in themselves
+    """Whether the surface through most of the points is locally level, unlike that of leaves and roots."""
+    level_share = 0.5  # least share of neighbourhoods that are level
     if len(points) < _FEWEST:
         return False
-    chosen = points[rng.choice(len(points), min(len(points), 500), replace=False)]  # so few that grains even out
+    chosen = points[rng.choice(len(points), min(len(points), 500), replace=False)]  # few, to skip fine roughness
     near = np.asarray(
         scipy.spatial.cKDTree(chosen).query(chosen, k=min(12, len(chosen)), distance_upper_bound=2 * reach)[1]
     )

@@ -1,10 +1,10 @@
-"""Which way is up in a splat whose file does not say: what the plant stands on is level.
+"""Estimate the up direction of a splat without a stated axis, from the ground or pot that the plant stands on.
 
-A scene that is reconstructed from photos often has the axes of its first camera, which looked down on the plant, so
-that all stands 10° to 40° aslant. The widest plane that nearly all lies above is the ground or table that it stands on,
-if the middle of all is over it (as in Fu et al. 2008). On a slope the ground is aslant and the tree is not: the plane
-counts only if the plant rises along its normal rather than along the axis taken before. Where there is no such plane, a
-pot at the bottom is upright.
+A scene reconstructed from photos often has the axes of its first camera, which looked down on the plant, so it is
+tilted by 10° to 40°. The ground or table is the widest plane that nearly all points lie above, if their centre is over
+it (as in Fu et al. 2008). On a slope the ground is tilted and the tree is not, so the plane counts only if the plant
+rises along its normal rather than along the axis assumed before. Without such a plane, the axis of a pot at the bottom
+is used.
 """
 
 from typing import NamedTuple
@@ -19,28 +19,28 @@ from dynamictree.plant.still import height_of
 from dynamictree.up_axis import turn_to_z
 
 _LEAST_DEG, _MOST_DEG = 6.0, 50.0
-"""Tilt that is worth a turn; and beyond which another axis is up."""
+"""Smallest tilt to correct, and the tilt beyond which another axis is up."""
 _LEAST_SAMPLED, _SAMPLED, _SAMPLED_OF_POT = 2_000, 12_000, 20_000
-_FEWEST = 12  # points on a plane
+_FEWEST = 12  # least number of points on a plane
 
 
 class _Ground(NamedTuple):
-    """What a scene may stand on."""
+    """Candidate for the ground of a scene."""
 
     middle: Direction
-    plane: Plane  # its normal upward
-    share: float  # of the points
-    width: float  # the lesser
+    plane: Plane  # normal upward
+    share: float  # share of the points
+    width: float  # smaller width
 
 
 def up_of_standing(points: Points) -> Direction | None:
-    """The upward normal of what a scene stands on; None where that is level within 6°, not found or in doubt.
+    """Return the upward normal of a scene's ground; None if it is level within 6°, missing or doubtful.
 
     Args:
-        points: of visible Gaussians, +Z up but for a tilt of 50° at most.
+        points: positions of visible Gaussians, +Z up except for a tilt of at most 50°.
     """
-    thickness_share = 0.012  # of the diagonal
-    strays, strays_of_pot = 0.01, 0.001  # of the points at each end of an axis
+    thickness_share = 0.012  # share of the diagonal
+    strays, strays_of_pot = 0.01, 0.001  # share of the points at each end of an axis
     rng = np.random.default_rng(0)
     thinned = _thinned(points, strays, _SAMPLED, rng)
     if len(thinned) < _LEAST_SAMPLED:
@@ -60,8 +60,8 @@ def up_of_standing(points: Points) -> Direction | None:
 
 
 def _carries(ground: _Ground, above: Points) -> bool:
-    """Whether much of a scene is on a plane, and the middle of what is above it is above it at its normal."""
-    wide = 0.02  # of the points on a plane that is ground
+    """Whether a plane has enough of the points, and the points above have their centre over it."""
+    wide = 0.02  # least share of the points on the ground
     if ground.share < wide or len(above) < _FEWEST:
         return False
     way, normal = above.mean(axis=0) - ground.middle, ground.plane.normal
@@ -69,16 +69,16 @@ def _carries(ground: _Ground, above: Points) -> bool:
 
 
 def _rise(points: Points, height: Float64[np.ndarray, " P"]) -> Direction:
-    """From the foot of a plant to its middle."""
-    foot = 0.12  # of the height of what stands on the plane
+    """Return the direction from the foot of a plant to its centre."""
+    foot = 0.12  # share of the height above the plane
     low, top = height.min(), np.quantile(height, 0.98)
     rise = points.mean(axis=0) - points[height <= low + foot * (top - low)].mean(axis=0)
     return np.asarray(rise / max(float(np.linalg.norm(rise)), 1e-12))
 
 
 def _up_of_pot(points: Points, rng: np.random.Generator) -> Direction | None:
-    """The axis of the pot that is found in one of several directions; None without one."""
-    # cosine between such a direction and the way from the foot to the middle; and how many, the best first
+    """Search for a pot along several up directions; return its axis, or None."""
+    # least cosine between a direction and that from the foot to the centre; number of directions tried
     along_rise, most_tried = 0.94, 8
     directions = _directions()
     along = np.array([_rise(points, points @ up) @ up for up in directions])
@@ -86,7 +86,7 @@ def _up_of_pot(points: Points, rng: np.random.Generator) -> Direction | None:
         up, axis = directions[row], None
         if along[row] < along_rise:
             break
-        for _ in range(2):  # nearer to upright, a pot is seen better
+        for _ in range(2):  # once upright, the pot is detected better
             turn = turn_to_z(up)
             turned = points @ turn.T
             pot = find_pot(turned, height_of(turned), rng)
@@ -100,8 +100,8 @@ def _up_of_pot(points: Points, rng: np.random.Generator) -> Direction | None:
 
 
 def _directions() -> list[Direction]:
-    """Unit vectors spread over the directions that are not far from +Z."""
-    # between the directions in which a pot is looked for, and the last of them; it is found 15° from upright
+    """Return unit vectors spread over the directions near +Z."""
+    # angle between directions, and the largest tilt; a pot is detected up to 15° from upright
     step_deg, tilted_deg = 15.0, 45.0
     spread: list[Direction] = [np.array([0.0, 0.0, 1.0])]
     for tilt in np.radians(np.arange(step_deg, tilted_deg + 1, step_deg)):
@@ -113,10 +113,10 @@ def _directions() -> list[Direction]:
 
 
 def _lowest_plane(points: Points, thickness: float, rng: np.random.Generator) -> _Ground | None:
-    """The plane that holds most points and has few below it."""
+    """Find the plane with most points on it and few below."""
     up = np.array([0.0, 0.0, 1.0])
     trials = 500
-    below = 0.07  # of the points, at most
+    below = 0.07  # largest share of the points
     surface = flat_points(points)
 
     def score(plane: Plane) -> float:
@@ -131,13 +131,13 @@ def _lowest_plane(points: Points, thickness: float, rng: np.random.Generator) ->
         return None
     on = points[surface.on(best, thickness)]
     sizes = np.linalg.svd(on - on.mean(axis=0), compute_uv=False)
-    width = float(np.sqrt(12 / len(on)) * sizes[1])  # of a square of the same spread
+    width = float(np.sqrt(12 / len(on)) * sizes[1])  # side of a square of the same spread
     return _Ground(on.mean(axis=0), fit_plane(on).facing(up), len(on) / len(points), width)
 
 
 def _thinned(points: Points, strays: float, most: int, rng: np.random.Generator) -> Points:
-    """Points without strays, one in each cell; none where they are too few."""
-    cell = 0.008  # of the scene's diagonal: one point each counts, however dense they lie
+    """Remove strays and subsample one point per cell; return none if there are too few."""
+    cell = 0.008  # share of the diagonal; one point per cell evens out the density
     if len(points) < _LEAST_SAMPLED:
         return points[:0]
     low, high = np.quantile(points, [strays, 1 - strays], axis=0)

@@ -1,16 +1,16 @@
-"""Doubt that what moves is a plant: turned bodies, boxes, smooth bodies, what is too little or lies flat.
+"""Warn if the moving part does not look like a plant: rotationally symmetric, boxy, smooth, flat or tiny shapes.
 
-A crown is uneven: of trees the eight sectors around the middle differ by 0.40 or more in where their surface lies (28
-generated ones, six of files), of turned bodies by 0.07 or less; at most 9 % of a tree's surface faces along an axis,
-all of a chair's does. Of points one in a cell lies flat among its neighbours for 3 to 47 % of a plant (14 generated
-ones, two captures), for 75 to 100 % of a stump, a car, a robot and a ball. Low-poly conifers are cones and voxel trees
-are boxes, so what is green, or named for wood or leaves, is not doubted, nor what has too few faces for a shape.
+A crown is uneven: the surface distributions of eight sectors around the middle differ by 0.40 or more for trees (28
+generated, six files) and by 0.07 or less for surfaces of revolution. At most 9 % of a tree's surface faces along an
+axis, all of a chair's does. The share of points (one per cell) that lie flat among their neighbours is 3 to 47 % for
+plants (14 generated, two captures) and 75 to 100 % for a stump, a car, a robot and a ball. Low-poly conifers are cones
+and voxel trees are boxes, so green objects, names of wood or leaves, and meshes of very few faces raise no warning.
 """
 
 from io import BytesIO
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, Float64
 from PIL import Image
 
@@ -23,20 +23,20 @@ from dynamictree.plant.sample import face_normals, surface_points
 from dynamictree.plant.still import touching_groups
 
 FEWEST_FACES = 40
-"""Of a mesh that has a shape: fewer, such as a single card, tell nothing."""
+"""Least number of faces that form a shape; a single card does not."""
 FEWEST_GAUSSIANS = 500
-"""Of a splat that can look like a plant."""
+"""Least number of Gaussians that can look like a plant."""
 VISIBLE = 0.1
-"""Opacity of Gaussians that show the shape."""
+"""Least opacity of visible Gaussians."""
 _POINTS = 20_000
 _TURNED, _BOXY, _SMOOTH = 0.2, 0.9, 0.65
-"""Sectors that differ by less, shares of surface along an axis, and of flat points, that are more, are of no plant."""
-_GREENER, _GREEN_SHARE = 1.05, 0.1  # than red and blue; and of the faces or points
-_CELL, _TOGETHER = 0.03, 0.5  # of the height: what is so near hangs together; least share of a plant that does
+"""No plants: less difference between sectors, or a larger share of surface along axes or of flat points."""
+_GREENER, _GREEN_SHARE = 1.05, 0.1  # ratio of green to red and blue; share of the faces or points
+_CELL, _TOGETHER = 0.03, 0.5  # share of the height, within which points are connected; least connected share of a plant
 
 
 def doubt_mesh(mesh: TriangleMesh) -> tuple[SourceWarning, ...]:
-    """A warning if what moves of a mesh that stands on +Z does not look like a plant."""
+    """Warn if the moving part of a mesh with +Z up does not look like a plant."""
     plant = mesh.moving_part
     sampled = surface_points(plant, _POINTS)
     if sampled is None or plant.num_faces < FEWEST_FACES:
@@ -51,8 +51,8 @@ def doubt_mesh(mesh: TriangleMesh) -> tuple[SourceWarning, ...]:
 
 
 def doubt_cloud(plant: GaussianCloud) -> tuple[SourceWarning, ...]:
-    """A warning if what moves of a cloud is too little for a plant, lies flat, is specks or a smooth body."""
-    flat = 0.25  # height over width of what does not stand upright
+    """Warn if the moving part of a cloud is tiny, flat, disconnected or smooth."""
+    flat = 0.25  # height over width; below it nothing stands upright
     points = plant.means.astype(np.float64)
     low, high = np.quantile(points, [0.02, 0.98], axis=0)
     width, height = float((high - low)[:2].max()), float((high - low)[2])
@@ -87,9 +87,9 @@ def _unlike(shape: str) -> tuple[SourceWarning, ...]:
 
 
 def sector_difference(points: Points) -> float:
-    """Mean difference, in [0, 2], between sectors around the middle in how points are spread over height and radius."""
+    """Compute the mean difference, in [0, 2], between sectors in the distribution of points over height and radius."""
     sectors, heights, radii = 8, 12, 8
-    outermost = 0.99  # of the distances from the middle
+    outermost = 0.99  # quantile of the distances from the middle
     across = points[:, :2] - points[:, :2].mean(axis=0)
     away = np.linalg.norm(across, axis=1)
     share = (points[:, 2] - points[:, 2].min()) / max(float(np.ptp(points[:, 2])), 1e-30)
@@ -105,20 +105,20 @@ def sector_difference(points: Points) -> float:
 def _share_along_axes(mesh: TriangleMesh) -> float:
     normals = face_normals(mesh)
     area = np.linalg.norm(normals, axis=1)
-    along = np.abs(normals).max(axis=1) > 0.99 * area  # within 8° of an axis
+    along = np.abs(normals).max(axis=1) > 0.99 * area  # angle to an axis below 8°
     return float(area[along].sum() / max(float(area.sum()), 1e-30))
 
 
 def _share_flat(points: Points) -> float:
-    """Share of points, one in a cell, that lie flat among their neighbours."""
-    fine = 0.008  # of the diagonal: cells that hold one point each
+    """Return the share of points (one per cell) that lie flat among their neighbours."""
+    fine = 0.008  # share of the diagonal; a cell's side
     thinned = one_per_cell(points, fine * float(np.linalg.norm(np.ptp(points, axis=0))))
     thinned = thinned[np.random.default_rng(0).permutation(len(thinned))[:_POINTS]]
     return float(flat_points(thinned).flat.mean()) if len(thinned) > NEIGHBOURS else 0.0
 
 
 def one_per_cell(points: Points, cell: float) -> Points:
-    """The first point in each cell of a grid."""
+    """Return the first point in each cell of a grid."""
     if cell <= 0:
         return points
     _, first = np.unique(np.floor((points - points.min(axis=0)) / cell).astype(np.int64), axis=0, return_index=True)
@@ -126,8 +126,8 @@ def one_per_cell(points: Points, cell: float) -> Points:
 
 
 def _share_together(cloud: GaussianCloud, height_m: float) -> float:
-    """Share of the visible Gaussians in the largest group where they are small beside their gaps, else 1."""
-    wide_gap = 4.0  # in the middle axis' standard deviation: Gaussians with such gaps between them are specks
+    """Return the share of visible Gaussians in the largest group; 1 if they are not small compared to their gaps."""
+    wide_gap = 4.0  # [middle standard deviation]; Gaussians with larger gaps are specks
     cloud = cloud.subset(cloud.opacity >= VISIBLE)
     if cloud.num_gaussians < 2:
         return 1.0

@@ -1,4 +1,4 @@
-"""What the names of materials and nodes say: wood, leaves, soil, and what is no plant."""
+"""Classify names of materials and nodes: wood, leaves, soil, and objects that are no plant."""
 
 import re
 import unicodedata
@@ -15,18 +15,18 @@ STILL_NAMES = frozenset(
         )
     ).split()
 )
-"""Words in the names of materials and nodes of what is no plant."""
+"""Words in names of materials and nodes that are no plant."""
 OF_SHAPES = frozenset({"plane", "plate", "island", "earth", "wall", "path"})
-"""Of nodes these are names that modelling programs give (`Plane`, `NurbsPath`), or of a scene's root."""
+"""Words that modelling programs use in default names of nodes (`Plane`, `NurbsPath`), or for a scene's root."""
 SOIL_NAMES = frozenset(("soil", "dirt", "earth", "erde", "terre"))
 
 
 def words(name: str) -> frozenset[str]:
-    """The words of a name, split at capitals, digits and signs, in small letters without accents."""
+    """Split a name at capitals, digits and signs into lower-case words without accents."""
     name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name))
 
 
 def is_still_name(name: str, *, but: frozenset[str] = frozenset()) -> bool:
-    """Whether a word in a name names what is no plant; `but` do not."""
+    """Whether a name contains a word for an object that is no plant, other than those in `but`."""
     return not words(name).isdisjoint(STILL_NAMES - but)

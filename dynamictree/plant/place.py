@@ -1,11 +1,11 @@
-"""Axes and units of sources: given by the caller or the format, or inferred from the shape of the tree.
+"""Axes and units of sources: given by the request or the file, or inferred from the tree's shape.
 
-Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL say
-neither, so both are worked out, and what was found is recorded in `Source`:
+In memory, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL state
+neither, so both are inferred, and the result is recorded in `Source`:
 
 - up is the likeliest of the six axes by several cues, see `upright.py`;
 - the unit is the first of metre, centimetre and millimetre (STL: metre and millimetre) in which the tree is at most
-  120 m tall. The scale of a splat is arbitrary: it is made 5 m tall where nobody says more.
+  120 m tall. The scale of a splat is arbitrary: without a stated unit or height it becomes 5 m tall.
 """
 
 from dataclasses import dataclass, replace
@@ -25,14 +25,14 @@ from dynamictree.up_axis import up_rotation
 
 USUAL_HEIGHT_M = (0.2, 60.0)
 DEFAULT_HEIGHT_M = 5.0
-"""Of a splat whose file does not say its unit."""
+"""Height of a splat without a stated unit."""
 UNITS_M = (1.0, 0.01, 0.001)
 UNIT_NAMES = {"centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "millimetres": 0.001, "metres": 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conventions:
-    """What a file says of its axes and unit, and what is usual in its format where it does not."""
+    """Axis and unit that a file states, and the usual ones of its format."""
 
     up_axis: str | None = None
     unit_m: float | None = None
@@ -41,10 +41,10 @@ class Conventions:
 
 
 def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> TriangleMesh:
-    """Turn and scale a mesh as the caller or the file says; what neither does is inferred.
+    """Rotate and scale a mesh by the request or the file; infer axis and unit if neither states them.
 
     Raises:
-        InputError: an unknown axis, or a model without height that is to have one.
+        InputError: the axis is unknown, or a height is requested for a model without height.
     """
     stated = reading.up_axis or file.up_axis
     judged = UpAxis(axis=stated, confidence=1.0) if stated else judge_up_axis(mesh, habit=file.usual_up_axis)
@@ -67,9 +67,9 @@ def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> Tri
 def sized(
     cloud: GaussianCloud, *, height_m: float | None, stated: bool, keep: bool = False
 ) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
-    """Scale a cloud to a height, or to the default where its unit is not `stated`; and say what is doubtful.
+    """Scale a cloud to a height, or to the default one if its unit is not `stated`; warn of doubtful sizes.
 
-    `keep` leaves the units of a file as metres where they give a usual height: that of points made from photos.
+    With `keep`, for points made from photos, the file's unit is taken as the metre if the height is then usual.
     """
     detected = cloud_height(cloud)
     if height_m is None and (stated or detected == 0):
@@ -90,12 +90,12 @@ def sized(
 
 
 def cloud_height(cloud: GaussianCloud) -> float:
-    """Extent along +Z without sky and strays [m]."""
+    """Return the extent along +Z without sky and strays [m]."""
     return height_of(cloud.means[~find_sky(cloud)].astype(np.float64))
 
 
 def scale_to(height_m: float | None, height: float) -> float | None:
-    """Metres per unit for which a height in the file's units becomes the requested height.
+    """Return the metres per unit that turn a height in the file's units into the requested one.
 
     Raises:
         InputError: the model has no height.
@@ -108,14 +108,14 @@ def scale_to(height_m: float | None, height: float) -> float | None:
 
 
 def guess_unit_m(height: float, units_m: tuple[float, ...] = UNITS_M) -> float:
-    """Guess the metres per unit, by the rule above."""
+    """Guess the metres per unit, by the rule in the module's docstring."""
     tallest_tree_m = 120.0  # Hyperion, the tallest tree known, is 116 m
     return next((unit for unit in units_m if height * unit <= tallest_tree_m), 1.0)
 
 
 def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...]:
-    """Says an up axis that the shape leaves uncertain, or that few files have."""
-    # of the axis that is usual in a format this probability is enough: of 224 readings 1 is wrong below `CERTAIN`
+    """Warn of an inferred up axis that is uncertain or unusual."""
+    # enough for the usual axis of a format: of 224 readings, 1 is wrong below `CERTAIN`
     probably = 0.5
     if judged.confidence >= (probably if judged.axis == usual else CERTAIN) and judged.axis in (*USUAL, usual):
         return ()
@@ -127,10 +127,10 @@ def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...
 
 
 def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
-    """A warning if a shape that was turned from `taken` up to +Z up is far likelier to stand along another axis."""
-    # so many times likelier than a stated axis another must be to be said: of 14 species none, of lying ones all
+    """Warn if a shape that was rotated from `taken` to +Z is far likelier to stand along another axis."""
+    # ratio of probabilities to a stated axis from which to warn: none of 14 standing species, all lying ones
     otherwise = 5.0
-    likely = 0.5  # more than all the others together
+    likely = 0.5  # larger than all others together
     if judged is None or judged.axis == "+Z" or judged.confidence < max(otherwise * judged.upright, likely):
         return ()
     direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
@@ -144,11 +144,11 @@ def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
 
 
 def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, ...]:
-    """Says an unlikely size of one plant in metres, and a unit that was guessed; `file_unit`: the file has one.
+    """Warn of an unlikely size of one plant, and of a guessed unit; `file_unit` tells if the file states one.
 
-    Tools that make meshes from pictures scale all that they see to a cube, also in glTF, whose unit is the metre.
+    Tools that generate meshes from pictures scale objects to a cube, also in glTF, whose unit is the metre.
     """
-    cubes, of_cube = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
+    cubes, of_cube = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and relative tolerance
     scale, plant = mesh.source.scale, mesh.moving_part
     sides = np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
     height, longest = sides[2], float(np.ptp(mesh.vertices[mesh.faces.ravel()], axis=0).max()) / scale
@@ -166,15 +166,15 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
 
 
 def height_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
-    """Says an unlikely height, with the units that would make it usual."""
+    """Warn of an unlikely height, and name the units that would make it usual."""
     low, high = USUAL_HEIGHT_M
     what = f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m"
     return () if low <= height_m <= high else _size_doubtful(what, height_m, scale)
 
 
 def crown_warnings(sides_m: list[float], scale: float) -> tuple[SourceWarning, ...]:
-    """Says that one plant of a usual height is wider than most."""
-    # a choice: of the sample trees the widest crown is 20 m, and half as much again is still plausible
+    """Warn if one plant of a usual height is unusually wide."""
+    # 1.5 times the widest crown of the sample trees, which is 20 m
     widest_crown_m = 30.0
     width_m, height_m = max(sides_m[:2]), sides_m[2]
     what = f"the plant is {height_m:.3g} m tall and {width_m:.3g} m wide, and few crowns are so wide"

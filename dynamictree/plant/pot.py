@@ -1,4 +1,4 @@
-"""Pots in a cloud: a closed wall from the bottom up, with soil in it, out of which something narrower rises."""
+"""Detect pots in a cloud: a closed wall from the bottom up, filled with soil, from which something narrower rises."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from dynamictree.planes import Points
 from dynamictree.plant.ground import is_level
 
 Wall = tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, " S"]]
-"""Axis, and distance from it in each sector [m]."""
+"""Axis, and the wall's distance from it in each sector [m]."""
 
 _SECTORS = 24
-_WALLED = 0.6  # of the sectors, and of the slices below the soil
-_INSIDE = 0.8  # of the outline: here the soil is seen
-_SOIL = 0.85  # of the cells inside, at least, are filled by soil
+_WALLED = 0.6  # least share of the sectors, and of the slices below the soil
+_INSIDE = 0.8  # share of the outline, within which soil is visible
+_SOIL = 0.85  # least share of the cells inside that soil fills
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pot:
-    """Where a pot is [m]."""
+    """Position and shape of a pot [m]."""
 
     axis: Float64[np.ndarray, "2"]
-    outline: Float64[np.ndarray, " S"]  # distance of its wall in each sector
+    outline: Float64[np.ndarray, " S"]  # distance of the wall in each sector
     low: float
     soil: float
     rim: float
@@ -38,19 +38,19 @@ def find_pot(
     soil_seen: float = _SOIL,
     rise: Float64[np.ndarray, " P"] | None = None,
 ) -> Pot | None:
-    """The pot that the lowest of the points are of, or None where none is to be seen for sure.
+    """Find the pot at the bottom of the points; None if there is none for certain.
 
-    A trunk is a closed wall as well, but nothing level fills it. `soil_seen` is the share of a pot's inside where
-    soil must be seen. Where the vertical share of normals is known (`rise`), soil faces upward, and walls are steep.
+    A trunk is a closed wall as well, but no level surface fills it. `soil_seen` is the share of a pot's inside where
+    soil must be visible. With the vertical components of normals (`rise`), soil must face up, and walls be steep.
     """
-    strays = 0.002  # of the points at the bottom
-    slices = 60  # of the height
-    highest = 0.6  # of the height: the soil lies below
-    least_slices = 4  # of wall below the soil
-    least_radius = 0.04  # of the height
-    narrowest = 0.4  # of the outline: a stem below a crown is narrower
-    few_narrow = 0.2  # of the slices that may be
-    level, steep = 0.5, 0.7  # rise of what may be soil, at least, and of walls, at most
+    strays = 0.002  # share of the points, at the bottom
+    slices = 60  # number in the height
+    highest = 0.6  # share of the height; the soil is lower
+    least_slices = 4  # number with a wall below the soil
+    least_radius = 0.04  # share of the height
+    narrowest = 0.4  # share of the outline; a stem below a crown is narrower
+    few_narrow = 0.2  # share of the slices that may be narrower
+    level, steep = 0.5, 0.7  # least rise of soil, and largest of walls
     low = float(np.quantile(points[:, 2], strays))
     side = height_m / slices
     order = np.argsort(points[:, 2])
@@ -64,7 +64,7 @@ def find_pot(
         below = [wall for wall in walls if wall is not None]
         walls.append(_wall(sides[soil]))
         if len(below) + len(rows) - soil < _WALLED * len(rows):
-            return None  # too few, were all slices above walled
+            return None  # too few, even if all slices above had walls
         if len(below) < max(least_slices, _WALLED * soil):
             continue
         wall = _joined(below)
@@ -87,8 +87,8 @@ def find_pot(
 
 
 def axis_of_pot(points: Points, pot: Pot) -> Float64[np.ndarray, "3"] | None:
-    """The upward direction through the middles of its walls (Theil 1950, Sen 1968); None where too few are seen."""
-    slices_of_axis, least_of_axis = 6, 3  # from the bottom to the soil, and with a wall
+    """Fit the pot's upward axis to the centres of its walls (Theil 1950, Sen 1968); None if there are too few."""
+    slices_of_axis, least_of_axis = 6, 3  # number from the bottom to the soil, and with a wall
     ends = np.linspace(pot.low, pot.soil, slices_of_axis + 1)
     sides = [_wall(points[(points[:, 2] >= a) & (points[:, 2] < b)]) for a, b in pairwise(ends)]
     middles = np.array([[*side[0], (a + b) / 2] for side, (a, b) in zip(sides, pairwise(ends), strict=True) if side])
@@ -101,9 +101,9 @@ def axis_of_pot(points: Points, pot: Pot) -> Float64[np.ndarray, "3"] | None:
 
 
 def in_pot(pot: Pot, points: Points) -> Bool[np.ndarray, " P"]:
-    """Which points are of a pot: below the top of its soil, in the rim around it, or in a saucer below it."""
-    saucer_size = (1.6, 0.15)  # of the outline, and of the height of the soil
-    outside = 1.12  # of the outline: so far out something is still of the pot
+    """Select the points of a pot: below the top of its soil, in its rim, or in a saucer below it."""
+    saucer_size = (1.6, 0.15)  # share of the outline, and of the soil's height
+    outside = 1.12  # share of the outline, within which points belong to the pot
     away, sector = _polar(points, pot.axis)
     share, height = away / pot.outline[sector], points[:, 2]
     saucer = (share < saucer_size[0]) & (height < pot.low + saucer_size[1] * (pot.soil - pot.low))
@@ -115,17 +115,17 @@ def in_pot(pot: Pot, points: Points) -> Bool[np.ndarray, " P"]:
 def _polar(
     points: Float64[np.ndarray, "P _"], axis: Float64[np.ndarray, "2"]
 ) -> tuple[Float64[np.ndarray, " P"], Int64[np.ndarray, " P"]]:
-    """Distance of points from a vertical axis [m], and the sector that they lie in."""
+    """Return the points' distance from a vertical axis [m], and their sector."""
     offset = points[:, :2] - axis
     turn = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1
     return np.hypot(offset[:, 0], offset[:, 1]), np.minimum((turn * _SECTORS).astype(np.int64), _SECTORS - 1)
 
 
 def _wall(points: Points) -> Wall | None:
-    """The wall that most points of a slice lie on, or None."""
-    thin_share = 0.1  # spread of a wall over its distance from the axis
-    most_of_a_slice = 2000  # points; enough for its outline
-    rounds, settled = 6, 0.001  # of the search for a wall's axis: at most; and its last step over the radius
+    """Find the wall on which most points of a slice lie; None without one."""
+    thin_share = 0.1  # largest spread of a wall over its distance from the axis
+    most_of_a_slice = 2000  # [points], enough for the outline
+    rounds, settled = 6, 0.001  # largest number; relative step at which the axis has converged
     if len(points) < 2 * _SECTORS:
         return None
     points = points[:: -(-len(points) // most_of_a_slice)]
@@ -143,28 +143,28 @@ def _wall(points: Points) -> Wall | None:
         if np.hypot(*circle[:2]) < settled * np.median(distance[seen]):
             break
     spread = _middle(np.abs(away - np.nan_to_num(distance)[sector]), sector)
-    thin = spread < thin_share * distance  # not where unseen
+    thin = spread < thin_share * distance  # NaN compares false
     if thin.sum() < _WALLED * _SECTORS:
         return None
     return axis, np.where(thin, distance, np.median(distance[thin]))
 
 
 def _middle(values: Float64[np.ndarray, " P"], sector: Int64[np.ndarray, " P"]) -> Float64[np.ndarray, " S"]:
-    """Median of the values, none below 0, in each sector; NaN where there are fewer than two."""
+    """Return the median of the values (all ≥ 0) in each sector; NaN with fewer than two values."""
     count = np.bincount(sector, minlength=_SECTORS)
     place = np.minimum(np.cumsum(count) - count + count // 2, len(values) - 1)
     scale = 2 * max(float(values.max()), 1e-30)
-    in_order = np.sort(sector + values / scale)  # one key for both: a third of the time of sorting by two
+    in_order = np.sort(sector + values / scale)  # a combined key, three times as fast as sorting by two
     return np.where(count >= 2, (in_order[place] - np.arange(_SECTORS)) * scale, np.nan)
 
 
 def _joined(walls: Sequence[Wall]) -> Wall:
-    """One wall around several slices."""
+    """Merge the walls of several slices into one."""
     return np.median([axis for axis, _ in walls], axis=0), np.max([outline for _, outline in walls], axis=0)
 
 
 def _goes_on(one: Wall | None, wall: Wall) -> bool:
-    """Whether a slice's wall is that of the slices below."""
+    """Whether a slice's wall continues the wall of the slices below."""
     if one is None:
         return False
     radius = float(np.median(wall[1]))
@@ -173,9 +173,9 @@ def _goes_on(one: Wall | None, wall: Wall) -> bool:
 
 
 def _top_of_soil(rows: Sequence[Points], soil: int, wall: Wall) -> int | None:
-    """The slice above a layer that fills the outline and begins at a slice; None if it is no thin layer."""
-    thickest = 5  # slices that the soil may fill
-    rising = 0.65  # of them, at most, by what rises out of it; and by what is below
+    """Return the slice above the layer of soil that begins at a slice; None if the layer is not thin."""
+    thickest = 5  # [slices], largest thickness of the soil
+    rising = 0.65  # largest filled share above and below the soil
     if any(_filled(row, wall) > rising for row in rows[soil - 2 : soil]):
         return None
     tops = range(soil + 1, min(soil + thickest, len(rows) - 1) + 1)
@@ -183,8 +183,8 @@ def _top_of_soil(rows: Sequence[Points], soil: int, wall: Wall) -> int | None:
 
 
 def _filled(points: Points, wall: Wall) -> float:
-    """Share of the cells inside the outline that hold a point."""
-    num_cells = 8  # along the outline's radius
+    """Return the share of the cells inside the outline that contain a point."""
+    num_cells = 8  # number along the outline's radius
     axis, outline = wall
     side = float(np.median(outline)) / num_cells
     across = (np.arange(-num_cells, num_cells) + 0.5) * side

@@ -1,4 +1,4 @@
-"""Points over the surface of a mesh: what judges splats and scans judges meshes by these."""
+"""Sample points on the surface of a mesh, so that rules for clouds apply to meshes."""
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -8,7 +8,7 @@ from dynamictree.planes import Points
 
 
 def surface_points(mesh: Surface, num_points: int) -> tuple[Points, Int64[np.ndarray, " P"]] | None:
-    """Points evenly over the surface, always the same ones, and their faces; None of a mesh without surface."""
+    """Sample points evenly and deterministically; return them with their faces, or None without surface."""
     area = face_areas(mesh)
     total = float(area.sum())
     if not total > 0:
@@ -18,8 +18,8 @@ def surface_points(mesh: Surface, num_points: int) -> tuple[Points, Int64[np.nda
 
 
 def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, Int64[np.ndarray, " P"]]:
-    """So many points on each face, and the face of each."""
-    steps = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly (Roberts 2018)
+    """Sample a number of points on each face; return them with their faces."""
+    steps = 0.7548776662466927, 0.5698402909980532  # plastic number's R2 sequence: fills a square evenly (Roberts 2018)
     face = np.repeat(np.arange(mesh.num_faces), counts)
     u, v = (np.arange(len(face)) * step % 1 for step in steps)
     root = np.sqrt(u)
@@ -28,11 +28,11 @@ def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, In
 
 
 def face_normals(mesh: Surface) -> Float64[np.ndarray, "F 3"]:
-    """Normals of the faces, as long as twice their areas."""
+    """Compute the normals of the faces, with lengths of twice the areas."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
     return np.cross(b - a, c - a)
 
 
 def face_areas(mesh: Surface) -> Float64[np.ndarray, " F"]:
-    """Area of each face [m²]."""
+    """Compute the area of each face [m²]."""
     return np.asarray(np.linalg.norm(face_normals(mesh), axis=1) / 2)

@@ -1,23 +1,23 @@
-"""What in a scene of points is no plant: the rules that meshes, splats and scans share.
+"""Detect still objects in a scene of points: the rules that meshes, splats and scans share.
 
-A scene is points in metres and +Z up, and of each the thing that it is of: a connected part of a mesh, or points of a
-cloud that touch. A thing stands still that
+A scene has points in metres and +Z up, each with the thing that it belongs to: a connected part of a mesh, or a group
+of touching points of a cloud. A thing stands still if it
 
-- is flat and wide: a plane, a patch of ground, an island, at the bottom, or higher where it is vast;
-- lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
-- is a vessel: it stands at the bottom, is wide all the way up, and either holds named soil, or what rises out of it or
-  stands on it is narrower there and just above: a trunk below a crown is no pot;
+- is flat and wide: a plane, a patch of ground or an island at the bottom, or higher if it is vast;
+- is low and apart: in the lowest fifth of the height, and away from things that reach higher;
+- is a vessel: it stands at the bottom, is wide at all heights, and either contains named soil, or the thing that rises
+  from it or stands on it is narrower there and just above; a trunk below a crown is no pot;
 - is a board or rod among others: tables, fences and lattices are four or more long boxes along the same three axes,
-  round rods along two that cross at right angles, or something flat on three or more legs.
+  round rods along two perpendicular axes, or a flat thing on three or more legs.
 
-What is one thing with the plant is separated from it by its points alone: see `ground.py` and `pot.py`.
+Ground and pots that form one thing with the plant are separated by the points alone: see `ground.py` and `pot.py`.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, Float64, Int32, Int64
 
 from dynamictree.mesh import StillPart
@@ -31,45 +31,45 @@ POT = StillPart(name="pot", why="a vessel around the foot of what rises out of i
 BOARDS = StillPart(name="boards", why="long boxes or rods along the same axes, as of furniture, fences and lattices")
 
 LEAST_PLANT = 0.02
-"""Of the faces or points: with less left over, nothing is taken away."""
+"""Least share of faces or points that must remain for the plant."""
 LOW, APART = 0.2, 0.06
-"""Of the height: so high things beside a plant reach; and what is so far from it does not hang on it."""
+"""Largest height of things beside a plant, and least distance from it [share of the height]."""
 FOOT = 0.05
-"""Of the height: what stands at the bottom begins at most so high."""
+"""Largest start above the bottom of things that stand there [share of the height]."""
 _FEWEST_OF_ROD, _SQUARE_ROD, _EVEN = 12, 0.8, 0.2
-"""Points of a rod, share of them around it, and by how much of its radius their distances from its axis differ."""
-_FEWEST_BOARDS, _LONG, _SQUARE = 4, 4.0, 0.98  # and a board's longest side over its middle one; cosine along an axis
+"""Least number of a rod's points, share of them around it, and relative range of their distances from its axis."""
+_FEWEST_BOARDS, _LONG, _SQUARE = 4, 4.0, 0.98  # number; longest over middle side; cosine along an axis
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Points, the thing that each is of, and what is known of the things."""
+    """Points, the thing that each belongs to, and properties of the things."""
 
     points: Points
     thing: Int64[np.ndarray, " P"]
-    normals: Points | None = None  # of unit length
-    material: Int64[np.ndarray, " things"]  # number, -1 where there is none
-    soil: Things  # by name
-    low: Float64[np.ndarray, "things 3"]  # corners of the boxes around them
+    normals: Points | None = None  # unit normals
+    material: Int64[np.ndarray, " things"]  # number, or -1 without material
+    soil: Things  # things named as soil
+    low: Float64[np.ndarray, "things 3"]  # corners of their bounding boxes
     high: Float64[np.ndarray, "things 3"]
 
     def floor_and_height(self, gone: Things) -> tuple[float, float]:
-        """Lowest place, and extent along +Z, of what is left [m]."""
+        """Return the lowest z and the extent along +Z of the things that are not gone [m]."""
         floor = float(self.low[~gone, 2].min())
         return floor, float(self.high[~gone, 2].max()) - floor
 
 
 def height_of(points: Points) -> float:
-    """Extent along +Z without strays [m]."""
-    strays = 0.002  # of the points at each end
+    """Return the extent along +Z without strays [m]."""
+    strays = 0.002  # share of the points at each end
     return float(np.ptp(np.quantile(points[:, 2], [strays, 1 - strays])))
 
 
 def flat_and_wide(scene: Scene, gone: Things) -> Things:
-    """Planes, patches of ground, islands."""
-    flatness = 0.2  # height over the narrower width of what is flat
-    wide = 0.5  # its width at the bottom, of the height of what rises
-    vast_width = 3.0  # and up to the middle of that height
+    """Detect planes, patches of ground and islands."""
+    flatness = 0.2  # largest height over the narrower width
+    wide = 0.5  # least width at the bottom [height of the rest]
+    vast_width = 3.0  # least width up to the middle of that height
     extent = scene.high - scene.low
     narrow = extent[:, :2].min(axis=1)
     flat = extent[:, 2] < flatness * narrow
@@ -83,9 +83,9 @@ def flat_and_wide(scene: Scene, gone: Things) -> Things:
 
 
 def low_and_apart(scene: Scene, gone: Things, *, slack_m: float = 0.0) -> Things:
-    """Things beside the plant; what hangs on what rises, and what hangs on that, is of the plant.
+    """Detect things beside the plant; things connected with the plant, also indirectly, belong to it.
 
-    `slack_m` is how much farther apart than their surfaces the points of two things are.
+    `slack_m` is the excess of the distance between two things' points over that between their surfaces.
     """
     floor, height = scene.floor_and_height(gone)
     lying = ~gone & (scene.high[:, 2] < floor + LOW * height)
@@ -102,8 +102,8 @@ def low_and_apart(scene: Scene, gone: Things, *, slack_m: float = 0.0) -> Things
 
 
 def vessels(scene: Scene, gone: Things) -> Things:
-    """Pots, vases and planters, with what they hold or what stands on them."""
-    vessel, with_soil = 0.5, 0.75  # of the height: a vessel reaches up so far at most; and one that holds soil
+    """Detect pots, vases and planters, by the soil inside or the plant that rises from them."""
+    vessel, with_soil = 0.5, 0.75  # share of the height: highest top of a vessel, and of one with soil
     low, high = scene.low, scene.high
     floor, height = scene.floor_and_height(gone)
     stands = ~gone & (low[:, 2] < floor + FOOT * height) & (high[:, 2] < floor + with_soil * height)
@@ -115,8 +115,8 @@ def vessels(scene: Scene, gone: Things) -> Things:
 
 
 def _holds_soil(scene: Scene, one: np.int64) -> bool:
-    """Whether a thing has soil in its upper half that is about as wide."""
-    soil_size = 0.5  # of a vessel's width, and of its height, at least, so wide and so high lies soil in it
+    """Whether a thing has soil in its upper half, about as wide as itself."""
+    soil_size = 0.5  # least width and height of soil [width and height of the vessel]
     low, extent = scene.low[one], (scene.high - scene.low)[one]
     inner_low, inner_high = scene.low[scene.soil], scene.high[scene.soil]
     inside = ((inner_low >= low - 0.1 * extent) & (inner_high <= low + 1.1 * extent)).all(axis=1)
@@ -126,13 +126,13 @@ def _holds_soil(scene: Scene, one: np.int64) -> bool:
 
 
 def _encloses(scene: Scene, gone: Things, one: np.int64, height: float) -> bool:
-    """Whether what rises out of a thing, or stands on it, is narrower there and just above."""
-    wider = 1.5  # than what it encloses is a vessel
-    on_top = 0.01  # of the height: what begins so near to the top stands on it
-    above, slice = (0.03, 0.06, 0.1), 0.02  # of the height of what rises: here, over the rim, it is narrower; thickness
+    """Whether the things that rise from a thing, or stand on it, are narrower there and just above."""
+    wider = 1.5  # least ratio of a vessel's width to that of the enclosed foot
+    on_top = 0.01  # share of the height; things that start this near to the top stand on it
+    above, slice = (0.03, 0.06, 0.1), 0.02  # share of the rising part: heights over the rim, thickness of a slice
     low, high = scene.low, scene.high
     rim = float(high[one, 2])
-    base = rim + on_top * height * (scene.material != scene.material[one])  # what is of one material is one thing
+    base = rim + on_top * height * (scene.material != scene.material[one])  # the same material means the same thing
     rises = ~gone & (high[:, 2] > 2 * rim - low[one, 2]) & (low[:, 2] < base)
     places = scene.points[rises[scene.thing]]
     foot = places[places[:, 2] <= float(base.max()), :2]
@@ -148,7 +148,7 @@ def _encloses(scene: Scene, gone: Things, one: np.int64, height: float) -> bool:
 
 
 def _width_at(points: Points, level: float, thickness: float) -> float:
-    """The longer side, seen from above, of a slice, without outlying twigs."""
+    """Return the longer horizontal side of a slice, without outlying twigs."""
     places = points[np.abs(points[:, 2] - level) < thickness / 2, :2]
     if len(places) == 0:
         return 0.0
@@ -156,7 +156,7 @@ def _width_at(points: Points, level: float, thickness: float) -> float:
 
 
 def _wide_all_the_way(points: Points) -> bool:
-    """Whether its outline is wide at every one of four heights, as a pot's is and a branching stem's is not."""
+    """Whether the outline is wide both at the bottom and at the top, unlike that of a branching stem."""
     share = (points[:, 2] - points[:, 2].min()) / max(float(np.ptp(points[:, 2])), 1e-12)
     away = np.linalg.norm(points[:, :2] - points[:, :2].mean(axis=0), axis=1)
     ends = [away[share < 0.25].max(initial=0), away[share > 0.75].max(initial=0)]
@@ -164,7 +164,7 @@ def _wide_all_the_way(points: Points) -> bool:
 
 
 def boards(scene: Scene, gone: Things) -> Things:
-    """Long boxes that lie along the same three axes as three others or more; not where nothing else is left."""
+    """Detect boards: long boxes with the axes of at least three others, lattices of rods, flat things on legs."""
     detected = np.zeros_like(gone)
     if scene.normals is None:
         return detected
@@ -187,8 +187,8 @@ def boards(scene: Scene, gone: Things) -> Things:
 
 
 def _on_legs(scene: Scene, gone: Things) -> Things:
-    """Flat things that lie on three or more legs of one height, and the legs."""
-    fewest, low_top, wide, flatness = 3, 0.6, 0.1, 0.2  # legs; the top is lower, and wider, than so many heights
+    """Detect flat things on three or more legs of equal height, with the legs."""
+    fewest, low_top, wide, flatness = 3, 0.6, 0.1, 0.2  # [legs]; [height] for the top's largest z and least width
     detected = np.zeros_like(gone)
     floor, height = scene.floor_and_height(gone)
     low, high, near = scene.low, scene.high, FOOT * height
@@ -203,7 +203,7 @@ def _on_legs(scene: Scene, gone: Things) -> Things:
 
 
 def _crossing(rods: Mapping[np.int64, Direction]) -> list[np.int64]:
-    """Rods of a lattice: two or more along one axis, and two or more across it."""
+    """Find the rods of a lattice: two or more along one axis, and two or more perpendicular to it."""
     for own in list(rods.values())[:50]:
         along = {one: abs(float(own @ other)) for one, other in rods.items()}
         alike = [one for one, cosine in along.items() if cosine > _SQUARE]
@@ -214,8 +214,8 @@ def _crossing(rods: Mapping[np.int64, Direction]) -> list[np.int64]:
 
 
 def _axis_of_rod(points: Points, normals: Points) -> Direction | None:
-    """The direction of a straight round rod of even thickness; None if it is none, as of stems that taper or bend."""
-    side = np.linalg.eigh(normals.T @ normals)[1][:, 0]  # across all normals but those of its ends
+    """Return the axis of a straight round rod of even thickness; None for other shapes, such as tapering stems."""
+    side = np.linalg.eigh(normals.T @ normals)[1][:, 0]  # axis perpendicular to all normals except those of the ends
     across = np.abs(normals @ side) < 1 - _SQUARE
     if across.mean() < _SQUARE_ROD or np.abs(normals[~across] @ side).min(initial=1) < _SQUARE:
         return None
@@ -231,7 +231,7 @@ def _may_be_board(extent: Direction) -> bool:
 
 
 def _axes_of_box(normals: Points) -> Float64[np.ndarray, "3 3"] | None:
-    """The three directions along which all normals are, to both sides, at right angles; None if it is no box."""
+    """Return the three perpendicular axes of a box, from its normals; None if it is no box."""
     first = normals[0]
     second = normals[np.argmin(np.abs(normals @ first))]
     if abs(first @ second) > 1 - _SQUARE:
@@ -246,7 +246,7 @@ def _axes_of_box(normals: Points) -> Float64[np.ndarray, "3 3"] | None:
 def touching_groups(
     points: Points, side_m: float
 ) -> tuple[Int64[np.ndarray, "C 3"], Int64[np.ndarray, " P"], Int64[np.ndarray, " C"], Int32[np.ndarray, " C"]]:
-    """Filled cells of a grid, the cell of each point, their numbers of points, and their groups of cells that touch."""
+    """Return a grid's occupied cells, each point's cell, the cells' numbers of points, and their connected groups."""
     places = np.floor((points - points.min(axis=0)) / side_m).astype(np.int64)
     span = places.max(axis=0) + 1
     keys, cell, count = np.unique(
@@ -257,7 +257,7 @@ def touching_groups(
 
 
 def groups_of_cells(cells: Int64[np.ndarray, "C 3"]) -> Int32[np.ndarray, " C"]:
-    """Number of the group of each cell, of cells that touch by face, edge or corner."""
+    """Label connected groups of cells, which touch by face, edge or corner."""
     pairs = scipy.spatial.cKDTree(cells).query_pairs(1.8, output_type="ndarray")
     joined = scipy.sparse.coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2)
     return np.asarray(scipy.sparse.csgraph.connected_components(joined, directed=False)[1])

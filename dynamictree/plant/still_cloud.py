@@ -1,10 +1,10 @@
-"""Detect what of a splat or scan is not the plant and stands still: sky, ground, tables, pots, things, floaters.
+"""Detect the still parts of a splat or scan: sky, ground, tables, pots, things and floaters.
 
-Each is taken only where its shape leaves no doubt; what is not lying can be named with a box or a mask.
+Parts are detected only if their shape is unambiguous; users select others with a box or a mask.
 """
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, UInt8
 
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -27,17 +27,17 @@ from dynamictree.plant.still import (
 
 SKY = StillPart(name="sky", why="far around everything that hangs together")
 FLOATERS = StillPart(name="floaters", why="a few Gaussians far from all others")
-_SOLID = 0.05  # opacity
+_SOLID = 0.05  # least opacity
 _FEWEST_POINTS = 500
 _SKY_CELL, _SKY_AWAY, _NOT_SKY = 0.1, 3.0, 0.5
-"""Of the median distance from the middle: what is so near hangs together; sky is so many times farther out than what
-hangs together, which must be so much of the whole."""
+"""Share of the median distance from the middle, within which points are connected; ratio of the sky's distance to the
+radius of the connected rest; least share of that rest."""
 
 
 def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], UInt8[np.ndarray, " G"]]:
-    """The parts of a cloud in metres and +Z up that stand still, and of each Gaussian its part from 1, or 0."""
-    large = 0.1  # of the extent: Gaussians of the background
-    small = 0.2  # of the points: all that lies apart
+    """Detect the still parts of a cloud [m, +Z up]; return them and each Gaussian's part from 1, or 0."""
+    large = 0.1  # share of the extent; larger Gaussians are background
+    small = 0.2  # largest share of the points of things, or of floaters
     part_of = np.zeros(cloud.num_gaussians, np.uint8)
     parts: list[StillPart] = []
 
@@ -57,7 +57,7 @@ def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], U
         return (), part_of
     take(SKY, sky)
     rng = np.random.default_rng(0)
-    for _ in range(2):  # a floor, and a table on it
+    for _ in range(2):  # a floor, then a table on it
         points = _thinned(means[solid & (part_of == 0)])
         plane = find_ground(points, height_of(points), rng)
         if plane is None:
@@ -80,7 +80,7 @@ def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], U
 
 
 def find_sky(cloud: GaussianCloud) -> Bool[np.ndarray, " G"]:
-    """Gaussians far outside of what hangs together, such as a dome that was learned for the sky."""
+    """Detect Gaussians far outside the connected rest, such as a dome optimised for the sky."""
     means = cloud.means.astype(np.float64)
     solid = np.flatnonzero(cloud.opacity >= _SOLID)
     nothing = np.zeros(len(means), np.bool_)
@@ -107,9 +107,9 @@ def _thinned(points: Points) -> Points:
 
 
 def _apart(points: Points, height_m: float) -> tuple[Bool[np.ndarray, " P"], Bool[np.ndarray, " P"]]:
-    """What lies low and apart from what rises, and few points far from the largest group."""
-    cell_share = 0.03  # of the height
-    few_share = 0.02  # of the points: floaters
+    """Detect low points apart from the plant, and small groups far from the largest one."""
+    cell_share = 0.03  # share of the height
+    few_share = 0.02  # largest share of the points in a floater
     side = cell_share * height_m
     cells, cell, count, group = touching_groups(points, side)
     size = np.bincount(group, count)
@@ -121,6 +121,6 @@ def _apart(points: Points, height_m: float) -> tuple[Bool[np.ndarray, " P"], Boo
     main = cells[group == size.argmax()]
     gap = np.full(len(size), np.inf)
     np.minimum.at(gap, group, scipy.spatial.cKDTree(main).query(cells)[0] * side)
-    above = bounds[1][:, 2] >= main[:, 2].min() * side + LOW * height_m  # lower ones may lie on the ground
+    above = bounds[1][:, 2] >= main[:, 2].min() * side + LOW * height_m  # lower groups may lie on the ground
     few = above & (gap > APART * height_m + side) & (size < few_share * size.sum())
     return low[group][cell], few[group][cell]

@@ -1,8 +1,8 @@
-"""Detect what of a mesh is not the plant and stands still, by names and by points on its surface.
+"""Detect the still parts of a mesh, by names and by points on its surface.
 
-Names of materials, nodes and groups are witnesses: they count unless all that they would leave over is what the shape
-alone says is no plant, such as a pot whose plant is named `Path`. A base of one surface with its plant, as in meshes
-made from pictures, is detected by the rules for clouds.
+Names of materials, nodes and groups count unless the rest would be no plant by its shape, such as a pot whose plant is
+named `Path`. A base that forms one surface with its plant, as in meshes generated from pictures, is detected by the
+rules for clouds.
 """
 
 import numpy as np
@@ -30,18 +30,18 @@ from dynamictree.plant.still import (
 )
 
 _LOWEST, _PLATE_TOP, _POT_TOP = 0.02, 0.15, 0.65
-"""Of the height: a base reaches up so far at least, a plate and a pot so far at most."""
+"""Least top of a base, and largest top of a plate and of a pot [share of the height]."""
 
 Faces = Bool[np.ndarray, " F"]
 
 
 def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Faces | None]:
-    """What stands still of a mesh in metres and +Z up, and which faces; None if all of it may move."""
+    """Detect the still parts of a mesh [m, +Z up]; return them and a mask of their faces, None if all may move."""
     of_face = _part_of_face(mesh)
     scene = _scene(mesh, of_face)
     named, parts = _named(mesh)
     gone = np.zeros(len(scene.low), np.bool_)
-    gone[of_face[named]] = True  # a part that is named in places is still as a whole
+    gone[of_face[named]] = True  # if some faces of a part are named, all of it is still
     if named.any():
         detected, by_shape = _by_shape(scene, np.zeros_like(gone), of_face)
         if by_shape[of_face[~named]].all():
@@ -67,7 +67,7 @@ def _by_shape(scene: Scene, gone: Things, of_face: Int64[np.ndarray, " F"]) -> t
 
 
 def _named(mesh: TriangleMesh) -> tuple[Faces, list[StillPart]]:
-    """Faces whose material, node or group is named as something that is no plant."""
+    """Find the faces whose material, node or group has the name of an object that is no plant."""
     named, parts = np.zeros(mesh.num_faces, np.bool_), list[StillPart]()
     for owner, names, meaningless in (
         (mesh.look.face_material, [material.name for material in mesh.look.materials], frozenset[str]()),
@@ -83,7 +83,7 @@ def _named(mesh: TriangleMesh) -> tuple[Faces, list[StillPart]]:
 
 
 def _part_of_face(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
-    """The connected part of each face; materials split parts, so that soil in a trunk's mesh is one by itself."""
+    """Label the connected part of each face; materials split parts, so that soil connected with a trunk is separate."""
     welded, _ = weld(mesh)
     part = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]].astype(np.int64)
     if mesh.look.face_material is not None:
@@ -93,7 +93,7 @@ def _part_of_face(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
 
 
 def _scene(mesh: TriangleMesh, of_face: Int64[np.ndarray, " F"]) -> Scene:
-    """Points on all faces, on large parts more, but fewer than by area: a water plane is not all of a scene."""
+    """Sample points on all faces, on a part in proportion to the root of its area, so that no water plane dominates."""
     num_points = 60_000
     area = face_areas(mesh)
     of_part = np.bincount(of_face, area)
@@ -119,9 +119,9 @@ def _scene(mesh: TriangleMesh, of_face: Int64[np.ndarray, " F"]) -> Scene:
 def _fused_base(
     mesh: TriangleMesh, scene: Scene, gone: Things, of_face: Int64[np.ndarray, " F"]
 ) -> tuple[StillPart, Faces] | None:
-    """The base of the largest part that stands at the bottom and rises: a plate, ground or a pot; None without one."""
+    """Find the base of the largest part that rises from the bottom: a plate, ground or a pot; None without one."""
     points_of_base = 150_000
-    soil_seen = 0.7  # of a pot's inside: below stems of one surface with it there is none
+    soil_seen = 0.7  # share of a pot's inside; there is no soil under stems connected with it
     floor, height = scene.floor_and_height(gone)
     rises = ~gone & (scene.low[:, 2] < floor + FOOT * height) & (scene.high[:, 2] > floor + 0.5 * height)
     if not rises.any():
@@ -140,7 +140,7 @@ def _fused_base(
     inside_out = np.einsum("fi,fi->", middles - middles.mean(axis=0), normals) < 0
     length = np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
     rise = ((-normals if inside_out else normals)[:, 2] / length)[face]
-    upward = points[rise > 0.5]  # within 60° of +Z
+    upward = points[rise > 0.5]  # angle to +Z below 60°
     places = part.vertices.astype(np.float64)
     plane = find_ground(upward, height_m, rng) if len(upward) else None
     base = None if plane is None else _with_what_is_cut_off(part, plane.above(places) <= 0, _PLATE_TOP)
@@ -155,8 +155,8 @@ def _fused_base(
 
 
 def _with_what_is_cut_off(mesh: TriangleMesh, inside: Bool[np.ndarray, " N"], highest: float) -> Faces | None:
-    """Faces of a base with the pieces, such as of a rim, that hang on it alone; None if it is no base below a plant."""
-    rim = 0.05  # of the height: so far a piece that is no stem or leaf reaches above the base
+    """Extend a base by pieces connected only with it, such as a rim; None if it is no base below a plant."""
+    rim = 0.05  # share of the height; pieces that reach higher above the base are stems or leaves
     base = inside[mesh.faces].all(axis=1)
     welded, _ = weld(mesh)
     piece = connected_parts(welded.faces[~base], welded.num_vertices)

@@ -1,16 +1,16 @@
 """Detect the up axis of a mesh from several weighted cues, with a confidence.
 
-Each of the six axes is a candidate. The cues of one, from points spread evenly over the surface:
+Each of the six axes is a candidate. Its cues, from points spread evenly over the surface, are:
 
-- trunk: how far up from the lowest twelfth, the foot, it stays narrow, and the same from the top down;
-- balance: how near the middle of the whole lies to the axis through the foot;
-- wood: how much lower wood is than leaves, by the names of materials;
-- stem: how much nearer to the foot than to the top the largest part reaches;
-- taper: how much thicker a trunk that is a part by itself is at the foot than at the tip;
-- mass: how much of the surface is high up;
-- slenderness: how tall it is beside its width.
+- trunk: height up to which the shape is narrow, from the bottom up and from the top down;
+- balance: distance of the centre from the axis through the foot (the lowest twelfth);
+- wood: height of leaves above wood, by the names of materials;
+- stem: gap of the largest part from the top minus its gap from the foot;
+- taper: thickness at the foot over that at the tip, if the trunk is a separate part;
+- mass: mean height of the surface;
+- slenderness: height over width.
 
-Their weights are those of a conditional logit (McFadden 1974) over trees of known axis, see docs/decisions/core.md.
+Their weights are fitted by a conditional logit (McFadden 1974) to trees of known axis, see docs/decisions/core.md.
 """
 
 from dataclasses import dataclass, replace
@@ -28,36 +28,36 @@ from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.up_axis import up_rotation
 
 CERTAIN = 0.8
-"""Below this probability the axis is a guess, and the reader warns of it."""
+"""Probability below which the axis is a guess, and the reader warns."""
 SURE_OF_POINTS = 0.95
-"""The same of points alone, which know less than a surface: those of conifers stand on their tips with 0.91."""
+"""The same for points, which are less reliable than surfaces: conifers score up to 0.91 upside down."""
 
 CUES = ("trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass", "slenderness")
 WEIGHTS = np.array([5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
 HABIT = 0.7
-"""Added to the logit of the axis that is usual in a format: it decides where the shape says nothing."""
+"""Added to the logit of a format's usual axis; it decides if the shape is ambiguous."""
 USUAL, LIKELY = ("+Y", "+Z"), 0.65
-"""Where none of the six is likely, the likelier of these: hardly any file stands on its head or side."""
+"""If no axis is likely, the likelier of these is chosen, since files with other axes are rare."""
 
 _POINTS = 20_000
 _APART, _SHARE = 0.03, 0.05
-"""Of the whole's longest side: what is so far apart are two trees; and the least share of the points of one."""
+"""Share of the longest side that separates two trees; least share of the points in one tree."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UpAxis:
-    """The most likely up axis and its probability."""
+    """Most likely up axis and its probability."""
 
     axis: str
-    confidence: float  # in [0, 1]
+    confidence: float  # probability in [0, 1]
     upright: float = 0.0  # probability of +Z
-    lying: float = 0.0  # of ±X and ±Y together; of points, changed by how much narrower the feet there are than on +Z
+    lying: float = 0.0  # probability of ±X and ±Y; for points, adjusted by the feet's widths
 
 
 def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
-    """Weigh the six axes of a mesh in its file's own; `habit` is the axis that is usual in the file's format.
+    """Estimate the up axis of a mesh in its file's axes; `habit` is the usual axis of the file's format.
 
-    Where that leaves a doubt, each axis is weighed by the plant alone: without what would stand still if it were up.
+    If the result is uncertain, each axis is judged again without the parts that would be still if it were up.
     """
     cues = axis_cues(mesh)
     if cues is None:
@@ -71,24 +71,24 @@ def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
 
 
 def judge_standing(mesh: TriangleMesh) -> UpAxis | None:
-    """The most likely of the six axes of a mesh that stands on +Z as its file says; None of one without surface."""
+    """Estimate the up axis of a mesh whose stated up axis is +Z; None for a mesh without surface."""
     cues = axis_cues(mesh)
     return None if cues is None else _likeliest(cues, "+Z", any_axis=True)
 
 
 def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
-    """The axis along which most of several trees apart from each other stand, each by itself; None of a single one."""
+    """Estimate the up axis of most of several separate trees, each judged alone; None for a single tree."""
     sampled = surface_points(mesh, _POINTS)
     if sampled is None:
         return None
     points, faces = sampled
     _, cell, _, group_of_cell = touching_groups(points, _APART * float(np.ptp(points, axis=0).max()))
     group = group_of_cell[cell]
-    large = np.flatnonzero(np.bincount(group) > _SHARE * len(points))  # together they are wide, and say nothing
+    large = np.flatnonzero(np.bincount(group) > _SHARE * len(points))  # several trees together are wide
     if len(large) < 2:
         return None
     of_face = np.full(mesh.num_faces, -1)
-    of_face[faces] = group  # faces too small for a point say little
+    of_face[faces] = group  # faces without a sampled point are ignored
     judged = [own for one in large if (own := judge_standing(replace(mesh, still_faces=of_face != one).moving_part))]
     if len(judged) < 2:
         return None
@@ -101,7 +101,7 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
 
 
 def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis: bool = False) -> UpAxis:
-    """The likeliest axis; where it is a guess, the likelier of the usual ones, unless any may be named."""
+    """Return the likeliest axis; if it is a guess, the likelier of the usual ones, unless `any_axis`."""
     logits = cues @ WEIGHTS + np.array([HABIT * (axis == habit) for axis in AXES])
     odds = np.exp(logits - logits.max())
     chances = (odds / odds.sum()).tolist()
@@ -112,7 +112,7 @@ def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis:
 
 
 def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"]) -> Float64[np.ndarray, " C"]:
-    """The cues of one axis without the ground, pot and things that there would be; `cues` if there were none."""
+    """Compute the cues of one axis without the still parts that it would have as up; `cues` if there are none."""
     column, sign = "XYZ".index(axis[1]), 1 if axis[0] == "+" else -1
     others = [other for other in range(3) if other != column]
     standing = np.stack([mesh.vertices[:, others[0]], mesh.vertices[:, others[1]], sign * mesh.vertices[:, column]], 1)
@@ -122,11 +122,11 @@ def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"
 
 
 def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
-    """The likeliest axis of the points of a splat or scan, of few at a confidence of 0; outlying ones do not count."""
+    """Estimate the up axis of a splat's or scan's points, without outliers; the confidence is 0 for few points."""
     if len(points) < FEWEST_GAUSSIANS:
         return UpAxis(axis="+Z", confidence=0.0)
-    outliers = (0.002, 0.998)  # of the coordinates of splats and scans
-    by_foot = 0.25  # of 0.15 to 0.35, which find about as many scans that lie, the middle
+    outliers = (0.002, 0.998)  # quantiles of the coordinates
+    by_foot = 0.25  # middle of 0.15 to 0.35, which detect about the same number of lying scans
     drawn = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]].astype(np.float64)
     low, high = np.quantile(drawn, outliers, axis=0)
     drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
@@ -137,8 +137,8 @@ def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
 
 
 def _foot_width(points: Float64[np.ndarray, "P 3"]) -> float:
-    """Mean distance from its middle of the largest clump at the bottom, in the longest side: a trunk is narrow."""
-    foot, cell, thinnest = 0.08, 0.04, 0.003  # of the height; and of the longest side
+    """Return the mean radius of the largest clump at the bottom [longest side]; a trunk is narrow."""
+    foot, cell, thinnest = 0.08, 0.04, 0.003  # share of the height; shares of the longest side
     side = max(float(np.ptp(points, axis=0).max()), 1e-30)
     low = points[points[:, 2] <= points[:, 2].min() + foot * np.ptp(points[:, 2])]
     _, cell_of, _, group = touching_groups(low, cell * side)
@@ -147,7 +147,7 @@ def _foot_width(points: Float64[np.ndarray, "P 3"]) -> float:
 
 
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:
-    """The cues of each axis, in the order of `CUES`; None of a mesh without surface."""
+    """Compute the cues of each axis, in the order of `CUES`; None for a mesh without surface."""
     sampled = surface_points(mesh, _POINTS)
     if sampled is None:
         return None
@@ -161,7 +161,7 @@ def _cues_of_points(
     stem: Int64[np.ndarray, " P"],
     axes: tuple[str, ...],
 ) -> Float64[np.ndarray, "A C"]:
-    points = np.asfortranarray(points)  # so that each coordinate is contiguous
+    points = np.asfortranarray(points)  # contiguous coordinates
     points = (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-30)
     rows = []
     for axis in axes:
@@ -180,7 +180,7 @@ def _cues_along(
 ) -> list[float]:
     slices = 24
     foot_slices = 2
-    narrow = 0.4  # of the whole's spread
+    narrow = 0.4  # share of the whole's spread
     extent = max(float(height.max()), 1e-6)
     share = height / extent
     whole = max(float(_spreads(across, np.zeros(len(across), np.int64), 1)[0]), 1e-6)
@@ -207,10 +207,10 @@ def _cues_along(
 
 
 def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"], stem: Bool[np.ndarray, " P"]) -> float:
-    """Logarithm of the width of the stem's foot over that of its tip, where the stem is one slender pole; else 0."""
-    pole = 0.4  # of the height: least length of a stem
+    """Return the log ratio of the stem's widths at foot and tip, if the stem is one slender pole; else 0."""
+    pole = 0.4  # share of the height; least length of a stem
     pole_slices = 16
-    slender = 0.08  # of a pole's length: the widest that it spreads
+    slender = 0.08  # share of a pole's length; largest spread
     own, place = share[stem], across[stem]
     length = own.max() - own.min() if len(own) else 0.0
     if length < pole:
@@ -225,25 +225,25 @@ def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"],
 def _spreads(
     across: Float64[np.ndarray, "P 2"], number: Int64[np.ndarray, " P"], count: int
 ) -> Float64[np.ndarray, " S"]:
-    """Robust radius of each slice about its own middle: outlying twigs count little; 0 of an empty slice."""
+    """Compute each slice's robust radius about its own middle, in which outlying twigs count little; 0 if empty."""
     size = np.maximum(np.bincount(number, minlength=count), 1)
     x, y = (column - (np.bincount(number, column, count) / size)[number] for column in across.T)
     return np.asarray(np.bincount(number, np.sqrt(x * x + y * y), count) / size)
 
 
 def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
-    """1 for faces whose material is named for wood, 2 for leaves, 0 for what tells nothing."""
+    """Classify faces by their material's name: 1 for wood, 2 for leaves, 0 for others."""
     if mesh.look.face_material is None or not mesh.look.materials:
         return np.zeros(mesh.num_faces, np.int64)
     named = [2 if LEAF.search(m.name) else 1 if WOOD.search(m.name) else 0 for m in mesh.look.materials]
     detected = set(named) - {0}
-    if len(detected) == 1:  # what is not named for the one is the other
+    if len(detected) == 1:  # if only one kind is named, other materials are the other kind
         named = [kind or 3 - detected.copy().pop() for kind in named]
     return np.asarray(np.array(named, np.int64)[mesh.look.face_material])
 
 
 def _largest_part(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
-    """1 for faces of the connected part with the greatest extent."""
+    """Mark the faces of the connected part with the largest extent with 1."""
     welded, _ = weld(mesh)
     part = connected_parts(welded.faces, welded.num_vertices)
     low, high = part_bounds(part, welded.vertices)

@@ -1,1 +1,1 @@
-"""Several trees in one file: individual trees found in points, and what belongs to each."""
+"""Segment individual trees in the points of one file."""

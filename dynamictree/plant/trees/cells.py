@@ -1,44 +1,44 @@
-"""Occupied cells of a point cloud: height above ground and connected parts."""
+"""Occupied cells of a point cloud, with their height above the ground and the graph of neighbours."""
 
 from dataclasses import dataclass
 from itertools import product
 from typing import TypeAlias
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, Float64, Int64
 
 Rows: TypeAlias = Int64[np.ndarray, " R"]
 
 CELLS_TALL = 200
-"""Cells in the height of the tallest tree: 0.1 m of 20 m, so that a stem is two to four cells wide."""
-_TILE = 5  # cells: the ground's height is judged on tiles so wide
+"""Cells in the height of the tallest tree: 0.1 m for 20 m, so that a stem is two to four cells wide."""
+_TILE = 5  # [cells], side of the tiles on which the ground's height is estimated
 
 
 @dataclass(frozen=True, kw_only=True)
 class OccupiedCells:
-    """Cells that hold points, in ascending order of x, y, z."""
+    """Cells that contain points, in ascending order of x, y, z."""
 
     coords: Int64[np.ndarray, "V 3"]
-    above: Float64[np.ndarray, " V"]  # height above the ground near by [cells]
-    ground: Bool[np.ndarray, " V"]  # which are ground, not plant
-    afloat: Bool[np.ndarray, " V"]  # which have leaves below them that hang far out, in place of ground
-    size_m: float  # of a cell
+    above: Float64[np.ndarray, " V"]  # height above the ground nearby [cells]
+    ground: Bool[np.ndarray, " V"]  # cells of ground, not plant
+    afloat: Bool[np.ndarray, " V"]  # cells over a crown's edge instead of ground
+    size_m: float  # side of a cell
     low_m: Float64[np.ndarray, "3"]  # low corner of cell (0, 0, 0)
     cell_of_point: Int64[np.ndarray, " P"]
 
     @property
     def centres_m(self) -> Float64[np.ndarray, "V 3"]:
-        """Middle of each cell [m]."""
+        """Centre of each cell [m]."""
         return self.low_m + (self.coords + 0.5) * self.size_m
 
 
 def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
-    """Put points into cells, in metres and +Z up."""
+    """Put points [m, +Z up] into cells."""
     max_cells_along = 1500
-    steepest = 1.0  # ground rises at most so much over its length
-    afloat = 0.1  # of the height: what is so much higher than such ground hangs above nothing
-    ground_cover = 0.4  # of the tiles that hold anything, with something that low: then there is ground
+    steepest = 1.0  # largest slope of the ground
+    afloat = 0.1  # share of the height; tiles this much above such ground have no ground
+    ground_cover = 0.4  # least share of occupied tiles with low cells for ground to exist
     low = points.min(axis=0)
     extent = points.max(axis=0) - low
     size = max(float(extent[2]) / CELLS_TALL, float(extent.max()) / max_cells_along)
@@ -49,7 +49,7 @@ def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     tall = int(span[2])
     lowest, tile = _lowest_near(coords, tall)
     above, low_cells, cover = _above(coords, tile, lowest + _downhill(lowest, tall))
-    if cover < ground_cover:  # there is no ground whose slope could be measured
+    if cover < ground_cover:  # no ground from which to measure a slope
         above, low_cells, cover = _above(coords, tile, lowest)
     return OccupiedCells(
         coords=coords,
@@ -65,7 +65,7 @@ def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
 def _lowest_near(
     coords: Int64[np.ndarray, "V 3"], tall: int
 ) -> tuple[Float64[np.ndarray, "X Y"], tuple[Int64[np.ndarray, " V"], Int64[np.ndarray, " V"]]]:
-    """Height of the lowest cell around each tile; and the tile that each cell stands on."""
+    """Return the height of the lowest cell around each tile, and each cell's tile."""
     from scipy.ndimage import minimum_filter, uniform_filter
 
     tile = coords[:, 0] // _TILE, coords[:, 1] // _TILE
@@ -78,7 +78,7 @@ def _lowest_near(
 
 
 def _no_steeper(lowest: Float64[np.ndarray, "X Y"], rise: float) -> Float64[np.ndarray, "X Y"]:
-    """The highest surface below one that rises from tile to tile, also across, by at most so much."""
+    """Return the highest surface below a given one whose rise per tile, also diagonally, is limited."""
     from scipy.ndimage import grey_erosion
 
     across = np.hypot(*np.meshgrid((-1, 0, 1), (-1, 0, 1)))
@@ -90,12 +90,12 @@ def _no_steeper(lowest: Float64[np.ndarray, "X Y"], rise: float) -> Float64[np.n
 
 
 def _reach(tall: int) -> int:
-    window = 1 / 6  # of the height: the lowest point so near is on the ground
+    window = 1 / 6  # share of the height; the lowest point in this window is on the ground
     return max(1, round(window * tall / _TILE))
 
 
 def _downhill(lowest: Float64[np.ndarray, "X Y"], tall: int) -> float:
-    """How much lower than its middle the lowest of a window lies on the slope of the whole."""
+    """Return how much lower than its middle the lowest point of a window is, on the overall slope."""
     plane = np.stack([*np.indices(lowest.shape), np.ones(lowest.shape)], axis=-1).reshape(-1, 3)
     slope = np.linalg.lstsq(plane, lowest.ravel(), rcond=None)[0][:2]
     return float(np.abs(slope).sum()) * _reach(tall)
@@ -106,8 +106,8 @@ def _above(
     tile: tuple[Int64[np.ndarray, " V"], Int64[np.ndarray, " V"]],
     ground: Float64[np.ndarray, "X Y"],
 ) -> tuple[Float64[np.ndarray, " V"], Bool[np.ndarray, " V"], float]:
-    """Height above the ground [cells], which cells are as low as the ground, and the share of the tiles with any."""
-    ground_share = 0.02  # of the height: what is lower is ground, where there is ground
+    """Return the height above the ground [cells], a mask of low cells, and the share of tiles with any."""
+    ground_share = 0.02  # share of the height; lower cells are ground, if there is ground
     above = coords[:, 2] - ground[tile]
     low = above < ground_share * (coords[:, 2].max() + 1)
     numbers = tile[0] * ground.shape[1] + tile[1]
@@ -115,13 +115,13 @@ def _above(
 
 
 def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
-    """Squared distances [cells²] between cells that are near each other: a gap costs more than a way around it.
+    """Build a graph of near cells; edges are squared distances [cells²], so gaps cost more than detours.
 
-    The cells are in ascending order of x, y, z; a pair is joined once, if one is among the nearest of the other.
+    The cells are in ascending order of x, y, z; a pair has one edge, if one is among the nearest of the other.
     """
     neighbours = 12
     pairs = _near_pairs(coords)
-    count = np.zeros(len(coords), np.int64)  # nearer cells around each
+    count = np.zeros(len(coords), np.int64)  # number of nearer cells around each
     starts, ends, costs = [], [], []
     for offset in sorted(pairs, key=_squared):
         start, end = pairs[offset]
@@ -137,11 +137,11 @@ def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
 
 
 def _near_pairs(coords: Int64[np.ndarray, "V 3"]) -> dict[tuple[int, int, int], tuple[Rows, Rows]]:
-    """Rows of the pairs of cells at each offset within the gap; of an offset and its opposite there is one."""
-    gap = 2.5  # cells: what is farther apart does not hang together
+    """Return the rows of the pairs of cells at each offset within the gap, without opposite offsets."""
+    gap = 2.5  # [cells], largest distance of connected cells
     reach = int(gap)
     columns = [column for column in product(range(-reach, reach + 1), repeat=2) if column >= (0, 0)]
-    _, span_y, span_z = coords.max(axis=0) + 1 + 2 * reach  # so wide that no key belongs to two places
+    _, span_y, span_z = coords.max(axis=0) + 1 + 2 * reach  # margin that makes keys unique
     keys = (coords[:, 0] * span_y + coords[:, 1]) * span_z + coords[:, 2]
     after_last = np.append(keys, np.iinfo(np.int64).max)
     pairs = {}

@@ -1,4 +1,4 @@
-"""The trees in a mesh: points on its surface are separated, and each connected part goes to one tree."""
+"""Segment the trees of a mesh: points on its surface are segmented, and each connected part belongs to one tree."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ MAX_RESOLUTION = 512
 
 
 def with_trees(mesh: TriangleMesh) -> TriangleMesh:
-    """The same mesh, with the trees in it separated if there are several."""
+    """Return the mesh with its trees segmented, if there are several."""
     moving = mesh.moving_part
     points, face = dense_points(moving)
     if len(points) == 0 or np.ptp(points[:, 2]) <= 0:
@@ -33,7 +33,7 @@ def with_trees(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def dense_points(mesh: Surface) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
-    """Points over the surface, as dense as the cells in which trees are separated; and the face of each."""
+    """Sample points on the surface, as dense as the cells of the segmentation; return them with their faces."""
     density = 1.5  # points per cell of surface
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -45,17 +45,17 @@ def dense_points(mesh: Surface) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.nd
 
 
 def mesh_points(mesh: Surface) -> tuple[Float32[np.ndarray, "P 3"], Int32[np.ndarray, " P"] | None]:
-    """The corners of the plant's faces, and the tree of each if there are several."""
+    """Return the corners of the plant's faces, with the tree of each if there are several."""
     moving = mesh.moving_part
     trees = None if moving.face_tree is None else np.repeat(moving.face_tree, 3)
     return mesh.vertices[moving.faces.ravel()], trees
 
 
 def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
-    """One of several trees by itself, counted from 1; without what stands still.
+    """Extract one of several trees, counted from 1, without still parts.
 
     Raises:
-        InputError: there is no such tree, or all of it is to stand still.
+        InputError: there is no such tree, or all of it stands still.
     """
     require_tree(number, mesh.face_tree)
     if mesh.face_tree is None:
@@ -77,7 +77,7 @@ def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
 
 
 def stand_resolution(mesh: Surface, resolution: int) -> int:
-    """Resolution of the grid of several trees, so that the largest has about the resolution of a single one."""
+    """Return a grid resolution for several trees, which gives the largest about the resolution of a single one."""
     points, tree = mesh_points(mesh)
     if tree is None:
         return resolution
@@ -89,8 +89,8 @@ def stand_resolution(mesh: Surface, resolution: int) -> int:
 def _of_faces(
     mesh: Surface, face: Int64[np.ndarray, " P"], tree: Int32[np.ndarray, " P"], count: int
 ) -> Int32[np.ndarray, " F"]:
-    """The tree of each face: that of its connected part, or of its own points where a part spans several trees."""
-    one_tree = 0.9  # of a connected part's points in one tree: then all of it is
+    """Return the tree of each face: that of its connected part, or of its own points if the part spans trees."""
+    one_tree = 0.9  # share of a connected part's points in one tree, from which all of it is
     welded, _ = weld(mesh)
     part = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]]
     votes = np.zeros((int(part.max()) + 1, count))

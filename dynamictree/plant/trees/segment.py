@@ -1,13 +1,13 @@
-"""Individual trees in points: stems by slices, crowns by comparative shortest paths from the stems.
+"""Segment individual trees in points: stems by slices, crowns by comparative shortest paths from the stems.
 
-What hangs together and stands on the ground is one tree, or as many as it has stems. A cell belongs to the stem from
-which the way to it is shortest, relative to the stem's radius to the power 2/3: a thick stem bears a wide crown (Tao
-et al., Segmenting tree crowns from terrestrial and mobile LiDAR data by exploring ecological theories, 2015). What
-hangs on nothing belongs to the tree that is nearest.
+A connected part that stands on the ground is one tree, or as many as it has stems. A cell belongs to the stem with the
+shortest path to it, relative to the stem's radius to the power 2/3, since thick stems have wide crowns (Tao et al.,
+Segmenting tree crowns from terrestrial and mobile LiDAR data by exploring ecological theories, 2015). Unconnected
+cells belong to the nearest tree.
 """
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Float64, Int32, Int64
 
 from dynamictree.errors import InputError
@@ -16,19 +16,19 @@ from dynamictree.plant.trees.cells import OccupiedCells, join, occupy
 from dynamictree.plant.trees.stems import Stem, find_stems, join_stems
 
 _OWN_TOP = 0.02
-"""Of its height, at least, a tree rises above the highest place where its crown touches a neighbour's.
+"""Least rise of a tree above the highest contact of its crown with a neighbour's [share of its height].
 
-Tips of hanging branches (of seven trees that were cut into pieces): 0 to 0.01, seldom 0.03, as the branch goes on
-upward in its tree; trees in stands: 0.06 and more, with crowns half in one another 0.02 (docs/decisions/plant.md)."""
+Tips of hanging branches (of seven trees that were cut into pieces) have 0 to 0.01, seldom 0.03, since the branch
+continues upward in its tree; trees in stands 0.06 and more, with interlocking crowns 0.02 (docs/decisions/plant.md)."""
 
 
 def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) -> Int32[np.ndarray, " P"]:
-    """The tree of each point, in metres and +Z up; -1 for ground. In a scan some may end below another's crown.
+    """Return the tree of each point [m, +Z up]; -1 for ground. Trees of a scan may end below another's crown.
 
-    Trees are numbered from 0, from the left to the right (by x, then y).
+    Trees are numbered from 0, by x, then y.
 
     Raises:
-        InputError: the points are a scan, reach far wider than they are tall, and no stems tell them apart.
+        InputError: the points are a scan, extend far wider than they are tall, and have no stems to separate them.
     """
     one_tree = np.zeros(len(points), np.int32)
     if np.ptp(points[:, 2]) <= 0:
@@ -58,10 +58,10 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
 
 
 def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array") -> list[Stem]:
-    """Where each tree begins: its stem, or of what hangs together and shows no stem its lowest cells."""
-    shortest = 0.3  # of the height of the tallest tree: what is lower is undergrowth
-    stands_share = 0.1  # of the height: so near to the ground the lowest of a tree begins
-    fewest = 0.03  # of the cells of the largest part: less is debris
+    """Find the seeds of trees: stems, or the lowest cells of connected parts without stems."""
+    shortest = 0.3  # share of the tallest tree's height; lower parts are undergrowth
+    stands_share = 0.1  # share of the height, within which a tree starts above the ground
+    fewest = 0.03  # share of the largest part's cells; smaller parts are debris
     from scipy.sparse.csgraph import connected_components
 
     above = cells.above[plant]
@@ -88,8 +88,8 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
 def _rooted(
     height: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", grown: Int64[np.ndarray, " M"], seeds: list[Stem]
 ) -> list[Stem]:
-    """The seeds that are no tips of hanging branches: those of trees with a top of their own, and thicker than tips."""
-    thicker = 1.5  # times the cells of the thickest tip in the slice: less is a tip as well
+    """Select the seeds that are no tips of hanging branches: their trees have their own top, and are thicker."""
+    thicker = 1.5  # [cells of the thickest tip in the slice]; thinner seeds are tips as well
     edges = graph.tocoo()
     one, other = grown[edges.row], grown[edges.col]
     low, top, touch = np.full(len(seeds), np.inf), np.full(len(seeds), -np.inf), np.full(len(seeds), -np.inf)
@@ -108,7 +108,7 @@ def _rooted(
 def _grow(
     cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", seeds: list[Stem]
 ) -> Int64[np.ndarray, " M"]:
-    """The tree of each cell of the plants."""
+    """Assign each plant cell to the tree with the shortest relative path."""
     radius_power = 2 / 3
     from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
@@ -130,8 +130,8 @@ def _grow(
 
 
 def _with_feet(cells: OccupiedCells, label: Int64[np.ndarray, " V"], seeds: list[Stem]) -> Int64[np.ndarray, " V"]:
-    """Give the ground cells under a stem to its tree."""
-    foot = 0.03  # of the height: so near to a stem's middle, what lies on the ground is its foot
+    """Assign the ground cells under a stem to its tree."""
+    foot = 0.03  # share of the height; radius of a stem's foot on the ground
     from scipy.spatial import cKDTree
 
     ground = np.flatnonzero(cells.ground)
@@ -144,7 +144,7 @@ def _with_feet(cells: OccupiedCells, label: Int64[np.ndarray, " V"], seeds: list
 
 
 def _in_order(cells: OccupiedCells, label: Int64[np.ndarray, " V"]) -> Int32[np.ndarray, " P"]:
-    """The tree of each point, numbered by where the trees stand."""
+    """Return the tree of each point, numbered by position."""
     centres = cells.centres_m
     feet = []
     for number in range(int(label.max()) + 1):
@@ -158,7 +158,7 @@ def _in_order(cells: OccupiedCells, label: Int64[np.ndarray, " V"]) -> Int32[np.
 
 
 def _refuse_canopy(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> None:
-    widest = 4.0  # times the height: a wider part with one stem is no tree
+    widest = 4.0  # [height]; a wider part with one stem is no tree
     extent = np.ptp(cells.coords[plant], axis=0) * cells.size_m
     if extent[:2].min() > widest * extent[2]:
         raise InputError(
@@ -168,7 +168,7 @@ def _refuse_canopy(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> None
 
 
 def require_tree(number: int, tree_of: Int32[np.ndarray, " E"] | None) -> None:
-    """Check the number of a tree, counted from 1, where each element's tree is counted from 0; None for one tree.
+    """Check a tree's number, counted from 1; `tree_of` counts from 0, and is None for one tree.
 
     Raises:
         InputError: there is no such tree.
@@ -180,7 +180,7 @@ def require_tree(number: int, tree_of: Int32[np.ndarray, " E"] | None) -> None:
 
 
 def several_trees(count: int) -> SourceWarning:
-    """Tell that a file holds several trees."""
+    """Create the warning that a file has several trees."""
     message = (
         f"{count} trees stand in the file; each moves by itself; tree=1 to tree={count} takes one of them, and "
         "`trees` lists where they stand"

@@ -1,8 +1,8 @@
-"""Find stems: compact, upright, separate clusters of cells on the ground.
+"""Detect stems: compact, upright, separate clusters of cells on the ground.
 
-Stems are looked for as forest inventories do, in slices near breast height: connected parts of a slice that are
-narrow, go through it from below to above, and go on in the slices above it at nearly the same place. The tips of
-hanging branches are thin beside the stem that bears them, the boughs of conifers are wide or lean.
+As in forest inventories, stems are detected in slices near breast height: connected parts of a slice that are narrow,
+extend through its thickness, and continue in a higher slice at nearly the same position. Tips of hanging branches are
+thinner than the stem that bears them; boughs of conifers are wide or lean.
 """
 
 from dataclasses import dataclass, replace
@@ -13,33 +13,33 @@ from jaxtyping import Float64, Int64
 from dynamictree.plant.still import groups_of_cells
 
 SLICE = (0.03, 0.10)
-"""Of the height above the ground: where stems are looked for, and 1 to 2 m of a tree of 20 m."""
+"""Slice in which stems are detected [share of the height above the ground]: 0.6 to 2 m of a tree of 20 m."""
 HIGHER = (0.10, 0.17)
 UPRIGHT = 0.03
-"""Of the height: how far a stem leans from the slice to the higher one."""
+"""Largest shift of a stem from the slice to the higher one [share of the height]."""
 NEAREST = 0.04
-"""Of the height: stems that stand closer are of one tree."""
+"""Distance below which stems belong to one tree [share of the height]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stem:
-    """One stem, in cells."""
+    """Stem of a tree [cells]."""
 
     cells: Int64[np.ndarray, " M"]  # rows of the cells in the slice
     middle: Float64[np.ndarray, "2"]
-    higher: Float64[np.ndarray, "2"]  # its middle in the higher slice
+    higher: Float64[np.ndarray, "2"]  # middle in the higher slice
     radius: float
 
 
 def find_stems(
     coords: Int64[np.ndarray, "V 3"], above: Float64[np.ndarray, " V"], rows: Int64[np.ndarray, " M"]
 ) -> list[Stem]:
-    """The stems among some cells, whose height is their own tallest; stems of one tree are joined."""
-    thinnest = 0.3  # of the cells of the most massive stem: thinner ones are twigs that hang to the ground
-    bare = 0.67  # of the cells of a slice in stems, at least: then no branches hang into it
+    """Detect stems among some cells, relative to the cells' largest height; join stems of one tree."""
+    thinnest = 0.3  # share of the largest stem's cells; thinner ones are twigs that hang to the ground
+    bare = 0.67  # least share of a slice's cells in stems; then no branches hang into it
     tall = float(above[rows].max()) + 1
     stems = _upright_stems(coords, above, rows, tall)
-    if not stems:  # crowns that begin in the higher slice hide them, at half the height they may be bare
+    if not stems:  # crowns that start in the higher slice hide stems; try slices at half the height
         stems = _upright_stems(coords, 2 * above, rows, tall)
         inside = (2 * above[rows] >= SLICE[0] * tall) & (2 * above[rows] < SLICE[1] * tall)
         stems = stems if sum(len(stem.cells) for stem in stems) >= bare * inside.sum() else []
@@ -50,7 +50,7 @@ def find_stems(
 def _upright_stems(
     coords: Int64[np.ndarray, "V 3"], above: Float64[np.ndarray, " V"], rows: Int64[np.ndarray, " M"], tall: float
 ) -> list[Stem]:
-    """The columns of the slice that go on in the higher one."""
+    """Return the columns of the slice that continue in the higher one."""
     upper = _columns(coords, above, rows, tall, HIGHER)
     stems = []
     for column in _columns(coords, above, rows, tall, SLICE) if upper else ():
@@ -67,10 +67,10 @@ def _columns(
     tall: float,
     between: tuple[float, float],
 ) -> list[Stem]:
-    """Narrow parts of a slice that go through it and stand apart."""
-    narrow = 0.07  # of the height: the largest radius of a stem
-    through_share = 0.8  # of the slice's thickness
-    alone = 0.5  # of the cells within three radii, in the stem itself
+    """Find narrow, separate parts of a slice that extend through its thickness."""
+    narrow = 0.07  # share of the height; largest radius of a stem
+    through_share = 0.8  # share of the slice's thickness
+    alone = 0.5  # least share, in the stem, of the cells within three radii
     low, high = between[0] * tall, between[1] * tall
     inside = rows[(above[rows] >= low) & (above[rows] < high)]
     if len(inside) == 0:
@@ -91,9 +91,9 @@ def _columns(
 
 
 def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
-    """Stems that stand close, or close enough and lean apart, as one; `tall` in cells."""
-    fork = 0.15  # of the height: stems that stand so close and lean apart are of one tree
-    apart_higher = 1.15  # times their distance in the slice, in the higher slice: they grow from one foot
+    """Join stems that are close, or moderately close and diverging; `tall` is in cells."""
+    fork = 0.15  # share of the height, within which diverging stems are one tree
+    apart_higher = 1.15  # least ratio of distances in the higher slice and the slice for diverging stems
     group = list(range(len(stems)))
     for i, one in enumerate(stems):
         for j in range(i):
