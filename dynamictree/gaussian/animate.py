@@ -15,11 +15,11 @@ from dynamictree.spectrum import displacement_at, iter_motion
 
 @dataclass(frozen=True, kw_only=True)
 class AnimatedSplat:
-    """A bound cloud and the spectrum of its mesh's vertices: all that a player needs, a few MB beside the cloud."""
+    """Bound cloud with the spectrum of its mesh's vertices: all data of a player, a few MB besides the cloud."""
 
     binding: Binding
-    coefficients: Complex64[np.ndarray, "N K 3"]  # of the binding's vertices [m]
-    num_frames: int  # T of the spectrum
+    coefficients: Complex64[np.ndarray, "N K 3"]  # spectrum of the binding's vertices [m]
+    num_frames: int  # number of frames T of the spectrum
     fps: float
 
     def __post_init__(self) -> None:
@@ -38,32 +38,32 @@ class AnimatedSplat:
         return self.num_frames / self.fps
 
     def displacement(self, phase: float) -> Float32[np.ndarray, "N 3"]:
-        """Of the mesh's vertices, at one place in the loop; 0 and 1 are the same [m]."""
+        """Compute the displacement of the mesh's vertices at a phase in [0, 1] of the loop [m]."""
         return displacement_at(self.coefficients, phase, self.num_frames)
 
     def displacements(self, phases: Float64[np.ndarray, " M"]) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """The same, one after another [m]."""
+        """Yield the displacement of the mesh's vertices for each phase [m]."""
         return iter_motion(self.coefficients, phases, self.num_frames)
 
 
 def iter_poses(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[Pose]:
-    """One pose a frame; the displacements of the mesh's vertices are asked for one by one [m]."""
+    """Yield one pose per frame; the displacements of the mesh's vertices [m] are consumed one by one."""
     deformer = Deformer(binding)
     for displacement in displacements:
         yield deformer.pose(displacement)
 
 
 def iter_splat_frames(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[GaussianCloud]:
-    """One cloud a frame, colours turned with their Gaussians: the paper's output."""
+    """Yield one cloud per frame, with colours rotated like their Gaussians: the paper's output."""
     for pose in iter_poses(binding, displacements):
         yield posed(binding.cloud, pose)
 
 
 def lighter(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -> Binding:
-    """The same motion of a lighter cloud: fewer Gaussians (see `cloud.look_level`), fewer harmonics.
+    """Reduce a bound cloud: fewer Gaussians (see `cloud.look_level`), fewer harmonics, the same motion.
 
     Raises:
-        InputError: the share is not in (0, 1], or no such degree.
+        InputError: the share is not in (0, 1], or the degree not in 0 to 3.
     """
     if not 0 <= sh_degree <= 3:
         raise InputError(f"sh_degree is {sh_degree}; 0 to 3 are allowed")

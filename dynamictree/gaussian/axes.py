@@ -1,4 +1,4 @@
-"""Axes and units of clouds: conversion from a file's to metres and +Z up, and back."""
+"""Convert clouds from a file's axes and unit to metres and +Z up, and back."""
 
 from dataclasses import replace
 
@@ -13,10 +13,10 @@ from dynamictree.up_axis import up_rotation
 
 
 def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianCloud:
-    """Turn and scale a cloud as its file has it.
+    """Convert a cloud from its file's axes and unit to metres and +Z up.
 
     Raises:
-        InputError: an unknown axis, or a unit that is not a positive length.
+        InputError: the axis is unknown, or the unit is not a positive length.
     """
     if not (np.isfinite(unit_m) and unit_m > 0):
         raise InputError(f"unit_m is {unit_m}; it must be positive and finite")
@@ -25,12 +25,12 @@ def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianClo
 
 
 def to_source_axes(cloud: GaussianCloud, up_axis: str | None = None) -> GaussianCloud:
-    """Undo `to_z_up`, so that what we write lies where the capture lay; `up_axis` is that of a format that has one."""
+    """Undo `to_z_up`, so that files we write match the capture; `up_axis` is that of a format with a fixed one."""
     return transformed(cloud, up_rotation(up_axis or cloud.source.up_axis).T, 1 / cloud.source.scale)
 
 
 def transformed(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], scale: float) -> GaussianCloud:
-    """The cloud turned, then scaled about the origin. Harmonics turn with it."""
+    """Rotate a cloud with its harmonics, then scale it about the origin."""
     if scale == 1 and np.array_equal(rotation, np.eye(3)):
         return cloud
     turn = matrix_quaternions(rotation[None]).astype(np.float32)

@@ -1,7 +1,7 @@
 """Bind Gaussians to mesh faces. After GaMeS (Waczyńska et al. 2024), but captured Gaussians keep their shapes.
 
-A Gaussian hangs on the surface point nearest to it: barycentric weights in its face, and an offset that turns with the
-face. Gaussians far from every face, or outside of the part that is to move, hang on nothing and stay still.
+A Gaussian is bound to its nearest surface point: barycentric weights in a face, and an offset that rotates with the
+face. Gaussians far from every face, or outside the moving part, are not bound and stay still.
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ STILL = -1
 
 @dataclass(frozen=True, kw_only=True)
 class Binding:
-    """A cloud at rest and the triangles that carry it. Corners 0 and 1 are the longest edge of each triangle."""
+    """Cloud at rest, bound to triangles. Corners 0 and 1 are the longest edge of each triangle."""
 
     cloud: GaussianCloud
-    vertices: Float32[np.ndarray, "N 3"]  # of the mesh at rest [m]
-    triangles: Int32[np.ndarray, "U 3"]  # faces that carry something
+    vertices: Float32[np.ndarray, "N 3"]  # vertices of the mesh at rest [m]
+    triangles: Int32[np.ndarray, "U 3"]  # faces with bound Gaussians
     face_of: Int32[np.ndarray, " G"]  # row of `triangles`, or STILL
-    weights: Float32[np.ndarray, "G 3"]  # barycentric
+    weights: Float32[np.ndarray, "G 3"]  # barycentric weights
 
     def __post_init__(self) -> None:
         if len(self.face_of) != self.cloud.num_gaussians or len(self.weights) != self.cloud.num_gaussians:
@@ -37,7 +37,7 @@ class Binding:
 
     @property
     def moving(self) -> Bool[np.ndarray, " G"]:
-        """Which Gaussians are bound to a face."""
+        """Mask of the Gaussians that are bound to a face."""
         result: Bool[np.ndarray, " G"] = self.face_of != STILL
         return result
 
@@ -51,12 +51,12 @@ def bind(
     """Bind each Gaussian of a capture to its nearest face.
 
     Args:
-        cloud: its Gaussians stay in their order.
-        mesh: at rest, where the cloud is [m].
-        mask: which Gaussians may move; all by default.
+        cloud: Gaussians, whose order is retained.
+        mesh: mesh at rest, in the cloud's frame [m].
+        mask: Gaussians that may move; all by default.
 
     Raises:
-        InputError: nothing is left to move, or the mesh has no face that is a triangle at all.
+        InputError: no Gaussian is left to move, or no face of the mesh has an area.
     """
     extent = float(np.ptp(mesh.vertices, axis=0).max())
     rows = np.arange(cloud.num_gaussians) if mask is None else np.flatnonzero(mask)
@@ -75,10 +75,10 @@ def bind(
 
 
 def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.ndarray, " G"]:
-    """How far from a face a Gaussian hangs on it [m]: the surface of a large one is far from its middle."""
-    inside_share = 0.5  # of the mesh's extent: no Gaussian within the tree is farther from its surface; the sky is
-    sigmas = 2.0  # so far from its middle a Gaussian still has a surface
-    # farther from the surface than this share of the mesh's extent, a Gaussian is a floater and stays still
+    """Return each Gaussian's largest binding distance [m]; it grows with the size of the Gaussian."""
+    inside_share = 0.5  # share of the mesh's extent; Gaussians in a tree are nearer to its surface, sky is not
+    sigmas = 2.0  # [standard deviations] from its mean to a Gaussian's surface
+    # share of the mesh's extent; small Gaussians farther from the surface are floaters and stay still
     floater_share = 0.06
     surface = sigmas * scales.max(axis=1).astype(np.float64)
     result: Float64[np.ndarray, " G"] = np.clip(surface, floater_share * extent, inside_share * extent)
@@ -88,7 +88,7 @@ def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.
 def bind_to_faces(
     cloud: GaussianCloud, mesh: Surface, faces: Int32[np.ndarray, " G"], weights: Float32[np.ndarray, "G 3"]
 ) -> Binding:
-    """Bind each Gaussian to a given face, such as the one it was made from."""
+    """Bind each Gaussian to a given face, such as the one from which it was created."""
     rolled = longest_edge_first(mesh.vertices, mesh.faces)
     shift = np.argmax(rolled[:, :1] == mesh.faces, axis=1)  # [F]
     rolled_weights = np.take_along_axis(weights, (shift[faces][:, None] + np.arange(3)) % 3, axis=1)
@@ -96,10 +96,10 @@ def bind_to_faces(
 
 
 def solid_faces(mesh: Surface) -> Int32[np.ndarray, "U 3"]:
-    """The faces that are triangles, not lines or points.
+    """Return the faces that have an area.
 
     Raises:
-        InputError: there are none.
+        InputError: no face has an area.
     """
     faces = mesh.faces[_is_solid(mesh.vertices, mesh.faces)]
     if len(faces) == 0:
@@ -111,15 +111,15 @@ def solid_faces(mesh: Surface) -> Int32[np.ndarray, "U 3"]:
 def longest_edge_first(
     vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]
 ) -> Int32[np.ndarray, "F 3"]:
-    """The same faces, the same way round, from another corner."""
+    """Rotate each face's corners, with the same orientation, so that the longest edge comes first."""
     corners = vertices[faces]
-    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)  # of edges 01, 12, 20
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)  # lengths of edges 01, 12, 20
     start = np.argmax(lengths, axis=1)
     return np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1).astype(np.int32)
 
 
 def _is_solid(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
-    thinnest = 1e-4  # height of a face over its longest edge; thinner ones have no direction to turn with
+    thinnest = 1e-4  # height of a face over its longest edge; thinner faces have no stable orientation
     corners = vertices[longest_edge_first(vertices, faces)].astype(np.float64)
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.linalg.norm(np.cross(first, second), axis=1)

@@ -10,43 +10,43 @@ from dynamictree.errors import InputError
 from dynamictree.source import METRES_Z_UP, Source
 
 MAX_GAUSSIANS = 5_000_000
-"""What a worker of 8 GB reads and animates; a 5 M cloud of SH degree 3 is 1.2 GB."""
+"""Limit for a worker with 8 GB; a cloud of 5 million Gaussians with SH degree 3 takes 1.2 GB."""
 MAX_SEQUENCE_BYTES = 64 * 1024**3
-"""Of an archive of a cloud's motion; a lower degree, fewer Gaussians or frames make it smaller."""
-SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # number of harmonics H = (degree + 1)² → degree
+"""Limit for an archive of a cloud's motion; a lower degree, fewer Gaussians or frames reduce it."""
+SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # degree by number of harmonics H = (degree + 1)²
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianCloud:
-    """Anisotropic Gaussians with view-dependent colour. Order is the source's; every frame follows it.
+    """Anisotropic Gaussians with view-dependent colour, in the order of the source.
 
-    A colour is 0.5 + Σ_h sh_h Y_h(direction from the eye), in display space (sRGB), as in Kerbl et al. 2023.
+    The colour is 0.5 + Σ_h sh_h Y_h(direction from the eye), in display space (sRGB), as in Kerbl et al. 2023.
     """
 
     means: Float32[np.ndarray, "G 3"]  # [m]
-    quaternions: Float32[np.ndarray, "G 4"]  # unit, wxyz: the Gaussian's own axes to the world's
+    quaternions: Float32[np.ndarray, "G 4"]  # unit, wxyz; rotation from the Gaussian's own axes to the world's
     scales: Float32[np.ndarray, "G 3"]  # standard deviations along its own axes [m]
     opacity: Float32[np.ndarray, " G"]
     sh: Float32[np.ndarray, "G H 3"]
     source: Source = METRES_Z_UP
-    dropped: int = 0  # rows of the source that are not finite or marked as noise
+    dropped: int = 0  # number of the source's rows that are not finite or marked as noise
 
     @property
     def num_gaussians(self) -> int:
-        """G."""
+        """Number of Gaussians G."""
         return len(self.means)
 
     @property
     def sh_degree(self) -> int:
-        """0 to 3."""
+        """Degree of the harmonics, 0 to 3."""
         return SH_DEGREES[self.sh.shape[1]]
 
     def with_sh_degree(self, degree: int) -> "GaussianCloud":
-        """Leave out the harmonics above a degree; a lower cloud stays as it is."""
+        """Drop the harmonics above a degree; a cloud of a lower degree is unchanged."""
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
 
     def subset(self, rows: Int[np.ndarray, " M"] | Bool[np.ndarray, " G"]) -> "GaussianCloud":
-        """Keep some Gaussians, by index or by mask."""
+        """Select some Gaussians, by index or by mask."""
         return replace(
             self,
             means=self.means[rows],
@@ -58,7 +58,7 @@ class GaussianCloud:
 
 
 def joined(clouds: Sequence[GaussianCloud]) -> GaussianCloud:
-    """One cloud of the highest degree among several."""
+    """Concatenate several clouds, with the highest degree among them."""
     width = max(cloud.sh.shape[1] for cloud in clouds)
     widened = [np.pad(cloud.sh, ((0, 0), (0, width - cloud.sh.shape[1]), (0, 0))) for cloud in clouds]
     return replace(
@@ -72,10 +72,10 @@ def joined(clouds: Sequence[GaussianCloud]) -> GaussianCloud:
 
 
 def check_count(num_gaussians: int) -> None:
-    """Refuse a number of Gaussians before anything is allocated for them.
+    """Check a number of Gaussians before memory is allocated for them.
 
     Raises:
-        InputError: none at all, or more than `MAX_GAUSSIANS`.
+        InputError: there are none, or more than `MAX_GAUSSIANS`.
     """
     if num_gaussians == 0:
         raise InputError("the cloud is empty; at least one Gaussian or point is needed")
@@ -86,12 +86,12 @@ def check_count(num_gaussians: int) -> None:
 
 
 def validate_cloud(cloud: GaussianCloud) -> GaussianCloud:
-    """Give the cloud back if the method can work on it.
+    """Return the cloud if the method can work on it.
 
     Raises:
-        InputError: empty or too many, a value that is not finite, nothing visible, no harmonics of a whole degree.
+        InputError: the cloud is empty, too large or invisible, has values that are not finite, or an incomplete degree.
     """
-    # Below, no renderer of 3DGS draws anything: its own threshold (Kerbl et al. 2023, appendix C).
+    # Threshold of 3DGS renderers, which draw nothing below it (Kerbl et al. 2023, appendix C).
     min_opacity = 1 / 255
     check_count(cloud.num_gaussians)
     if cloud.sh.shape[1] not in SH_DEGREES:
@@ -114,7 +114,7 @@ def validate_cloud(cloud: GaussianCloud) -> GaussianCloud:
 def in_box(
     cloud: GaussianCloud, low_m: tuple[float, float, float], high_m: tuple[float, float, float]
 ) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians' means lie in a box: a tree in a scene, without ground and pot.
+    """Return a mask of the Gaussians whose means are in a box, such as a tree without ground and pot.
 
     Raises:
         InputError: the box is empty, or nothing is in it.
@@ -132,10 +132,10 @@ def in_box(
 
 
 def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
-    """A lighter cloud of about `share` of the Gaussians that looks alike from afar: level of detail.
+    """Return a level of detail: a cloud with about `share` of the Gaussians that looks alike from afar.
 
-    A Gaussian remains with a chance in proportion to what it shows (opacity times area), and grows by as much as its
-    chance was small: everywhere about as much is covered as before.
+    A Gaussian remains with a probability in proportion to its visible area (opacity times area), and is enlarged by
+    the inverse of its probability, so that the covered area stays about the same everywhere.
 
     Raises:
         InputError: the share is not in (0, 1].
@@ -151,31 +151,31 @@ def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
 
 
 def level_count(num_gaussians: int, share: float) -> int:
-    """How many Gaussians a level of detail keeps."""
+    """Return the number of Gaussians in a level of detail."""
     return max(1, round(num_gaussians * share))
 
 
 def level_rows(cloud: GaussianCloud, share: float) -> Int[np.ndarray, " M"]:
-    """Which Gaussians a level of detail keeps, in ascending order."""
-    taken = np.floor(np.cumsum(_chances(cloud, share)) + 0.5)  # systematic sampling (Madow 1949): as many as wanted
+    """Return the rows of the Gaussians in a level of detail, in ascending order."""
+    taken = np.floor(np.cumsum(_chances(cloud, share)) + 0.5)  # systematic sampling (Madow 1949), with exact count
     return np.flatnonzero(np.diff(taken, prepend=0.0) > 0)
 
 
 def _chances(cloud: GaussianCloud, share: float) -> Float64[np.ndarray, " G"]:
-    """Chance of each Gaussian to remain, at most 1; their sum is how many remain."""
+    """Compute each Gaussian's probability to remain, at most 1; they sum to the number that remains."""
     count = level_count(cloud.num_gaussians, share)
     visible = np.maximum((area_m2(cloud) * cloud.opacity).astype(np.float64), 1e-30)
     ascending = np.sort(visible)
     sums = np.cumsum(ascending)
-    certain = np.arange(len(visible))[::-1]  # how many larger ones remain for sure
-    unit = sums / np.maximum(count - certain, 1e-9)  # so that the rest makes up the count
+    certain = np.arange(len(visible))[::-1]  # number of larger ones that certainly remain
+    unit = sums / np.maximum(count - certain, 1e-9)  # unit for which the probabilities sum to the count
     fits = (certain < count) & (ascending <= unit * (1 + 1e-12))
     chances: Float64[np.ndarray, " G"] = np.minimum(visible / unit[np.flatnonzero(fits)[-1]], 1.0)
     return chances
 
 
 def area_m2(cloud: GaussianCloud) -> Float32[np.ndarray, " G"]:
-    """Product of the two larger scales: how much a Gaussian covers, up to a constant [m²]."""
+    """Compute the product of the two larger scales: a Gaussian's area up to a constant [m²]."""
     ordered = np.sort(cloud.scales, axis=1)
     result: Float32[np.ndarray, " G"] = ordered[:, 1] * ordered[:, 2]
     return result

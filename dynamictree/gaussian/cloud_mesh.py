@@ -1,6 +1,6 @@
-"""A mesh of what a cloud covers, for captures that come without: opacity on a grid, then marching cubes.
+"""Extract a mesh from a cloud, for captures without a mesh: opacity on a grid, then marching cubes.
 
-The condition of the network only needs which voxels the tree occupies, and binding only a face near each Gaussian.
+The network's condition only needs the occupied voxels, and binding only a face near each Gaussian.
 """
 
 from dataclasses import replace
@@ -19,34 +19,34 @@ from dynamictree.parallel import compiled, in_bands
 from dynamictree.rotation import quaternion_matrices
 
 CELLS_ALONG = 256
-"""Grid cells along the largest extent: two a voxel of the paper's 128³ grid."""
+"""Grid cells along the largest extent: two per voxel of the paper's 128³ grid."""
 LEVEL = 0.3
-"""Of the opacity that a lone opaque Gaussian reaches; SuGaR takes its surface there too."""
+"""Level of the surface: share of the peak opacity of an isolated opaque Gaussian, as in SuGaR."""
 MAX_FACES = 24_000
 LEAST_FACES = 10_000
-"""The surface of a cloud of few Gaussians, or of each of several trees, may have so many."""
+"""Limit of faces that even few Gaussians, or each of several trees, may have."""
 FACES_PER_GAUSSIAN = 4
-"""More show no more: the detail of a surface is that of its Gaussians, and every vertex costs at devoxelization."""
-_REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth of the level
-_BRIDGED = 2  # cells: gaps of up to twice as many in a hollow capture count as closed
+"""More faces add no detail beyond that of the Gaussians, and every vertex costs time at devoxelization."""
+_REACH = 2.5  # [standard deviations]; beyond, a Gaussian adds less than a sixth of the level
+_BRIDGED = 2  # [cells]; gaps of up to twice this width in a hollow capture are closed
 
 
 def mesh_of_cloud(
     cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_faces: int = MAX_FACES, one_skin: bool = False
 ) -> TriangleMesh:
-    """A closed surface around the Gaussians, coloured as they are.
+    """Extract a closed surface around the Gaussians, with their colours.
 
     Args:
         cloud: the Gaussians.
         cells_along: grid cells along the largest extent.
-        max_faces: it is simplified to so many.
-        one_skin: whether narrow gaps with some opacity are filled: photos leave two skins, with bridges between them.
+        max_faces: number of faces to which it is simplified.
+        one_skin: whether to fill narrow gaps with some opacity; photos give a surface two layers with bridges.
 
     Raises:
-        InputError: nothing is opaque enough to have a surface.
+        InputError: no part is opaque enough to have a surface.
     """
-    border = 3  # empty cells around, so that the surface closes
-    gap, some = 2, 0.3  # half of its width in cells; of the level: between two twigs there is no opacity
+    border = 3  # empty cells around the cloud, so that the surface is closed
+    gap, some = 2, 0.3  # half width of a filled gap [cells]; share of the level, since gaps between twigs are empty
     import fast_simplification
     from skimage.measure import marching_cubes
 
@@ -67,8 +67,8 @@ def mesh_of_cloud(
         del gaps
     _fill(density)
     points, faces, _, _ = marching_cubes(density, LEVEL)  # type: ignore[no-untyped-call]
-    del density  # hundreds of megabytes, as simplification takes
-    faces = np.ascontiguousarray(faces[:, ::-1], np.int32)  # outward: opacity falls that way
+    del density  # hundreds of megabytes; simplification takes as much again
+    faces = np.ascontiguousarray(faces[:, ::-1], np.int32)  # orientation outward, where opacity falls
     if len(faces) > max_faces:
         points, faces = fast_simplification.simplify(
             np.ascontiguousarray(points, np.float32), faces, target_count=max_faces
@@ -83,12 +83,12 @@ def mesh_of_cloud(
 
 
 def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = None) -> TriangleMesh:
-    """The surface of one tree; or of several side by side, each on a grid of its own.
+    """Extract the surface of one tree, or of several trees, each on its own grid.
 
     Raises:
-        InputError: nothing is opaque enough to have a surface.
+        InputError: no part is opaque enough to have a surface.
     """
-    cells_along_tree = 160  # of each of several trees, in place of `CELLS_ALONG`
+    cells_along_tree = 160  # `CELLS_ALONG` for each of several trees
     if tree is None or len(numbers := np.unique(tree)) == 1:
         most = max(LEAST_FACES, FACES_PER_GAUSSIAN * cloud.num_gaussians)
         return mesh_of_cloud(cloud, max_faces=min(MAX_FACES, most))
@@ -105,20 +105,20 @@ def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = N
 
 
 def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:
-    """Make what a surface encloses solid: captures are hollow, and a trunk would have a second surface inside.
+    """Fill the enclosed space: captures are hollow, so a trunk would get a second surface inside.
 
-    Gaps of a few cells are bridged. Below, where no camera and no beam reaches, a surface may be open; a floor
-    closes it.
+    Gaps of a few cells are bridged. The bottom, which cameras and scanners do not see, may be open; a floor closes
+    it.
     """
-    margin = _BRIDGED + 1  # so that what is outside stays in one piece
+    margin = _BRIDGED + 1  # margin that connects the outside
     floor = int(np.flatnonzero(density.max(axis=(0, 1)) > LEVEL)[0])
     free = binary_dilation(np.pad(density > LEVEL, margin), iterations=_BRIDGED)
     np.logical_not(free, out=free)
     free[:, :, : floor + margin + 1] = False
     outside = np.zeros_like(free)
     outside[0, 0, -1] = True
-    free ^= binary_propagation(outside, mask=free)  # a label of each region has four bytes a cell
-    # as far as the wall was thickened, the inside begins earlier
+    free ^= binary_propagation(outside, mask=free)  # less memory than labels, which take four bytes per cell
+    # the inside is extended by the dilation of the walls
     inside = binary_dilation(free, iterations=_BRIDGED + 1)[margin:-margin, margin:-margin, margin:-margin]
     inside[:, :, :floor] = False
     np.maximum(density, np.float32(2 * LEVEL), out=density, where=inside & (density <= LEVEL))
@@ -127,12 +127,12 @@ def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:
 def opacity_grid(
     cloud: GaussianCloud, origin: Float32[np.ndarray, "3"], cell: float, shape: tuple[int, int, int]
 ) -> Float32[np.ndarray, "X Y Z"]:
-    """Σ opacity · exp(-½ dᵀ Σ⁻¹ d) at the cells' centres, Gaussians no thinner than half a cell."""
-    least_sigma = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
+    """Compute Σ opacity · exp(-½ dᵀ Σ⁻¹ d) at the cells' centres, with Gaussians at least half a cell thick."""
+    least_sigma = 0.5  # [cells]; thinner Gaussians are widened so that none falls between cells
     axes = quaternion_matrices(cloud.quaternions)
-    sigma = np.maximum(cloud.scales / np.float32(cell), np.float32(least_sigma))  # in cells
+    sigma = np.maximum(cloud.scales / np.float32(cell), np.float32(least_sigma))  # [cells]
     precision = (axes / sigma[:, None, :] ** 2) @ axes.transpose(0, 2, 1)  # [G, 3, 3]
-    spread = np.sqrt(((axes * sigma[:, None, :]) ** 2).sum(axis=2))  # of each along x, y, z [G, 3]
+    spread = np.sqrt(((axes * sigma[:, None, :]) ** 2).sum(axis=2))  # standard deviations along x, y, z [G, 3]
     centres = (cloud.means - origin) / np.float32(cell) - np.float32(0.5)
     density = np.zeros(shape, np.float32)
     in_bands(
@@ -150,7 +150,7 @@ def opacity_grid(
 @compiled
 @no_type_check
 def _splat_slices(first, end, centres, precision, reach, opacity, density):
-    """Add every Gaussian to the slices of x that are this band's."""
+    """Add every Gaussian to the slices of x in this band."""
     for g in range(len(centres)):
         cx, cy, cz = centres[g]
         from_x, to_x = max(int(np.ceil(cx - reach[g, 0])), first), min(int(np.floor(cx + reach[g, 0])) + 1, end)
@@ -174,16 +174,16 @@ def _splat_slices(first, end, centres, precision, reach, opacity, density):
                 for z in range(from_z, to_z):
                     dz = z - cz
                     distance = constant + dz * (slope + p[2, 2] * dz)
-                    if distance < 6.25:  # _REACH squared
+                    if distance < 6.25:  # `_REACH` squared
                         density[x, y, z] += opacity[g] * np.exp(-0.5 * distance)
 
 
 def _bounds(cloud: GaussianCloud) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
-    """Low and high corner of what the grid must hold."""
-    far_out = 0.1  # of the extent of the others
-    strays = 0.002  # of Gaussians at each end of an axis, if they lie far out, do not widen the grid
+    """Return the low and high corner of the grid's contents."""
+    far_out = 0.1  # share of the others' extent
+    strays = 0.002  # share of Gaussians at each end of an axis that, if far out, do not widen the grid
     reach = np.float32(_REACH) * cloud.scales.max(axis=1, keepdims=True)
-    if np.ptp(cloud.means, axis=0).max() < np.median(reach):  # few Gaussians in one another: their own extent counts
+    if np.ptp(cloud.means, axis=0).max() < np.median(reach):  # few overlapping Gaussians: their own extent counts
         return (cloud.means - reach).min(axis=0), (cloud.means + reach).max(axis=0)
     low, high = (np.quantile(cloud.means, q, axis=0) for q in (strays, 1 - strays))
     margin = far_out * (high - low).max()
@@ -192,7 +192,7 @@ def _bounds(cloud: GaussianCloud) -> tuple[Float32[np.ndarray, "3"], Float32[np.
 
 
 def _colors(cloud: GaussianCloud, vertices: Float32[np.ndarray, "N 3"]) -> UInt8[np.ndarray, "N 4"]:
-    """SRGB of the Gaussian whose mean is nearest, as seen on average from all around."""
+    """Return the sRGB colour of the nearest Gaussian, averaged over all directions."""
     nearest = np.asarray(KDTree(cloud.means).query(vertices)[1])
     color = np.clip(cloud.sh[nearest, 0] * SH_0 + 0.5, 0, 1) * 255
     return np.concatenate([np.rint(color), np.full((len(vertices), 1), 255)], axis=1).astype(np.uint8)

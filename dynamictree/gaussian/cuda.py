@@ -1,4 +1,4 @@
-"""Pictures of Gaussian clouds by gsplat (Ye et al. 2024), where it is installed and there is a CUDA device."""
+"""Render Gaussian clouds with gsplat (Ye et al. 2024), if it is installed and there is a CUDA device."""
 
 from functools import cache
 from importlib.util import find_spec
@@ -13,7 +13,7 @@ from dynamictree.render.camera import Camera
 
 @cache
 def gsplat_is_there() -> bool:
-    """Whether gsplat and a CUDA device are there; loads no torch where gsplat is not installed."""
+    """Whether gsplat and a CUDA device are available; does not import torch without gsplat."""
     if find_spec("gsplat") is None:
         return False
     import torch
@@ -22,7 +22,7 @@ def gsplat_is_there() -> bool:
 
 
 def world_to_camera_matrix(camera: Camera) -> Float64[np.ndarray, "4 4"]:
-    """The camera's pose as gsplat takes it."""
+    """Return the camera's pose as gsplat's 4 × 4 matrix."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = camera.world_to_camera, -camera.world_to_camera @ camera.position_m
     return matrix
@@ -31,7 +31,7 @@ def world_to_camera_matrix(camera: Camera) -> Float64[np.ndarray, "4 4"]:
 def render_with_gsplat(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, antialias: bool
 ) -> tuple[Float32[np.ndarray, "H W 3"], Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
-    """Colour times alpha, alpha, and mean depth [m] of a cloud as it lies."""
+    """Render a cloud; return colour times alpha, alpha, and mean depth [m]."""
     import gsplat
     import torch
 

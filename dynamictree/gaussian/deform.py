@@ -1,9 +1,9 @@
-"""Move a bound cloud with its mesh: the paper's 2.57 ms a frame on a GPU, here both cores of a CPU.
+"""Deform a bound cloud with its mesh on the CPU; the paper's step of 2.57 ms per frame on a GPU.
 
-A face's deformation gradient F has a polar decomposition F = R S. A Gaussian turns by R, its scales become |F e_i|
-along its own axes e_i, its mean keeps its weights in the face and its offset turns by R. Along the normal F is 1.
+A face's deformation gradient F has a polar decomposition F = R S. A Gaussian rotates by R; its scales become |F e_i|
+along its own axes e_i; its mean retains its weights in the face, and its offset rotates by R. Along the normal F is 1.
 
-`Deformer` lays out everything that rests once, in blocks that vector units read.
+`Deformer` arranges all data at rest once, in blocks for vector units.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from dynamictree.rotation import matrix_quaternions, quaternion_products
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """Where a cloud's Gaussians are at one moment; opacity and colours are the cloud's, as each sees them."""
+    """Geometry of a cloud's Gaussians at one moment; opacity and colours, in the Gaussians' frames, stay the same."""
 
     means: Float32[np.ndarray, "G 3"]  # [m]
     quaternions: Float32[np.ndarray, "G 4"]  # wxyz
@@ -31,13 +31,13 @@ class Pose:
 
     @classmethod
     def empty(cls, num_gaussians: int) -> "Pose":
-        """Memory for a pose, which `Deformer.pose` writes fastest to."""
+        """Allocate a pose aligned to cache lines, to which `Deformer.pose` writes fastest."""
         means, quaternions, scales = (_at_cache_line((num_gaussians, width)) for width in (3, 4, 3))
         return cls(means=means, quaternions=quaternions, scales=scales)
 
 
 class Deformer:
-    """Computes poses of a bound cloud; prepared once per binding."""
+    """Computation of poses of a bound cloud, prepared once per binding."""
 
     def __init__(self, binding: Binding) -> None:
         self.binding = binding
@@ -58,22 +58,22 @@ class Deformer:
         self._face_rest = _blocked(face_rest)
         self._triangles = _filled(binding.triangles)
         still = len(self._triangles)
-        self._faces = _at_cache_line((still + 1, LANES))  # as they are now; the last one rests, for the still
+        self._faces = _at_cache_line((still + 1, LANES))  # current state; the last face is at rest, for still Gaussians
         self._faces[:] = 0
-        self._faces[still, 9] = 1  # w of no rotation
+        self._faces[still, 9] = 1  # w of the identity
         face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
         self._rest = _blocked(self._gaussian_rest(frames, face_of))
         self._face_of = _filled(np.where(binding.face_of == STILL, np.int32(still), face_of))
 
     def pose(self, displacement: Float32[np.ndarray, "N 3"], *, out: Pose | None = None) -> Pose:
-        """Where the Gaussians are when the mesh's vertices are displaced.
+        """Compute the Gaussians' pose for a displacement of the mesh's vertices.
 
         Args:
-            displacement: of every vertex from its rest [m].
-            out: memory to write to, contiguous, which is also the result; fresh by default.
+            displacement: displacement of every vertex from rest [m].
+            out: contiguous memory to write to, which is also returned; newly allocated by default.
 
         Raises:
-            InputError: the displacement is not that of the mesh's vertices.
+            InputError: the displacement has another shape than the mesh's vertices.
         """
         if displacement.shape != self.binding.vertices.shape:
             raise InputError(
@@ -92,12 +92,12 @@ class Deformer:
     def _gaussian_rest(
         self, frames: Float64[np.ndarray, "U 3 3"], face_of: Int32[np.ndarray, " G"]
     ) -> Float64[np.ndarray, "G 15"]:
-        """Weights 1 and 2, offset along the face's axes, place on the face, rotation from the face's axes, scales."""
+        """Columns: weights 1, 2, offset in the face's axes, point on the face, rotation from these axes, scales."""
         binding, cloud = self.binding, self.binding.cloud
         all_frames = np.concatenate([frames, np.eye(3)[None]])[face_of]  # [G, 3, 3]
         means = cloud.means.astype(np.float64)
         offsets = np.where(binding.moving[:, None], means - _places(binding), 0)
-        frame_turn = matrix_quaternions(all_frames) * np.array([1, -1, -1, -1])  # undone
+        frame_turn = matrix_quaternions(all_frames) * np.array([1, -1, -1, -1])  # inverse
         return np.concatenate(
             [
                 binding.weights[:, 1:],
@@ -111,7 +111,7 @@ class Deformer:
 
 
 def posed(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
-    """The cloud as it is in a pose, colours turned with their Gaussians: what is written to a file."""
+    """Apply a pose to a cloud, with colours rotated like their Gaussians, for export to a file."""
     turns = quaternion_products(pose.quaternions, cloud.quaternions * np.array([1, -1, -1, -1], np.float32))
     return replace(
         cloud,
@@ -123,9 +123,9 @@ def posed(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
 
 
 def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64[np.ndarray, "U 3"]]:
-    """Axes of each face at rest as columns (along edge 01, across, normal), and the face in them.
+    """Return each face's axes at rest as columns (along edge 01, across, normal), and the face in these axes.
 
-    The corners in the face's plane are (0, 0), (L, 0) and (X, Y); given are L, X, Y [m].
+    The corners in the face's plane are (0, 0), (L, 0) and (X, Y); the result has L, X, Y [m].
     """
     corners = binding.vertices[binding.triangles].astype(np.float64)
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -139,7 +139,7 @@ def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64
 
 
 def _places(binding: Binding) -> Float64[np.ndarray, "G 3"]:
-    """Where each Gaussian's mean would be without its offset [m]."""
+    """Return the surface point to which each Gaussian is bound [m]."""
     if len(binding.triangles) == 0:
         return binding.cloud.means.astype(np.float64)
     corners = binding.vertices.astype(np.float64)[binding.triangles[binding.face_of]]  # [G, 3, 3]
@@ -148,20 +148,20 @@ def _places(binding: Binding) -> Float64[np.ndarray, "G 3"]:
 
 
 def _blocked(rows: Float64[np.ndarray, "M W"]) -> Float32[np.ndarray, "blocks WB"]:
-    """Rows in blocks: in each, all first columns, then all second ones, and so on; the last is filled with its end."""
+    """Arrange rows in blocks, column by column within a block; the last block is padded with its last row."""
     num_blocks = -(-len(rows) // BLOCK)
     padded = np.pad(rows.astype(np.float32), ((0, num_blocks * BLOCK - len(rows)), (0, 0)), mode="edge")
     return np.ascontiguousarray(padded.reshape(num_blocks, BLOCK, -1).transpose(0, 2, 1)).reshape(num_blocks, -1)
 
 
 def _filled(rows: Int32[np.ndarray, "..."]) -> Int32[np.ndarray, "..."]:
-    """Rows filled up to whole blocks with the last one."""
+    """Pad rows to whole blocks with the last row."""
     missing = -len(rows) % BLOCK
     return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode="edge")
 
 
 def _at_cache_line(shape: tuple[int, int]) -> Float32[np.ndarray, "rows width"]:
-    """Memory that begins at a cache line."""
+    """Allocate memory that is aligned to a cache line."""
     num_bytes = 4 * shape[0] * shape[1]
     raw = np.empty(num_bytes + CACHE_LINE_BYTES, np.uint8)
     start = -raw.ctypes.data % CACHE_LINE_BYTES

@@ -1,8 +1,8 @@
-"""The two loops of `deform.Deformer`, written so that the compiler turns them into vector instructions.
+"""Kernels of `deform.Deformer`, written so that the compiler vectorizes them.
 
-Each works on blocks: it gathers what a block needs into one flat buffer, column after column, computes there without a
-branch, and writes rows. Columns of the buffers are numbered in the order in which they are named. The last block is
-filled up: its rows in `triangles` and `face_of` are those of a still face.
+Each works on blocks: it gathers a block's inputs into one flat buffer, column by column, computes without branches, and
+writes rows. Columns of the buffers are numbered in the order in which they are named. The last block is padded with the
+last rows of `triangles` and `face_of`.
 """
 
 from typing import no_type_check
@@ -20,11 +20,11 @@ from dynamictree.gaussian.vector_rows import (
 )
 from dynamictree.parallel import compiled_fused
 
-BLOCK = 64  # rows; buffers of 41 columns stay in the first-level cache
+BLOCK = 64  # rows per block; buffers of 41 columns fit into the L1 cache
 MAX_STRETCH = 4.0
-"""A Gaussian's scale changes at most so many times, whatever its face does."""
+"""Largest factor by which a Gaussian's scale changes, whatever its face does."""
 COLLAPSED = 1e-6
-"""A face is a line or a point where its area is below this share of its edges' squares."""
+"""Ratio of area to the edges' squares below which a face is a line or a point."""
 
 _B = BLOCK
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
@@ -32,13 +32,13 @@ _LOW, _HIGH = np.float32(MAX_STRETCH**-2), np.float32(MAX_STRETCH**2)
 _TINY = np.float32(1e-30)
 _COLLAPSED = np.float32(COLLAPSED)
 
-# no NaN or order of sums is assumed away, only products are fused with sums
+# products are fused with sums, without other fast-math flags: NaN and the order of sums are exact
 
 
 @compiled_fused
 @no_type_check
 def turn_faces(first, end, rest, triangles, moved, out):
-    """For each face: displacement of corner 0, of 1 and 2 against it, rotation of its axes, strain in its plane.
+    """Compute each face's displacement (corner 0; 1 and 2 relative to it), rotation of the axes, and strain.
 
     rest: edges 01 and 02, quaternion of the axes, 1/L, X, 1/Y (see `deform.rest_frames`).
     """
@@ -55,7 +55,7 @@ def turn_faces(first, end, rest, triangles, moved, out):
                     b[(13 + 3 * corner + c) * _B + j] = moved[vertex, c]
         _turn_block(b, o)
         for j in range(_B):
-            if o[12 * _B + j] != o[12 * _B + j]:  # not a number: collapsed
+            if o[12 * _B + j] != o[12 * _B + j]:  # NaN marks a collapsed face
                 _turn_collapsed(b, o, j)
         for j in range(0, _B, LANES):
             scatter_columns(o, j, _B, out, start + j)
@@ -70,7 +70,7 @@ def _turn_block(b, o):
         dx2, dy2, dz2 = b[19 * _B + j] - ux, b[20 * _B + j] - uy, b[21 * _B + j] - uz
         x1, y1, z1 = b[j] + dx1, b[_B + j] + dy1, b[2 * _B + j] + dz1
         x2, y2, z2 = b[3 * _B + j] + dx2, b[4 * _B + j] + dy2, b[5 * _B + j] + dz2
-        # axes now: t along edge 01, s across, n normal
+        # current axes: t along edge 01, s across, n normal
         squares1, squares2 = x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
         length = np.sqrt(squares1)
         nx, ny, nz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
@@ -79,11 +79,11 @@ def _turn_block(b, o):
         tx, ty, tz = x1 * per_length, y1 * per_length, z1 * per_length
         nx, ny, nz = nx * per_area, ny * per_area, nz * per_area
         sx, sy, sz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-        # gradient in the plane, A = [[a00, a01], [0, a11]], takes (L, 0) and (X, Y) where they are now
+        # deformation gradient in the plane, A = [[a00, a01], [0, a11]], maps (L, 0) and (X, Y) to current positions
         a00 = length * b[10 * _B + j]
         a01 = (x2 * tx + y2 * ty + z2 * tz - a00 * b[11 * _B + j]) * b[12 * _B + j]
         a11 = area * per_length * b[12 * _B + j]
-        # its polar rotation turns t and s within the plane
+        # rotation of its polar decomposition, within the plane of t and s
         cosine, sine = a00 + a11, -a01
         per_both = _ONE / max(np.sqrt(cosine * cosine + sine * sine), _TINY)
         cosine, sine = cosine * per_both, sine * per_both
@@ -101,7 +101,7 @@ def _turn_block(b, o):
         qy = wy if by_w else (xy if by_x else (y22 if by_y else yz))
         qz = wz if by_w else (xz if by_x else (yz if by_y else z22))
         per_norm = _HALF / np.sqrt(max(best, _TINY))
-        # of q and -q the one that is nearer to rest, so that a motion is without jumps
+        # choose q or -q, the nearer to rest, so that motions have no jumps
         along = qw * b[6 * _B + j] + qx * b[7 * _B + j] + qy * b[8 * _B + j] + qz * b[9 * _B + j]
         per_norm = per_norm if along >= 0 else -per_norm
         collapsed = area <= _COLLAPSED * (squares1 + squares2)
@@ -110,7 +110,7 @@ def _turn_block(b, o):
         o[6 * _B + j], o[7 * _B + j], o[8 * _B + j] = dx2, dy2, dz2
         o[9 * _B + j], o[10 * _B + j], o[11 * _B + j] = qw * per_norm, qx * per_norm, qy * per_norm
         o[12 * _B + j] = np.float32(np.nan) if collapsed else qz * per_norm
-        # AᵀA - 1: how squares of lengths in the plane have grown
+        # AᵀA - 1: relative growth of squared lengths in the plane
         o[13 * _B + j] = a00 * a00 - _ONE
         o[14 * _B + j] = _TWO * a00 * a01
         o[15 * _B + j] = a01 * a01 + a11 * a11 - _ONE
@@ -119,7 +119,7 @@ def _turn_block(b, o):
 @compiled_fused
 @no_type_check
 def _turn_collapsed(b, o, j):
-    """The axes turn by the least rotation that takes the longer edge where it points, as `deform._shortest_arc`."""
+    """Rotate a collapsed face's axes by the shortest arc that maps its longer edge to its current direction."""
     before, after = np.empty(3, np.float32), np.empty(3, np.float32)
     longest = np.float32(0)
     for edge in range(2):
@@ -153,11 +153,11 @@ def _turn_collapsed(b, o, j):
 @compiled_fused
 @no_type_check
 def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales, streamed):
-    """For each Gaussian: mean, quaternion, scales, one after the other in flat arrays.
+    """Compute each Gaussian's mean, quaternion and scales, in flat arrays.
 
-    Where `streamed`, these begin at cache lines and are written past the caches, which else would first read them.
+    With `streamed`, the arrays are aligned to cache lines and written past the caches, which would read them first.
 
-    rest: weights 1 and 2, offset in the face's axes, place on the face, quaternion from the face's axes, scales.
+    rest: weights 1 and 2, offset in the face's axes, point on the face, quaternion from the face's axes, scales.
     """
     num_gaussians = len(means) // 3
     b = np.empty(31 * _B, np.float32)
@@ -174,7 +174,7 @@ def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales,
             dx, dy, dz = b[2 * _B + j], b[3 * _B + j], b[4 * _B + j]
             qw, qx, qy, qz = b[24 * _B + j], b[25 * _B + j], b[26 * _B + j], b[27 * _B + j]
             cx, cy, cz = _TWO * (qy * dz - qz * dy), _TWO * (qz * dx - qx * dz), _TWO * (qx * dy - qy * dx)
-            # place + displacement of the place + turned offset
+            # point + displacement of the point + rotated offset
             o[j] = b[5 * _B + j] + (
                 b[15 * _B + j] + w1 * b[18 * _B + j] + w2 * b[21 * _B + j] + dx + qw * cx + qy * cz - qz * cy
             )
@@ -189,7 +189,7 @@ def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales,
             o[4 * _B + j] = qw * x + qx * w + qy * z - qz * y
             o[5 * _B + j] = qw * y - qx * z + qy * w + qz * x
             o[6 * _B + j] = qw * z + qx * y - qy * x + qz * w
-            # the Gaussian's axes against t and s of the face; |F e|² = 1 + (p, s)·(AᵀA - 1)·(p, s)
+            # components p, s of the Gaussian's axes along the face's t, s; |F e|² = 1 + (p, s)·(AᵀA - 1)·(p, s)
             xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
             p0, p1, p2 = _ONE - _TWO * (yy + zz), _TWO * (xy - wz), _TWO * (xz + wy)
             s0, s1, s2 = _TWO * (xy + wz), _ONE - _TWO * (xx + zz), _TWO * (yz - wx)

@@ -1,4 +1,4 @@
-"""Splats made from a mesh: Gaussians that lie flat in its faces, coloured as it is. GaMeS section 3.2."""
+"""Create splats from a mesh: flat Gaussians in its faces, with its colours. GaMeS section 3.2."""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -16,17 +16,17 @@ from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import albedo_at, alpha_at, appearance_of
 from dynamictree.rotation import matrix_quaternions
 
-PER_FACE = 5  # GaMeS section 4
+PER_FACE = 5  # number from GaMeS section 4
 AT_LEAST = 100_000
-"""Gaussians in all: a mesh of few faces has its detail in its texture."""
-_WIDTH = 0.8  # of GaMeS' scales (its ρ, which it learns): five such Gaussians cover a face without holes
+"""Least total number of Gaussians; a mesh of few faces has its detail in its texture."""
+_WIDTH = 0.8  # factor of GaMeS' scales (its learned ρ); five such Gaussians cover a face without holes
 _FLAT = 0.02  # thickness over width; GaMeS' 1e-8 m underflows in formats that quantise
 _OPACITY = 0.97
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSplat:
-    """A cloud and how it hangs on the mesh that it was made from."""
+    """Cloud created from a mesh, and its binding to the mesh."""
 
     cloud: GaussianCloud
     binding: Binding
@@ -35,10 +35,10 @@ class MeshSplat:
 def splats_of_mesh(
     mesh: TriangleMesh, *, per_face: int = PER_FACE, at_least: int = AT_LEAST, rng: np.random.Generator
 ) -> MeshSplat:
-    """`per_face` Gaussians on every face, and more on large ones of a mesh of few; none where the texture has a hole.
+    """Create `per_face` Gaussians on every face, more on large faces of small meshes, and none in holes of the texture.
 
     Raises:
-        InputError: `per_face` out of bounds, no face with an area, all of it cut out, or too many Gaussians.
+        InputError: `per_face` is out of bounds, no face has an area, all is cut out, or there are too many Gaussians.
     """
     if not 1 <= per_face <= 100:
         raise InputError(f"per_face is {per_face}; 1 to 100 Gaussians a face are allowed")
@@ -53,7 +53,7 @@ def splats_of_mesh(
         raise InputError("the mesh's texture is transparent on every face; nothing is left to make Gaussians of")
     faces, weights, colors = faces[opaque], weights[opaque], colors[opaque]
     rotations, scales = face_shapes(corners)
-    narrower = np.sqrt(PER_FACE / counts[faces])[:, None]  # more on a face are each smaller
+    narrower = np.sqrt(PER_FACE / counts[faces])[:, None]  # Gaussians are smaller if a face has more
     cloud = GaussianCloud(
         means=np.einsum("gc,gcx->gx", weights, mesh.vertices[mesh.faces[faces]]),
         quaternions=matrix_quaternions(rotations)[faces].astype(np.float32),
@@ -68,7 +68,7 @@ def splats_of_mesh(
 def face_shapes(
     corners: Float64[np.ndarray, "F 3 3"],
 ) -> tuple[Float64[np.ndarray, "F 3 3"], Float64[np.ndarray, "F 3"]]:
-    """GaMeS' axes r₁ (normal), r₂ (centroid to corner 2), r₃ as columns, and scales along them."""
+    """Compute GaMeS' axes r₁ (normal), r₂ (centroid to corner 2), r₃ as columns, and scales along them."""
     tiny = 1e-12
     middle = corners.mean(axis=1)
     to_second, to_third = corners[:, 1] - middle, corners[:, 2] - middle
@@ -91,9 +91,9 @@ def face_colors(
     weights: Float32[np.ndarray, "G 3"],
     counts: Int32[np.ndarray, " F"],
 ) -> tuple[Float32[np.ndarray, "G 3"], Bool[np.ndarray, " G"]]:
-    """Display colours in [0, 1] at places on the faces, and which of them are not holes.
+    """Sample display colours in [0, 1] at points on the faces, with a mask of points outside holes.
 
-    A texture is read as coarse as the Gaussians are: at the mip level of which a texel is one's share of the face.
+    A texture is sampled at the mip level whose texels are as large as the Gaussians.
     """
     appearance = appearance_of(mesh)
     corners = appearance.uv[mesh.faces].astype(np.float64)  # [F, 3, 2]
@@ -122,8 +122,8 @@ def _sample_faces(first, end, appearance, mesh_faces, faces, level, weights, rgb
 
 
 def _even_weights(counts: Int32[np.ndarray, " F"], rng: np.random.Generator) -> Float32[np.ndarray, "G 3"]:
-    """Barycentric weights spread evenly over each face, by Roberts' R2 sequence from a place of its own."""
-    number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)  # of a Gaussian in its face
+    """Spread barycentric weights evenly over each face, by Roberts' R2 sequence with a random start."""
+    number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)  # index of a Gaussian in its face
     golden = 1.32471795724474602596  # x³ = x + 1
     start = np.repeat(rng.random((len(counts), 2)), counts, axis=0)
     u, v = ((start + number[:, None] / np.array([golden, golden**2])) % 1).T
@@ -133,7 +133,7 @@ def _even_weights(counts: Int32[np.ndarray, " F"], rng: np.random.Generator) -> 
 
 
 def _counts(corners: Float64[np.ndarray, "F 3 3"], per_face: int, at_least: int) -> Int32[np.ndarray, " F"]:
-    """`per_face` on each; what is missing to `at_least` in all goes to the larger faces, by area."""
+    """Return `per_face` for each face, plus a share by area of the number missing to `at_least` in total."""
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     missing = max(at_least - per_face * len(areas), 0)
     counts: Int32[np.ndarray, " F"] = per_face + np.floor(areas / areas.sum() * missing).astype(np.int32)

@@ -13,7 +13,7 @@ SH_CONSTANTS = (SH_0, _SH_1, *_SH_2, *_SH_3)
 
 
 def harmonics(directions: Float[np.ndarray, "M 3"], degree: int) -> Float[np.ndarray, "M H"]:
-    """Y_h at unit directions, h = l² + l + m, with the signs of Kerbl et al. 2023 (Condon and Shortley's phase)."""
+    """Compute Y_h at unit directions, h = l² + l + m, with the signs of Kerbl et al. 2023 (Condon-Shortley phase)."""
     x, y, z = directions.T
     values = [np.full_like(x, SH_0)]
     if degree >= 1:
@@ -37,7 +37,7 @@ def harmonics(directions: Float[np.ndarray, "M 3"], degree: int) -> Float[np.nda
 
 @cache
 def sample_directions(degree: int) -> Float64[np.ndarray, "D 3"]:
-    """2l + 1 directions at which the harmonics of degree l are independent: a spiral from pole to equator."""
+    """Return 2l + 1 directions at which the harmonics of degree l are independent: a spiral from pole to equator."""
     count = 2 * degree + 1
     place = (np.arange(count) + 0.5) / count
     z, angle = 1 - place * 0.95, np.pi * (3 - np.sqrt(5)) * np.arange(count)
@@ -47,22 +47,22 @@ def sample_directions(degree: int) -> Float64[np.ndarray, "D 3"]:
 
 @cache
 def sample_inverse(degree: int) -> Float64[np.ndarray, "D D"]:
-    """Values of a function of degree l at `sample_directions` to its 2l + 1 coefficients."""
+    """Return the matrix from values of a function of degree l at `sample_directions` to its 2l + 1 coefficients."""
     return np.linalg.inv(harmonics(sample_directions(degree), degree)[:, degree**2 :])
 
 
 def turn_matrices(rotations: Float[np.ndarray, "G 3 3"], degree: int) -> Float64[np.ndarray, "G D D"]:
-    """How the coefficients of one degree change when the Gaussian turns: f'(d) = f(Rᵀ d) at enough directions d."""
-    seen = sample_directions(degree) @ rotations.astype(np.float64)  # Rᵀ d, as rows [G, D, 3]
+    """Compute the rotation matrices of one degree's coefficients, from f'(d) = f(Rᵀ d) at enough directions d."""
+    seen = sample_directions(degree) @ rotations.astype(np.float64)  # Rᵀ d as rows [G, D, 3]
     values = harmonics(seen.reshape(-1, 3), degree)[:, degree**2 :].reshape(*seen.shape[:2], -1)  # [G, D, D]
     result: Float64[np.ndarray, "G D D"] = sample_inverse(degree) @ values
     return result
 
 
 def turn_sh(sh: Float32[np.ndarray, "G H 3"], rotations: Float[np.ndarray, "#G 3 3"]) -> Float32[np.ndarray, "G H 3"]:
-    """Coefficients after each Gaussian turned by its rotation (or all by one).
+    """Rotate the coefficients of each Gaussian by its rotation (or all by one).
 
-    The readable twin of `turn.turn_sh_fast`.
+    This is the reference implementation of `turn.turn_sh_fast`.
     """
     turned = sh.copy()
     for degree in range(1, round(sh.shape[1] ** 0.5)):

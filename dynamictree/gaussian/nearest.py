@@ -1,4 +1,4 @@
-"""The nearest face of each point, exactly, within a distance: a grid of cells that list the faces through them."""
+"""Exact nearest face of each point within a distance, by a grid of cells that list their faces."""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -11,10 +11,10 @@ from dynamictree.parallel import compiled, in_bands
 
 @dataclass(frozen=True, kw_only=True)
 class NearestFaces:
-    """For each point, the face and where on it."""
+    """Nearest face of each point, and the nearest position on it."""
 
-    faces: Int32[np.ndarray, " G"]  # -1 where no face is near enough
-    weights: Float32[np.ndarray, "G 3"]  # barycentric, of the nearest point on the face
+    faces: Int32[np.ndarray, " G"]  # -1 if no face is within reach
+    weights: Float32[np.ndarray, "G 3"]  # barycentric weights of the nearest point on the face
 
 
 def nearest_faces(
@@ -23,9 +23,9 @@ def nearest_faces(
     faces: Int32[np.ndarray, "F 3"],
     reach: float | Float64[np.ndarray, " G"],
 ) -> NearestFaces:
-    """Search outward from each point's cell, shell by shell, until no nearer face can follow or its reach ends."""
+    """Find each point's nearest face, from its cell outward, shell by shell, up to its reach."""
     none = -1
-    cells_along = 128  # of the largest extent; 1 M points against 100,000 faces are found in seconds
+    cells_along = 128  # cells along the largest extent; 1 million points against 100,000 faces take seconds
     corners = vertices[faces].astype(np.float64)  # [F, 3, 3]
     low = corners.min(axis=(0, 1))
     extent = corners.max(axis=(0, 1)) - low
@@ -44,7 +44,7 @@ def nearest_faces(
 def _list_faces(
     corners: Float64[np.ndarray, "F 3 3"], low: Float64[np.ndarray, "3"], cell: float, shape: Int64[np.ndarray, "3"]
 ) -> tuple[Int64[np.ndarray, " cells_and_one"], Int32[np.ndarray, " listed"]]:
-    """Faces of cell c are listed[starts[c]:starts[c + 1]]."""
+    """List the faces of each cell: listed[starts[c]:starts[c + 1]] for cell c."""
     counts = np.zeros(int(shape.prod()) + 1, np.int64)
     _visit(corners, low, cell, shape, counts, np.empty(0, np.int32), False)
     starts = np.concatenate([[0], np.cumsum(counts[:-1])])
@@ -56,7 +56,7 @@ def _list_faces(
 @compiled
 @no_type_check
 def _visit(corners, low, cell, shape, place, listed, write):
-    """Count, or list, each face in the cells of its bounding box that its plane comes near."""
+    """Count, or list, each face in the cells of its bounding box that its plane crosses."""
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(len(corners)):
         a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
@@ -84,7 +84,7 @@ def _visit(corners, low, cell, shape, place, listed, write):
 @compiled
 @no_type_check
 def _closest(p, a, b, c, weights):
-    """Squared distance from a point to a triangle; writes the barycentric weights. Ericson 2005, section 5.1.5."""
+    """Compute the squared distance from a point to a triangle; write the barycentric weights. Ericson 2005, 5.1.5."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     apx, apy, apz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
@@ -121,7 +121,7 @@ def _closest(p, a, b, c, weights):
 @compiled
 @no_type_check
 def _clearance(p, home, low, cell):
-    """From a point to the nearest wall of its own cell; negative outside of the grid."""
+    """Compute the distance from a point to the nearest wall of its cell; negative outside the grid."""
     nearest = cell
     for d in range(3):
         within = p[d] - low[d] - home[d] * cell
@@ -132,7 +132,7 @@ def _clearance(p, home, low, cell):
 @compiled
 @no_type_check
 def _to_cell(p, x, y, z, low, cell):
-    """Squared distance from a point to a cell; 0 within it."""
+    """Compute the squared distance from a point to a cell; 0 inside."""
     dx = max(low[0] + x * cell - p[0], p[0] - low[0] - (x + 1) * cell, 0.0)
     dy = max(low[1] + y * cell - p[1], p[1] - low[1] - (y + 1) * cell, 0.0)
     dz = max(low[2] + z * cell - p[2], p[2] - low[2] - (z + 1) * cell, 0.0)
@@ -156,7 +156,7 @@ def _search(first, end, points, corners, low, cell, shape, starts, listed, reach
             continue
         inner = _clearance(p, home, low, cell)
         while shell <= max(shape[0], shape[1], shape[2]):
-            within = inner + (shell - 1) * cell  # all that is nearer has been seen
+            within = inner + (shell - 1) * cell  # all nearer faces have been visited
             if shell > 0 and within > 0 and within * within > best:
                 break
             for x in range(max(home[0] - shell, 0), min(home[0] + shell, shape[0] - 1) + 1):

@@ -1,9 +1,9 @@
-"""Pictures of Gaussian clouds. Kerbl et al. 2023, with the antialiasing of Mip-Splatting (Yu et al. 2024).
+"""Render Gaussian clouds: Kerbl et al. 2023, with the antialiasing of Mip-Splatting (Yu et al. 2024).
 
-On the CPU, or by gsplat where CUDA is.
+It runs on the CPU, or with gsplat on CUDA.
 
-A Gaussian is projected to an ellipse, the ellipses are sorted by depth and listed by tiles of 16 × 16 pixels, each tile
-blends its list front to back.
+Gaussians are projected to ellipses, sorted by depth and listed per tile of 16 × 16 pixels; each tile blends its list
+front to back.
 """
 
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ from dynamictree.gaussian.rasterize_kernel import MIN_ALPHA, TILE, WIDEST, blend
 from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
 
-MAX_PIXELS = 16_777_216  # 4096²
+MAX_PIXELS = 16_777_216  # [px], 4096²
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplatPicture:
-    """What a camera sees of a cloud."""
+    """Rendered picture of a cloud."""
 
     color: Float32[np.ndarray, "H W 3"]  # display space, times alpha
     alpha: Float32[np.ndarray, "H W"]
-    depth: Float32[np.ndarray, "H W"]  # mean along the axis of what is seen [m]; infinite where nothing is
+    depth: Float32[np.ndarray, "H W"]  # mean depth along the camera's axis [m]; infinite where nothing is visible
 
     def over(self, background: tuple[float, float, float] | Float32[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
-        """The picture in front of a colour, or of another picture, in [0, 1]."""
+        """Composite the picture over a colour, or over another picture, in [0, 1]."""
         behind = np.asarray(background, np.float32) * (1 - self.alpha[..., None])
         whole: UInt8[np.ndarray, "H W 3"] = np.rint(np.clip(self.color + behind, 0, 1) * 255).astype(np.uint8)
         return whole
@@ -40,18 +40,18 @@ class SplatPicture:
 def render_cloud(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
 ) -> SplatPicture:
-    """Draw a cloud, or a pose of it, whose colours then turn with the Gaussians: the view direction is turned back.
+    """Render a cloud, optionally in a pose; colours rotate with the Gaussians.
 
     Args:
-        cloud: at rest.
-        camera: where from.
-        width: of the picture [px].
-        height: of the picture [px].
-        pose: where the Gaussians are now; at rest by default.
-        antialias: what is smaller than a pixel becomes fainter, not wider; splats trained without it look thinner.
+        cloud: cloud at rest.
+        camera: camera of the picture.
+        width: width of the picture [px].
+        height: height of the picture [px].
+        pose: current pose of the Gaussians; at rest by default.
+        antialias: make Gaussians below a pixel fainter, not wider; splats trained without it look thinner.
 
     Raises:
-        InputError: no picture has that size.
+        InputError: the size is out of bounds.
     """
     check_size(width, height)
     if gsplat_is_there():
@@ -65,28 +65,28 @@ def render_cloud(
 def render_on_cpu(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
 ) -> SplatPicture:
-    """`render_cloud` without CUDA, whatever is there."""
+    """Render like `render_cloud`, but always on the CPU."""
     return _finished(draw(cloud, camera, width=width, height=height, pose=pose, antialias=antialias).picture)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """A rendered picture and the intermediate results, which the backward pass of `reconstruct.gradient` reads."""
+    """Rendered picture with intermediate results for the backward pass of `reconstruct.gradient`."""
 
     cloud: GaussianCloud
     view: Float32[np.ndarray, " 19"]
     antialias: bool
     ellipses: Float32[np.ndarray, "G 10"]  # centre, conic, opacity, colour, depth
-    bounds: Int32[np.ndarray, "G 4"]  # left, right, top, bottom [px]; empty where not seen
-    order: Int32[np.ndarray, " listed"]  # Gaussians of each tile, the nearest first
+    bounds: Int32[np.ndarray, "G 4"]  # left, right, top, bottom [px]; empty if not visible
+    order: Int32[np.ndarray, " listed"]  # Gaussians of each tile, nearest first
     starts: Int64[np.ndarray, " tiles_and_one"]  # tile t lists order[starts[t]:starts[t + 1]]
-    picture: Float32[np.ndarray, "H W 5"]  # colour and depth, both times alpha, and what is left of the light
+    picture: Float32[np.ndarray, "H W 5"]  # colour and depth, both times alpha, and transmittance
 
 
 def draw(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
 ) -> Drawing:
-    """Project the Gaussians, list them by tiles, and blend each tile, on the CPU; arguments as of `render_cloud`."""
+    """Project the Gaussians, list them by tiles, and blend each tile, on the CPU; arguments as for `render_cloud`."""
     now = pose or Pose(means=cloud.means, quaternions=cloud.quaternions, scales=cloud.scales)
     ellipses = np.zeros((cloud.num_gaussians, 10), np.float32)
     bounds = np.zeros((cloud.num_gaussians, 4), np.int32)
@@ -104,11 +104,11 @@ def draw(
 def tile_lists(
     ellipses: Float32[np.ndarray, "G 10"], bounds: Int32[np.ndarray, "G 4"], width: int, height: int
 ) -> tuple[Int32[np.ndarray, " listed"], Int64[np.ndarray, " tiles_and_one"]]:
-    """Which Gaussians each tile shows, the nearest first; tile t lists order[starts[t]:starts[t + 1]]."""
+    """List the Gaussians of each tile, nearest first; tile t lists order[starts[t]:starts[t + 1]]."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     seen = np.flatnonzero(bounds[:, 1] > bounds[:, 0])
-    bits = ellipses[seen, 9].view(np.uint32).astype(np.uint64)  # of positive floats: in their order
-    by_depth = np.sort(bits << 32 | seen.astype(np.uint64))  # a quarter of the time of a stable argsort
+    bits = ellipses[seen, 9].view(np.uint32).astype(np.uint64)  # bits of positive floats sort like the floats
+    by_depth = np.sort(bits << 32 | seen.astype(np.uint64))  # four times as fast as a stable argsort
     nearest_first = (by_depth & 0xFFFF_FFFF).astype(np.int64)
     starts = np.zeros(columns * rows + 1, np.int64)
     list_tiles(nearest_first, bounds, columns, starts, np.empty(0, np.int32), False)
@@ -119,7 +119,7 @@ def tile_lists(
 
 
 def check_size(width: int, height: int) -> None:
-    """Refuse pictures without pixels or of too many.
+    """Check that a picture has at least one pixel and not too many.
 
     Raises:
         InputError: the size is out of bounds.
@@ -129,7 +129,7 @@ def check_size(width: int, height: int) -> None:
 
 
 def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, " 19"]:
-    """The camera as the kernels take it: rotation by rows, position, focal length, centre, size, widest slopes."""
+    """Pack a camera for the kernels: rotation by rows, position, focal length, centre, size, widest slopes."""
     intrinsics = camera.intrinsics_px(width, height)
     return np.concatenate(
         [
@@ -142,7 +142,7 @@ def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, " 19"]
 
 
 def _finished(picture: Float32[np.ndarray, "H W 5"]) -> SplatPicture:
-    """From blended colour, depth and what is left of the light."""
+    """Create the picture from blended colour, depth and transmittance."""
     alpha = 1 - picture[..., 4]
     seen = alpha > MIN_ALPHA
     depth = np.full(alpha.shape, np.inf, np.float32)

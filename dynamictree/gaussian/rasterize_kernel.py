@@ -1,4 +1,4 @@
-"""The loops of `rasterize`: project Gaussians, list them by tiles, blend the tiles."""
+"""Kernels of `rasterize`: project Gaussians, list them by tiles, blend the tiles."""
 
 from typing import no_type_check
 
@@ -7,22 +7,22 @@ import numpy as np
 from dynamictree.gaussian.turn import harmonic_values
 from dynamictree.parallel import compiled_fused
 
-TILE = 16  # pixels along; a row of a tile is one vector of 16 floats
+TILE = 16  # [px] per side; a row of a tile is one vector of 16 floats
 NEAR_M = 0.02
-"""Nearer to the camera's plane nothing is drawn [m]."""
+"""Near plane: least depth that is drawn [m]."""
 BLUR_PX2, PIXEL_PX2 = 0.3, 0.1
-"""Variance that every ellipse is widened by [px²]: Kerbl et al. 2023's; and Mip-Splatting's, about a pixel's own, which
-antialiasing takes."""
+"""Variance added to every ellipse [px²]: that of Kerbl et al. 2023; and that of Mip-Splatting, about a pixel's own, for
+antialiasing."""
 MIN_ALPHA = 1 / 255
-MAX_ALPHA = 0.99  # both Kerbl et al. 2023, appendix C
-WIDEST = 1.3  # times the half picture: beyond, the projection's slope is clamped (Kerbl et al.'s own code does so)
-_OPAQUE = np.float32(1e-4)  # of the light left: a tile is done, Kerbl et al. 2023, section 6
+MAX_ALPHA = 0.99  # bounds of alpha: Kerbl et al. 2023, appendix C
+WIDEST = 1.3  # [half picture]; slopes of the projection are clamped beyond, as in the code of Kerbl et al.
+_OPAQUE = np.float32(1e-4)  # transmittance at which a tile is finished, Kerbl et al. 2023, section 6
 
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
 _NEAR, _BLUR, _PIXEL = np.float32(NEAR_M), np.float32(BLUR_PX2), np.float32(PIXEL_PX2)
 _MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
 _SIZE = TILE * TILE
-# unsigned, so that no index can wrap around and LLVM makes vectors of the loop: 6 times as fast
+# unsigned: indices cannot wrap around, so LLVM vectorizes the loop, which is 6 times as fast
 _LANES = np.uint32(TILE)
 _GREEN, _BLUE, _DEPTH, _LIGHT = (np.uint32(plane * _SIZE) for plane in range(1, 5))
 _EXP = tuple(np.float32(c) for c in (1 / 120, 1 / 24, 1 / 6, 1 / 2, 1, 1))
@@ -32,7 +32,7 @@ _SIXTEENTH = np.float32(1 / 16)
 @compiled_fused
 @no_type_check
 def project(first, end, means, quaternions, scales, opacity, sh, rest, view, antialias, turned, ellipses, bounds):
-    """Ellipse (centre, conic, opacity), colour and depth of each Gaussian, and the pixels where it shows."""
+    """Compute each Gaussian's ellipse (centre, conic, opacity), colour, depth and bounds [px]."""
     degree = round(np.sqrt(sh.shape[1])) - 1
     values = np.empty(16, np.float32)
     axes, half = np.empty((3, 3), np.float32), np.empty((3, 2), np.float32)
@@ -42,7 +42,7 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
         x = view[0] * dx + view[1] * dy + view[2] * dz
         y = view[3] * dx + view[4] * dy + view[5] * dz
         z = view[6] * dx + view[7] * dy + view[8] * dz
-        if not z >= _NEAR:  # NaN included
+        if not z >= _NEAR:  # also for NaN
             continue
         rotation_axes(quaternions[g], axes)
         per_z = view[12] / z
@@ -54,9 +54,9 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
         visible_opacity = opacity[g]
         if antialias:
             visible_opacity = visible_opacity * np.sqrt(sharp / determinant)
-        if not visible_opacity >= _MIN:  # NaN included
+        if not visible_opacity >= _MIN:  # also for NaN
             continue
-        reach = _TWO * np.log(visible_opacity / _MIN)  # squared standard deviations: where alpha falls below _MIN
+        reach = _TWO * np.log(visible_opacity / _MIN)  # squared standard deviations at which alpha is `_MIN`
         column, row = x * per_z + view[13], y * per_z + view[14]
         wide, high = np.sqrt(reach * xx), np.sqrt(reach * yy)
         left, right = int(np.ceil(column - wide - _HALF)), int(np.floor(column + wide - _HALF)) + 1
@@ -84,7 +84,7 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
 @compiled_fused
 @no_type_check
 def half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
-    """Projection of a Gaussian's axis `i` to the picture [px], and the axis's depth before projection [m]."""
+    """Project a Gaussian's axis `i` to the picture [px]; return it with the axis's depth [m]."""
     ax, ay, az = scale * axes[0, i], scale * axes[1, i], scale * axes[2, i]
     depth = view[6] * ax + view[7] * ay + view[8] * az
     px = (view[0] * ax + view[1] * ay + view[2] * az - slope_x * depth) * per_z
@@ -95,9 +95,9 @@ def half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
 @compiled_fused
 @no_type_check
 def covariance(half, blur):
-    """2D covariance of the projected half axes (xx, xy, yy), its determinant, and the determinant after the blur.
+    """Compute the 2D covariance of the projected half axes (xx, xy, yy), and its determinants before and after blur.
 
-    Both determinants are sums of terms that are not negative: `xx * yy - xy * xy` loses all digits for needles.
+    Both determinants are sums of non-negative terms, since `xx * yy - xy * xy` loses all digits for needles.
     """
     xx = half[0, 0] * half[0, 0] + half[1, 0] * half[1, 0] + half[2, 0] * half[2, 0]
     xy = half[0, 0] * half[0, 1] + half[1, 0] * half[1, 1] + half[2, 0] * half[2, 1]
@@ -110,14 +110,14 @@ def covariance(half, blur):
 @compiled_fused
 @no_type_check
 def cross(half, i, j):
-    """Signed area of the parallelogram of two projected axes [px²]."""
+    """Compute the signed area of the parallelogram of two projected axes [px²]."""
     return half[i, 0] * half[j, 1] - half[j, 0] * half[i, 1]
 
 
 @compiled_fused
 @no_type_check
 def rotation_axes(q, axes):
-    """Rotation matrix of a unit quaternion; its columns are the Gaussian's axes."""
+    """Compute the rotation matrix of a unit quaternion; its columns are the Gaussian's axes."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     axes[0, 0], axes[1, 1] = _ONE - _TWO * (y * y + z * z), _ONE - _TWO * (x * x + z * z)
     axes[1, 0], axes[0, 1] = _TWO * (x * y + w * z), _TWO * (x * y - w * z)
@@ -129,7 +129,7 @@ def rotation_axes(q, axes):
 @compiled_fused
 @no_type_check
 def _turned_back(now, rest, dx, dy, dz):
-    """A direction as the Gaussian sees it, had it not turned: by the inverse of now · rest⁻¹."""
+    """Rotate a direction by the inverse of now · rest⁻¹, to the frame of the Gaussian at rest."""
     w = now[0] * rest[0] + now[1] * rest[1] + now[2] * rest[2] + now[3] * rest[3]
     x = now[0] * rest[1] - now[1] * rest[0] + now[2] * rest[3] - now[3] * rest[2]
     y = now[0] * rest[2] - now[2] * rest[0] + now[3] * rest[1] - now[1] * rest[3]
@@ -141,7 +141,7 @@ def _turned_back(now, rest, dx, dy, dz):
 @compiled_fused
 @no_type_check
 def list_tiles(nearest_first, bounds, columns, place, order, write):
-    """Count, or list, each Gaussian in the tiles that its bounds touch."""
+    """Count, or list, each Gaussian in the tiles that its bounds overlap."""
     for i in range(len(nearest_first)):
         g = nearest_first[i]
         for row in range(bounds[g, 2] // TILE, (bounds[g, 3] - 1) // TILE + 1):
@@ -155,10 +155,10 @@ def list_tiles(nearest_first, bounds, columns, place, order, write):
 @compiled_fused
 @no_type_check
 def blend(first, end, ellipses, bounds, order, starts, picture):
-    """Front to back, tile by tile: picture holds colour, depth and what is left of the light."""
+    """Blend each tile front to back; the picture gets colour, depth and transmittance."""
     height, width = picture.shape[0], picture.shape[1]
     columns = -(-width // TILE)
-    b = np.empty(5 * _SIZE, np.float32)  # red, green, blue, depth, light left
+    b = np.empty(5 * _SIZE, np.float32)  # red, green, blue, depth, transmittance
     for tile in range(first, end):
         left, top = tile % columns * TILE, tile // columns * TILE
         b[:] = 0
@@ -201,7 +201,7 @@ def _blend_one(e, left, top, from_row, to_row, b):
 @compiled_fused
 @no_type_check
 def falloff(x):
-    """exp(x) for x in [-16, 0]: a polynomial of x / 16, squared four times; to 5e-5 where alpha is above its least."""
+    """Compute exp(x) for x in [-16, 0] by a polynomial of x / 16, squared four times; error 5e-5 for visible alpha."""
     y = max(x * _SIXTEENTH, -_ONE)
     p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
     p = p * p

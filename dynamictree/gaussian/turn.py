@@ -1,4 +1,4 @@
-"""Fast rotation of spherical harmonics: the compiled twin of `harmonics.turn_sh`, one pass on all cores."""
+"""Fast rotation of spherical harmonics: compiled counterpart of `harmonics.turn_sh`, one pass on all cores."""
 
 from typing import no_type_check
 
@@ -11,13 +11,13 @@ from dynamictree.parallel import compiled_fused, in_bands
 _SH = tuple(np.float32(constant) for constant in SH_CONSTANTS)
 _TWO, _THREE, _FOUR = np.float32(2), np.float32(3), np.float32(4)
 _STILL = 1e-7
-"""Vector part of a quaternion below which nothing turns: float32 cannot tell."""
+"""Vector part of a quaternion below which float32 represents no rotation."""
 
 
 def turn_sh_fast(
     sh: Float32[np.ndarray, "G H 3"], quaternions: Float32[np.ndarray, "G 4"]
 ) -> Float32[np.ndarray, "G H 3"]:
-    """Coefficients after each Gaussian turned; those that did not turn come back as they are."""
+    """Rotate the coefficients of each Gaussian; those without rotation are unchanged."""
     degree = round(sh.shape[1] ** 0.5) - 1
     if degree == 0:
         return sh
@@ -32,7 +32,7 @@ def turn_sh_rows(
     now: Float32[np.ndarray, "G 4"],
     rows: Float32[np.ndarray, "G P"],
 ) -> None:
-    """Write the turned coefficients above degree 0 straight into rows of a 3DGS PLY, channel after channel."""
+    """Write the rotated coefficients above degree 0 into rows of a 3DGS PLY, channel by channel."""
     degree = round(sh.shape[1] ** 0.5) - 1
     if degree > 0:
         in_bands(_turn_rows, len(sh), sh, rest, now, degree, _directions(), _inverses(), rows)
@@ -52,7 +52,7 @@ def _inverses() -> Float32[np.ndarray, "3 7 7"]:
 @compiled_fused
 @no_type_check
 def harmonic_values(degree, x, y, z, values):
-    """Y_h at one direction, to and with a degree; the twin of `harmonics.harmonics`."""
+    """Compute Y_h at one direction, up to and including a degree; counterpart of `harmonics.harmonics`."""
     values[0] = _SH[0]
     if degree >= 1:
         values[1], values[2], values[3] = -_SH[1] * y, _SH[1] * z, -_SH[1] * x
@@ -76,7 +76,7 @@ def harmonic_values(degree, x, y, z, values):
 @compiled_fused
 @no_type_check
 def _turn_one(sh, qw, qx, qy, qz, degree, directions, inverses, values, y, turned):
-    """One Gaussian's coefficients above degree 0, for the quaternion w, x, y, z of its turn."""
+    """Rotate one Gaussian's coefficients above degree 0 by a quaternion w, x, y, z."""
     still = abs(qx) + abs(qy) + abs(qz) < _STILL
     for level in range(1, degree + 1):
         width, start = 2 * level + 1, level * level
@@ -84,7 +84,7 @@ def _turn_one(sh, qw, qx, qy, qz, degree, directions, inverses, values, y, turne
             turned[start : start + width] = sh[start : start + width]
             continue
         for i in range(width):
-            # the function's value where the sample direction came from, f(Rᵀ d)
+            # value of the function at the direction rotated back, f(Rᵀ d)
             x0, y0, z0 = directions[start - 1 + i]
             cx, cy, cz = _TWO * (qz * y0 - qy * z0), _TWO * (qx * z0 - qz * x0), _TWO * (qy * x0 - qx * y0)
             dx, dy, dz = qw * cx - qy * cz + qz * cy, qw * cy - qz * cx + qx * cz, qw * cz - qx * cy + qy * cx

@@ -1,8 +1,8 @@
-"""Rows of a table to columns of a buffer and back, sixteen at a time in vector registers.
+"""Transpose rows of a table to columns of a buffer and back, sixteen at a time in vector registers.
 
-LLVM makes vectors of loops over columns, but a loop that gathers or writes rows stays one number at a time, which was
-most of the time of a frame. These are calls for numba kernels, written in LLVM's own vectors, which it lowers to the
-shuffles of any processor. What each does is the loop in its docstring.
+LLVM vectorizes loops over columns, but not loops that gather or write rows, which took most of the time of a frame.
+These intrinsics for numba kernels use LLVM's vector types, which it lowers to the shuffles of any processor. Each is
+equivalent to the loop in its docstring.
 """
 
 from typing import no_type_check
@@ -61,7 +61,7 @@ def _interleaving(width, *, streamed):
     def interleave(typing_context, columns, at, stride, flat, first):
         """For j < 16, k < width: flat[first + width * j + k] = columns[at + k * stride + j].
 
-        Where `streamed`, the values do not go through the caches, and flat[first] begins a cache line.
+        With `streamed`, the values bypass the caches, and flat[first] must be aligned to a cache line.
         """
 
         def generate(context, builder, signature, arguments):
@@ -88,7 +88,7 @@ stream3, stream4 = _interleaving(3, streamed=True), _interleaving(4, streamed=Tr
 
 @no_type_check
 def _transposed(builder, rows):
-    """Swap blocks of 8 × 8, then 4 × 4, 2 × 2 and 1 × 1 across the diagonal."""
+    """Transpose a square: swap blocks of 8 × 8, then 4 × 4, 2 × 2 and 1 × 1 across the diagonal."""
     rows, size = list(rows), LANES // 2
     while size:
         upper = [lane if not lane & size else LANES + lane - size for lane in range(LANES)]
@@ -103,7 +103,7 @@ def _transposed(builder, rows):
 
 @no_type_check
 def _data(context, builder, signature, arguments, position):
-    """Address of an array's first value."""
+    """Return the address of an array's first value."""
     return context.make_array(signature.args[position])(context, builder, value=arguments[position]).data
 
 
