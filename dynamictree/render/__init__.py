@@ -1,4 +1,4 @@
-"""Pictures of meshes on the CPU: a rasteriser in numba, no GL and no GPU."""
+"""Render meshes on the CPU with a rasteriser in numba, without OpenGL or a GPU."""
 
 from dynamictree.render.camera import Camera, cameras_of
 from dynamictree.render.contact_sheet import amplitude_colors, draw_contact_sheet, sway_amplitude

@@ -1,4 +1,4 @@
-"""Appearance of a mesh's surface: colours, textures with cut-outs, or plain clay without either."""
+"""Appearance of a mesh's surface: colours, textures with cut-outs, or two default clay colours."""
 
 from io import BytesIO
 from typing import NamedTuple, no_type_check
@@ -12,33 +12,33 @@ from dynamictree.errors import FormatError
 from dynamictree.mesh import Material, TriangleMesh, connected_parts
 from dynamictree.parallel import compiled
 
-_MAX_TEXELS = 64_000_000  # of all textures and levels, 1 GB; more textures are each reduced further
-_WOOD, _LEAF = (0.235, 0.180, 0.135), (0.180, 0.270, 0.095)  # linear: clay for a mesh that has no colours
+_MAX_TEXELS = 64_000_000  # number in all textures and levels, 1 GB; more textures are reduced further
+_WOOD, _LEAF = (0.235, 0.180, 0.135), (0.180, 0.270, 0.095)  # linear colours of a mesh without colours
 
 
 class Appearance(NamedTuple):
-    """The mesh's looks as arrays that a kernel takes; colours are linear."""
+    """Appearance of a mesh as arrays for kernels; colours are linear."""
 
     uv: Float32[np.ndarray, "N 2"]
     vertex_rgb: Float32[np.ndarray, "N 3"]
     face_material: Int32[np.ndarray, " F"]
     material_rgb: Float32[np.ndarray, "M 3"]
     material_alpha: Float32[np.ndarray, " M"]
-    cutoff: Float32[np.ndarray, " M"]  # alpha below it is cut out; 0 is opaque
-    transmission: Float32[np.ndarray, " M"]  # share of the sun that shines through
-    texture_levels: Int32[np.ndarray, "M L 3"]  # first texel, width, height of each mip level; width 0 where none
+    cutoff: Float32[np.ndarray, " M"]  # alpha below which a face is cut out; 0 for opaque
+    transmission: Float32[np.ndarray, " M"]  # share of sunlight that passes through
+    texture_levels: Int32[np.ndarray, "M L 3"]  # first texel, width, height of each mip level; width 0 if missing
     texels: Float32[np.ndarray, "P 4"]  # RGB times alpha, and alpha
 
 
 def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance:
-    """Collect the mesh's colours; give it two clays, wood and leaf, if it has none.
+    """Collect the mesh's colours; use two clay colours, wood and leaf, if it has none.
 
-    With `grey_still`, what stands still because it is no plant is grey.
+    With `grey_still`, still parts, which are no plant, are grey.
 
     Raises:
-        FormatError: a texture is not a picture, or too large.
+        FormatError: a texture is not a picture, or is too large.
     """
-    leaf_transmission = 0.5  # of the light on a leaf's far side
+    leaf_transmission = 0.5  # share of the light on a leaf's far side
     has_colors = mesh.look.vertex_colors is not None or any(
         material.texture_png is not None or material.base_color != Material().base_color
         for material in mesh.look.materials
@@ -55,7 +55,7 @@ def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance
     colors = mesh.look.vertex_colors
     vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear_from_bytes(colors[:, :3])
     num_colored = len(materials)
-    if grey_still and mesh.still_faces is not None:  # each material a second time, for the faces that stand still
+    if grey_still and mesh.still_faces is not None:  # duplicate each material for the still faces
         face_material = np.where(mesh.still_faces, face_material + num_colored, face_material)
         materials, leafy = (*materials, *materials), [*leafy, *leafy]
         vertex_rgb[mesh.still_vertices] = greyed(vertex_rgb[mesh.still_vertices])
@@ -80,11 +80,11 @@ def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance
 def _texels(
     materials: tuple[Material, ...], num_colored: int, used: Int32[np.ndarray, " U"]
 ) -> tuple[Float32[np.ndarray, "P 4"], Int32[np.ndarray, "M L 3"]]:
-    """Texels of all mip levels, and where each material's levels begin; grey ones of materials from `num_colored`.
+    """Decode the texels of all mip levels, with the start of each material's levels; grey from `num_colored` on.
 
-    A texture of several materials is decoded once; grey copies of materials that no face has get none.
+    A texture of several materials is decoded once; unused grey copies of materials get no texels.
     """
-    num_levels = 11  # 1024 down to 1
+    num_levels = 11  # sides 1024 down to 1
     levels = np.zeros((len(materials), num_levels, 3), np.int32)
     texels, num_texels = [np.zeros((1, 4), np.float32)], 1
     rows = [row for row in range(len(materials)) if row < num_colored or row in used]
@@ -107,26 +107,26 @@ def _texels(
 
 
 def is_leafy(material: Material) -> bool:
-    """Whether a material is of leaves: cards are cut out, others say it in their name."""
+    """Whether a material is of leaves, by an alpha cut-out or by its name."""
     named = any(word in material.name.lower() for word in ("leaf", "leaves", "foliage", "needle"))
     return named or material.alpha_cutoff is not None
 
 
 def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np.ndarray, " F"]:
-    """Whether each face belongs to a small separate piece, as leaves do."""
-    leaf_faces = 32  # a separate piece of at most so many faces counts as a leaf
+    """Whether each face belongs to a small separate piece, like leaves."""
+    leaf_faces = 32  # largest number of faces in a separate piece that counts as a leaf
     piece = connected_parts(faces, num_vertices)
     size = np.bincount(piece[faces[:, 0]], minlength=int(piece.max(initial=-1)) + 1)
     small = size <= leaf_faces
-    if small[size > 0].all():  # nothing but pieces: a mesh without shared vertices tells nothing
+    if small[size > 0].all():  # all pieces are small: the mesh has no shared vertices
         return np.zeros(len(faces), bool)
     leaves: Bool[np.ndarray, " F"] = small[piece[faces[:, 0]]]
     return leaves
 
 
 def _side_px(num_textures: int) -> int:
-    """The side to which textures are reduced so that all of them fit into `_MAX_TEXELS`."""
-    texture_side_px = 1024  # larger textures are reduced: more than a picture of this renderer shows
+    """Return the side to which textures are reduced so that all fit into `_MAX_TEXELS`."""
+    texture_side_px = 1024  # larger textures exceed the resolution of pictures and are reduced
     side_px = texture_side_px
     while side_px > 1 and num_textures * side_px**2 * 4 // 3 > _MAX_TEXELS:
         side_px //= 2
@@ -171,7 +171,7 @@ def _uv_at(appearance, corners, weights):
 @compiled
 @no_type_check
 def alpha_at(appearance, corners, material, level, weights):
-    """Alpha of the nearest texel, at barycentric coordinates times any factor."""
+    """Sample alpha at the nearest texel, at barycentric coordinates of any scale."""
     offset, width, height = appearance.texture_levels[material, level]
     alpha = appearance.material_alpha[material]
     if width == 0:
@@ -184,7 +184,7 @@ def alpha_at(appearance, corners, material, level, weights):
 @compiled
 @no_type_check
 def albedo_at(appearance, corners, material, level, weights):
-    """Linear colour: vertex colours times base colour times the texture, bilinear."""
+    """Sample the linear colour: vertex colours times base colour times the texture, bilinear."""
     a, b, c = weights
     total = a + b + c
     ca, cb, cc = (

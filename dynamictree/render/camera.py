@@ -1,4 +1,4 @@
-"""Pinhole cameras, fixed ones and those that orbit a tree."""
+"""Pinhole cameras, fixed or orbiting a tree."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,19 @@ from jaxtyping import Bool, Float, Float64
 
 from dynamictree.requests import Shot
 
-_MARGIN = 1.06  # of the tightest framing
+_MARGIN = 1.06  # factor of the tightest framing
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A pinhole camera. Its axes are x right, y down, z forward, as in OpenCV and COLMAP; the world's are +Z up.
+    """Pinhole camera with axes x right, y down, z forward, as in OpenCV and COLMAP; the world is +Z up.
 
-    Focal length and principal point are shares of the picture, so that one camera takes pictures of any size.
+    Focal length and principal point are shares of the picture, so that one camera fits pictures of any size.
     """
 
     position_m: Float64[np.ndarray, "3"]
-    world_to_camera: Float64[np.ndarray, "3 3"]  # rows: right, down, forward in the world
-    focal: float  # in picture heights
+    world_to_camera: Float64[np.ndarray, "3 3"]  # rows: right, down and forward in the world
+    focal: float  # [picture heights]
     centre: tuple[float, float] = (0.5, 0.5)  # principal point, as shares of width and height
 
     @classmethod
@@ -31,7 +31,7 @@ class Camera:
         up: tuple[float, float, float] = (0.0, 0.0, 1.0),
         vertical_fov_deg: float = 32.0,
     ) -> "Camera":
-        """Look from one point to another, the horizon level."""
+        """Create a camera that looks from one point to another, with a level horizon."""
         forward = np.asarray(target_m, np.float64) - position_m
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, up)
@@ -50,10 +50,10 @@ class Camera:
         vertical_fov_deg: float = 32.0,
         aspect: float = 1.0,
     ) -> "Camera":
-        """Stand as near as holds all points in the picture, aimed at the middle of their bounding box.
+        """Create the nearest camera that shows all points, aimed at the centre of their bounding box.
 
-        Azimuth 0 stands at −Y and looks along +Y, so that +X is to the right; it grows anticlockwise seen from above.
-        Points are in metres; the aspect is the picture's width over its height.
+        At azimuth 0 the camera is at −Y and looks along +Y, with +X to the right; the azimuth grows anticlockwise seen
+        from above. Points are in metres; the aspect is the picture's width over its height.
         """
         low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
         target = (low + high) / 2
@@ -61,25 +61,25 @@ class Camera:
         away = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
         aimed = cls.look_at(target + away, target, vertical_fov_deg=vertical_fov_deg)
         x, y, z = aimed.world_to_camera @ (points - target).T  # [N] each
-        half_height = 0.5 / aimed.focal / _MARGIN  # tangent of the half angle that the points may fill
-        # a point at depth d + z is inside where |y| <= (d + z) * half_height, and so for x
+        half_height = 0.5 / aimed.focal / _MARGIN  # tangent of the largest half angle of the points
+        # a point at depth d + z is inside if |y| <= (d + z) * half_height, and likewise for x
         distance = float(np.maximum(np.abs(y) / half_height - z, np.abs(x) / (half_height * aspect) - z).max())
         return cls.look_at(target + away * distance, target, vertical_fov_deg=vertical_fov_deg)
 
     def intrinsics_px(self, width: int, height: int) -> Float64[np.ndarray, "3 3"]:
-        """Camera axes to pixels, pixel centres at half-integers."""
+        """Return the matrix from camera axes to pixels, with pixel centres at half-integers."""
         focal = self.focal * height
         return np.array([[focal, 0, self.centre[0] * width], [0, focal, self.centre[1] * height], [0, 0, 1.0]])
 
     def project(self, points: Float[np.ndarray, "N 3"], width: int, height: int) -> Float64[np.ndarray, "N 3"]:
-        """Pixel x and y, and depth along the axis [m]; what is behind the camera has a negative depth."""
+        """Project points to pixel x, y and depth along the axis [m], which is negative behind the camera."""
         in_camera = (points - self.position_m) @ self.world_to_camera.T  # [N, 3]
         in_picture = in_camera @ self.intrinsics_px(width, height).T  # [N, 3], times the depth
         return np.concatenate([in_picture[:, :2] / in_picture[:, 2:], in_picture[:, 2:]], axis=1)
 
 
 def in_view(points: Float[np.ndarray, "N 3"], moving: Bool[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
-    """What a picture must contain: the plant, and of what stands still what is near its foot, such as a pot."""
+    """Select the points that a picture must contain: the plant, and still parts near its foot, such as a pot."""
     low, high = points[moving].min(axis=0), points[moving].max(axis=0)
     height = high[2] - low[2]
     reach = max(float((high - low)[:2].max()), float(height)) / 2
@@ -89,7 +89,7 @@ def in_view(points: Float[np.ndarray, "N 3"], moving: Bool[np.ndarray, " N"]) ->
 
 
 def cameras_of(shot: Shot, points: Float[np.ndarray, "N 3"], num_frames: int) -> list[Camera]:
-    """One camera per frame. Each has all points [m] in view; a camera that orbits keeps its distance to them."""
+    """Return one camera per frame, with all points [m] in view; an orbiting camera has a constant distance."""
     if not shot.orbit:
         fixed = Camera.orbit(points, azimuth_deg=shot.azimuth_deg, elevation_deg=shot.elevation_deg)
         return [fixed] * num_frames
@@ -99,7 +99,7 @@ def cameras_of(shot: Shot, points: Float[np.ndarray, "N 3"], num_frames: int) ->
 
 
 def _rims(points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, "M 3"]:
-    """Points on both rims of the upright cylinder around the points, which looks the same from every side [m]."""
+    """Return points on both rims of the upright cylinder around the points [m]."""
     rim_points = 48
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
     centre = (low + high) / 2

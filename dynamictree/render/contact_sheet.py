@@ -1,4 +1,4 @@
-"""Preview of a motion as one still picture."""
+"""Contact sheet: preview of a motion in one picture."""
 
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -13,17 +13,17 @@ from dynamictree.render.picture import Look, Renderer
 from dynamictree.spectrum import NUM_FRAMES, bin_weights, displacement_at, iter_motion
 
 STILL_PX, SWAY_PX = (800, 800), (480, 800)
-"""Width and height of the large picture, and of the one beside it."""
+"""Width and height of the large picture, and of the sway picture beside it."""
 STRIP_PX, NUM_STRIP = (160, 232), 8
-"""Width and height of the pictures in the row, and how many there are."""
-_TITLE_PX = 26  # above each part
+"""Width and height of the pictures in the row, and their number."""
+_TITLE_PX = 26  # height of the title above each part
 _STILLNESS_TO_SWAY = np.array([[52, 58, 94], [46, 110, 142], [64, 168, 130], [176, 206, 78], [253, 231, 37]])
 
 
 def sway_amplitude(
     coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int = NUM_FRAMES
 ) -> Float32[np.ndarray, " N"]:
-    """Root mean square distance of each vertex from its mean place over one loop [m]; Parseval's theorem."""
+    """Compute each vertex's root mean square distance from its mean position over a loop [m], by Parseval's theorem."""
     weights = bin_weights(coefficients.shape[1], num_frames)
     power = (np.abs(coefficients) ** 2).sum(axis=2)  # [N, K]
     amplitude: Float32[np.ndarray, " N"] = np.sqrt(power[:, 1:] @ weights[1:])
@@ -33,8 +33,8 @@ def sway_amplitude(
 def amplitude_colors(
     amplitude: Float32[np.ndarray, " N"], still: Bool[np.ndarray, " N"] | None = None
 ) -> UInt8[np.ndarray, "N 4"]:
-    """From blue, at rest, to yellow, where it sways most; what is `still` because it is no plant is grey."""
-    stands = (150, 150, 147)  # of what is no plant
+    """Map amplitudes to colours from blue (rest) to yellow (largest); `still` vertices (no plant) are grey."""
+    stands = (150, 150, 147)  # colour of still parts
     top = float(amplitude.max())
     place = amplitude / top * (len(_STILLNESS_TO_SWAY) - 1) if top > 0 else np.zeros_like(amplitude)
     anchors = np.arange(len(_STILLNESS_TO_SWAY))
@@ -47,9 +47,9 @@ def amplitude_colors(
 def draw_contact_sheet(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], *, num_frames: int = NUM_FRAMES
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """One still, the sway in colours, frames in a row.
+    """Draw a contact sheet: one still, the sway in colours, frames in a row.
 
-    The coefficients are the vertices' own [m]; one loop has `num_frames`.
+    The coefficients are those of the vertices [m]; a loop has `num_frames` frames.
     """
     still_renderer = Renderer(mesh, Look(width=STILL_PX[0], height=STILL_PX[1]))
     amplitude = sway_amplitude(coefficients, num_frames)
@@ -68,18 +68,18 @@ def draw_contact_sheet(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactSheet:
-    """The parts of a sheet and their titles."""
+    """Parts of a contact sheet, and values for their titles."""
 
     still: UInt8[np.ndarray, "S S 3"]
     sway: UInt8[np.ndarray, "H W 3"]  # the amplitude in colours
     strip: UInt8[np.ndarray, "h w 3"]  # `NUM_STRIP` frames side by side
-    title: str  # of the still
+    title: str  # title of the still
     most_m: float  # the largest amplitude [m]
-    some_stand: bool  # whether something is grey
-    num_frames: int  # of the loop
+    some_stand: bool  # whether still parts are grey
+    num_frames: int  # number of frames in the loop
 
     def picture(self) -> UInt8[np.ndarray, "A B 3"]:
-        """All of it as one picture."""
+        """Draw all parts as one picture."""
         paper, ink = (250, 249, 247), (70, 70, 74)
         width, height = STILL_PX
         sheet = Image.new("RGB", (width + SWAY_PX[0], 2 * _TITLE_PX + height + STRIP_PX[1]), paper)
@@ -115,14 +115,14 @@ def _sway_picture(mesh: TriangleMesh, amplitude: Float32[np.ndarray, " N"]) -> U
 
 
 def _bare(material: Material) -> Material:
-    """White; a texture stays only where it cuts the face out."""
+    """Return the material in white; only the alpha of a cut-out texture is retained."""
     shape = None if material.alpha_cutoff is None else material.texture_png
     texture = None if shape is None else _white(shape)
     return replace(material, base_color=(1.0, 1.0, 1.0, material.base_color[3]), texture_png=texture)
 
 
 def _white(texture: bytes) -> bytes:
-    """The texture's alpha alone."""
+    """Return a white texture with the alpha of the given one."""
     with Image.open(BytesIO(texture)) as picture:
         alpha = picture.convert("RGBA").getchannel("A")
     white = Image.merge("LA", (Image.new("L", alpha.size, 255), alpha))

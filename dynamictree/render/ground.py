@@ -1,4 +1,4 @@
-"""Backdrop for pictures of splats: sky, level floor, and a shadow on it."""
+"""Backdrop for pictures of splats: sky, level floor and a shadow on it."""
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
@@ -6,17 +6,17 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from dynamictree.render.camera import Camera
 
-# display colours of the mesh pictures' floor and sky
+# display colours of floor and sky in pictures of meshes
 _FLOOR = np.array([0.86, 0.86, 0.845], np.float32)
 _HORIZON = np.array([0.906, 0.924, 0.945], np.float32)
 _ZENITH = np.array([0.634, 0.755, 0.895], np.float32)
-_CELLS = 160  # of the shadow's map along each side
-_REACH = 2.2  # half its side, in radii
-_SUN = np.array([-0.40, -0.45, 0.95])  # towards it; as `Look.sun_direction`
+_CELLS = 160  # number along each side of the shadow map
+_REACH = 2.2  # half side of the shadow map [radii]
+_SUN = np.array([-0.40, -0.45, 0.95])  # direction towards the sun, as `Look.sun_direction`
 
 
 class Backdrop:
-    """Sky and floor for one camera, prepared once; the shadow on it moves."""
+    """Sky and floor for one camera, prepared once, with a moving shadow."""
 
     def __init__(
         self,
@@ -27,8 +27,8 @@ class Backdrop:
         centre_m: Float[np.ndarray, "2"],
         radius_m: float,
     ) -> None:
-        """Look at a level floor; lengths in metres, width and height of the picture in pixels."""
-        fade = 3.0  # radii from the middle, over which the floor goes over to the horizon
+        """Prepare the view of a level floor; lengths are in metres, the picture's width and height in pixels."""
+        fade = 3.0  # [radii] from the middle over which the floor blends into the horizon
         width, height = size_px
         place = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).reshape(-1, 2)  # [P, 2]
         rays = np.concatenate([place, np.ones((len(place), 1))], axis=1)
@@ -52,8 +52,8 @@ class Backdrop:
     def picture(
         self, points: Float32[np.ndarray, "G 3"] | None = None, covered_m2: Float32[np.ndarray, " G"] | None = None
     ) -> Float32[np.ndarray, "H W 3"]:
-        """Sky and floor, with the shadow of points that each keep light from an area."""
-        thickness = 0.7  # of what stands there: share of a shadow that covered area alone would give
+        """Draw sky and floor, with the shadow of points that each cover an area."""
+        thickness = 0.7  # optical depth per covered area
         darkest = 0.5
         picture: Float32[np.ndarray, "H W 3"] = self._picture.copy()
         if points is None or covered_m2 is None or not self._hit.any():
@@ -67,7 +67,7 @@ class Backdrop:
     def shadow(
         self, points: Float32[np.ndarray, "G 3"], covered_m2: Float32[np.ndarray, " G"]
     ) -> Float64[np.ndarray, "X Y"]:
-        """How many times each cell of the floor is covered, seen from the sun."""
+        """Compute how many times each cell of the floor is covered, seen from the sun."""
         blur_cells = 1.2
         along = (points[:, 2:] - self._ground_m) / _SUN[2]
         cell = np.floor((points[:, :2] - along * _SUN[:2] - self._low_m) / self._cell_m).astype(np.int64)

@@ -1,8 +1,8 @@
-"""Visibility of sun and sky at a point.
+"""Compute the visibility of sun and sky at a point.
 
-The sun casts shadows from a depth map. The sky is dimmed as leaves dim it in a crown (Beer and Lambert): the surface in
-a coarse grid is an optical density, through which a few directions are followed. Both are
-soft, and the same in every run.
+The sun casts shadows by a depth map. The sky is dimmed as by leaves in a crown (Beer-Lambert law): the surface in a
+coarse grid is an optical density, integrated along a few directions. Both are soft and
+deterministic.
 """
 
 from typing import NamedTuple, no_type_check
@@ -14,40 +14,40 @@ from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import Appearance
 from dynamictree.render.raster import rasterise, screen_triangles
 
-_SUN_MAP = 768  # texels a side
-_PENUMBRA = 2.6  # texels of the sun's map: how far around a point the looks for its share of the sun reach
+_SUN_MAP = 768  # texels per side
+_PENUMBRA = 2.6  # [texels], radius around a point within which the shadow map is sampled
 _PHASES = 16
 MAX_LOOKS = 8
-_SKY_CELLS = 44  # along the largest extent
+_SKY_CELLS = 44  # number along the largest extent
 
 
 def _look_patterns() -> Float32[np.ndarray, "P L 2"]:
-    """Offsets on a disc, each pattern turned and spread differently; the first half of each covers the disc too."""
+    """Create patterns of offsets on a disc, each rotated differently; the first half of each covers the disc too."""
     number = np.arange(_PHASES * MAX_LOOKS).reshape(MAX_LOOKS, _PHASES).T  # [P, L]
     radius = _PENUMBRA * np.sqrt((number + 0.5) / number.size)
-    turn = number * np.pi * (3 - np.sqrt(5))  # the golden angle
+    turn = number * np.pi * (3 - np.sqrt(5))  # golden angle
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=2).astype(np.float32)
 
 
 class SunMap(NamedTuple):
-    """Depth of what the sun sees first."""
+    """Shadow map: depth of the first surface seen from the sun."""
 
-    axes: Float64[np.ndarray, "3 3"]  # rows: right, up, towards the sun
-    low: Float64[np.ndarray, "2"]  # corner of the map along the first two [m]
+    axes: Float64[np.ndarray, "3 3"]  # rows: right, up and towards the sun
+    low: Float64[np.ndarray, "2"]  # corner of the map along the first two axes [m]
     texels_per_m: float
-    nearness: Float32[np.ndarray, "S S"]  # along the third [m]
-    looks: Float32[np.ndarray, "P L 2"]  # where around a point to look [texels]
+    nearness: Float32[np.ndarray, "S S"]  # largest coordinate along the third axis [m]
+    looks: Float32[np.ndarray, "P L 2"]  # offsets of samples around a point [texels]
 
 
 class SkyVolume(NamedTuple):
-    """Share of the sky seen from the cells of a grid."""
+    """Share of the sky visible from the cells of a grid."""
 
     low: Float64[np.ndarray, "3"]  # centre of the first cell [m]
     cell_m: float
     share: Float32[np.ndarray, "X Y Z"]
 
 
-# what pictures without shadows are given; never looked at
+# placeholders for pictures without shadows, never sampled
 BARE_SUN = SunMap(np.eye(3), np.zeros(2), 1.0, np.zeros((1, 1), np.float32), _look_patterns())
 OPEN_SKY = SkyVolume(np.zeros(3), 1.0, np.ones((1, 1, 1), np.float32))
 
@@ -58,7 +58,7 @@ def sun_map(
     appearance: Appearance,
     sun: Float64[np.ndarray, "3"],
 ) -> SunMap:
-    """Look at the mesh from the sun, whose direction is a unit vector."""
+    """Render the shadow map of a mesh; `sun` is a unit vector."""
     right = np.cross((0.0, 1.0, 0.0) if abs(sun[2]) > 0.99 else (0.0, 0.0, 1.0), sun)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(sun, right), sun])  # [3, 3]
@@ -66,7 +66,7 @@ def sun_map(
     low = seen[:, :2].min(axis=0)
     across = max(
         float(np.ptp(seen[:, :2], axis=0).max()), 1e-6 * float(np.ptp(seen[:, 2]))
-    )  # a stick to the sun has none
+    )  # positive even for a stick that points to the sun
     texels_per_m = (_SUN_MAP - 2) / across
     homogeneous = np.concatenate([(seen[:, :2] - low) * texels_per_m + 1, np.ones((len(seen), 1))], axis=1)
     triangles = screen_triangles(homogeneous, faces, appearance, width=_SUN_MAP, height=_SUN_MAP)
@@ -76,8 +76,8 @@ def sun_map(
 
 
 def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> SkyVolume:
-    """Follow some directions through the mesh, taken as a cloud of small leaves."""
-    sky_border = 0.35  # of the largest extent, at the sides: the ground's contact shadow reaches so far
+    """Integrate the optical depth of the mesh, as a cloud of small leaves, along a few directions."""
+    sky_border = 0.35  # share of the largest extent; width of the contact shadow on the ground
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
     extent = float((high - low).max())
     cell_m = extent / _SKY_CELLS
@@ -94,14 +94,14 @@ def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F
 
 
 def _sky_directions() -> tuple[Float64[np.ndarray, "D 3"], Float32[np.ndarray, " D"]]:
-    sky_directions = ((90.0, 1), (55.0, 5), (25.0, 5))  # elevation in degrees, how many around
+    sky_directions = ((90.0, 1), (55.0, 5), (25.0, 5))  # elevation in degrees, number of azimuths
     directions, weights = [], []
     for elevation_deg, number in sky_directions:
         elevation = np.radians(elevation_deg)
         for turn in 2 * np.pi * (np.arange(number) + elevation_deg / 90) / number:
             flat = np.cos(elevation)
             directions.append([flat * np.cos(turn), flat * np.sin(turn), np.sin(elevation)])
-            weights.append(np.sin(elevation))  # a level surface's share of the light from there
+            weights.append(np.sin(elevation))  # cosine law of a level surface
     return np.array(directions), (np.array(weights) / np.sum(weights)).astype(np.float32)
 
 
@@ -115,11 +115,11 @@ def _splat_area(vertices, faces, low, cell_m, depth):
         area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
         longest = np.sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
         cuts = min(max(int(np.ceil(longest / cell_m)), 1), 2 * _SKY_CELLS)
-        # leaves that point anywhere show half of their area; per cell face this is an optical depth
+        # randomly oriented leaves project half of their area; per cell face this is an optical depth
         amount = np.float32(0.5 * area / (cell_m * cell_m) / (cuts * cuts))
         for i in range(cuts):
             for j in range(cuts):
-                # centroids of the cuts² equal triangles: i + j + 1 <= cuts are upright, the others mirrored
+                # centroids of the cuts² equal triangles: upright for i + j + 1 <= cuts, else mirrored
                 s, t = (i + 1 / 3) / cuts, (j + 1 / 3) / cuts
                 if i + j >= cuts:
                     s, t = (i + 2 / 3 - 0.0) / cuts, (j + 2 / 3 - 0.0) / cuts
@@ -160,7 +160,7 @@ def _follow_directions(first, end, directions, depth, shares):
 @compiled
 @no_type_check
 def sun_share(sun, x, y, z, looks):
-    """Share of the sun at a point [m]: some looks into the map around it, in one of the patterns."""
+    """Compute the share of the sun at a point [m], by samples of the shadow map in one of the patterns."""
     phase, num_looks = looks
     axes = sun.axes
     u = ((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) - sun.low[0]) * sun.texels_per_m
@@ -182,7 +182,7 @@ def sun_share(sun, x, y, z, looks):
 @compiled
 @no_type_check
 def sky_share(sky, x, y, z):
-    """Share of the sky at a point [m], trilinear; 1 outside of the grid."""
+    """Interpolate the share of the sky at a point [m] trilinearly; 1 outside the grid."""
     size_x, size_y, size_z = sky.share.shape
     gx, gy, gz = (x - sky.low[0]) / sky.cell_m, (y - sky.low[1]) / sky.cell_m, (z - sky.low[2]) / sky.cell_m
     if not (0 <= gx < size_x - 1 and 0 <= gy < size_y - 1 and gz < size_z - 1):

@@ -26,28 +26,28 @@ class Look:
 
     width: int = 512
     height: int = 512
-    supersampling: int = 2  # samples a pixel along each axis
-    ground: bool = True  # a level floor below the lowest vertex
-    grey_still: bool = False  # what stands still because it is no plant without its colours
-    shadows: bool = True  # of the sun, and the sky dimmed by what is around
-    sun_direction: tuple[float, float, float] = (-0.40, -0.45, 0.95)  # towards it
+    supersampling: int = 2  # samples per pixel along each axis
+    ground: bool = True  # draw a level floor below the lowest vertex
+    grey_still: bool = False  # draw still parts, which are no plant, in grey
+    shadows: bool = True  # shadows of the sun, and ambient occlusion of the sky
+    sun_direction: tuple[float, float, float] = (-0.40, -0.45, 0.95)  # direction towards the sun
 
     def __post_init__(self) -> None:
-        max_side_px = 4096  # of a picture: 4096² with 2×2 samples is half a gigabyte of z-buffer
+        max_side_px = 4096  # side of a picture; 4096² with 2×2 samples take half a gigabyte of z-buffer
         if not (1 <= self.width <= max_side_px and 1 <= self.height <= max_side_px and 1 <= self.supersampling <= 4):
             size = f"{self.width} x {self.height} pixels with {self.supersampling}² samples"
             raise InputError(f"a picture of {size}; 1 to {max_side_px} pixels a side and 1 to 4 are allowed")
 
 
 class Buffers(NamedTuple):
-    """What a camera sees at the centre of each pixel, without colour."""
+    """Depth and face at the centre of each pixel."""
 
-    depth_m: Float32[np.ndarray, "H W"]  # along the camera's axis; infinite where nothing is
-    face: Int32[np.ndarray, "H W"]  # -1 where nothing is
+    depth_m: Float32[np.ndarray, "H W"]  # depth along the camera's axis; infinite without a face
+    face: Int32[np.ndarray, "H W"]  # -1 without a face
 
 
 class _Surface(NamedTuple):
-    """Vertices and faces that are drawn."""
+    """Vertices, faces and appearance of the drawn mesh."""
 
     vertices: Float32[np.ndarray, "N 3"]  # [m]
     faces: Int32[np.ndarray, "F 3"]
@@ -55,14 +55,14 @@ class _Surface(NamedTuple):
 
 
 class Renderer:
-    """Pictures of one mesh in many poses: its colours and the light in its crown are prepared once."""
+    """Renderer of one mesh in many poses; colours and the light in the crown are prepared once."""
 
     def __init__(self, mesh: TriangleMesh, look: Look | None = None) -> None:
-        """Prepare a mesh; its rest pose dims the sky, and sets ground and camera.
+        """Prepare a mesh; its rest pose determines the sky's occlusion, the ground and the camera.
 
         Raises:
             MeshError: the mesh cannot be drawn.
-            FormatError: a texture is no picture.
+            FormatError: a texture is not a picture.
         """
         self.mesh = validate_mesh(mesh)
         self.look = look or Look()
@@ -79,7 +79,7 @@ class Renderer:
         self._sun: SunMap = self._shadow_of(mesh.vertices)
 
     def with_size(self, *, width: int, height: int) -> "Renderer":
-        """Draw the same mesh in the same light in another size of picture."""
+        """Return a renderer of the same mesh and light with another picture size."""
         other = copy(self)
         other.look = replace(self.look, width=width, height=height)
         other.camera = Camera.orbit(self._in_view, aspect=width / height)
@@ -88,7 +88,7 @@ class Renderer:
     def picture(
         self, displacement: Float32[np.ndarray, "N 3"] | None = None, *, camera: Camera | None = None
     ) -> UInt8[np.ndarray, "H W 3"]:
-        """Draw the mesh, its vertices displaced [m]."""
+        """Render the mesh with displaced vertices [m]."""
         if displacement is None:
             surface, sun = self._surface, self._sun
         else:
@@ -121,7 +121,7 @@ class Renderer:
         return picture
 
     def buffers(self, camera: Camera | None = None) -> Buffers:
-        """Depth and faces of the rest pose, one sample a pixel."""
+        """Render depth and faces of the rest pose, with one sample per pixel."""
         camera = camera or self.camera
         _, visible = self._see(self._surface, camera, 1)
         seen = visible.face >= 0
@@ -150,7 +150,7 @@ def write_png(image: UInt8[np.ndarray, "H W 3"], stream: ByteWriter) -> None:
 
 
 def _samples(camera: Camera, look: Look, supersampling: int) -> Float64[np.ndarray, "3 3"]:
-    """Camera axes to samples, sample centres at half-integers."""
+    """Return the matrix from camera axes to samples, with sample centres at half-integers."""
     matrix = camera.intrinsics_px(look.width, look.height)
     matrix[:2] *= supersampling
     return matrix

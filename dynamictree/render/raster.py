@@ -1,7 +1,7 @@
-"""Which face each sample of a picture sees: a z-buffer over homogeneous triangles, without clipping.
+"""Rasterise faces with a z-buffer over homogeneous triangles, without clipping.
 
-A triangle's corners a, b, c in homogeneous picture coordinates make a matrix; its inverse takes a sample (x, y, 1) to
-barycentric coordinates over depth. The sample lies inside where all three are positive, also when the triangle reaches
+A triangle's corners a, b, c in homogeneous picture coordinates form a matrix; its inverse maps a sample (x, y, 1) to
+barycentric coordinates over depth. The sample is inside if all three are positive, also for triangles that extend
 behind the camera (Olano and Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997).
 """
 
@@ -13,22 +13,22 @@ from jaxtyping import Float32, Float64, Int32
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import Appearance, alpha_at
 
-_WIDE = 6  # columns from which on it pays to compute where a row enters and leaves a triangle
+_WIDE = 6  # columns from which it pays to compute a row's range inside a triangle
 
 
 class ScreenTriangles(NamedTuple):
-    """Faces made ready for the loop over samples."""
+    """Faces prepared for the loop over samples."""
 
-    barycentric: Float64[np.ndarray, "F 9"]  # rows of the inverse: what (x, y, 1) is multiplied with
-    bounds: Int32[np.ndarray, "F 4"]  # first and end column, first and end row; empty where nothing is seen
-    level: Int32[np.ndarray, " F"]  # of the texture, 0 is full size
+    barycentric: Float64[np.ndarray, "F 9"]  # rows of the inverse matrix, which maps (x, y, 1)
+    bounds: Int32[np.ndarray, "F 4"]  # first and end column, first and end row; empty if not visible
+    level: Int32[np.ndarray, " F"]  # mip level of the texture, 0 is full size
 
 
 class Visible(NamedTuple):
-    """What the z-buffer holds."""
+    """Contents of the z-buffer."""
 
-    nearness: Float32[np.ndarray, "H W"]  # of the nearest surface: 1 / depth, or minus the depth in a parallel view
-    face: Int32[np.ndarray, "H W"]  # -1 where there is none
+    nearness: Float32[np.ndarray, "H W"]  # nearest surface's 1 / depth, or minus the depth in a parallel projection
+    face: Int32[np.ndarray, "H W"]  # -1 without a face
 
 
 def screen_triangles(
@@ -39,7 +39,7 @@ def screen_triangles(
     width: int,
     height: int,
 ) -> ScreenTriangles:
-    """Prepare faces whose corners are (x w, y w, w), x and y in samples; w = 1 in a parallel view."""
+    """Prepare faces with corners (x w, y w, w), x and y in samples; w = 1 in a parallel projection."""
     triangles = ScreenTriangles(
         barycentric=np.zeros((len(faces), 9)),
         bounds=np.zeros((len(faces), 4), np.int32),
@@ -58,9 +58,9 @@ def rasterise(
     width: int,
     height: int,
 ) -> Visible:
-    """Find the nearest face at every sample; of equally near ones the first.
+    """Find the nearest face at every sample, the first if several are equally near.
 
-    The vertices' nearness is blended by the barycentric coordinates: 1 in perspective, minus the depth without.
+    The vertices' nearness, 1 in perspective or minus the depth, is interpolated by the barycentric coordinates.
     """
     visible = Visible(np.full((height, width), -np.inf, np.float32), np.full((height, width), -1, np.int32))
     in_bands(_raster_rows, height, triangles, faces, nearness, appearance, visible)
@@ -113,7 +113,7 @@ def _texture_level(appearance, corners, material, twice_area):
     uc, vc = appearance.uv[corners[2]]
     texels = abs((ub - ua) * (vc - va) - (uc - ua) * (vb - va)) * levels[0, 1] * levels[0, 2]
     level = 0
-    # one level down quarters the texels; stop at about one texel a sample
+    # each level has a quarter of the texels; stop at about one texel per sample
     while level + 1 < len(levels) and levels[level + 1, 1] > 0 and texels > 2 * twice_area:
         texels /= 4
         level += 1
@@ -123,7 +123,7 @@ def _texture_level(appearance, corners, material, twice_area):
 @compiled
 @no_type_check
 def _inside_columns(m, offsets, left, right):
-    """Columns that may lie inside: where all three coordinates are positive, and one more at each end."""
+    """Return the columns that may be inside: those with three positive coordinates, and one more at each end."""
     low, high = float(left), float(right)
     for edge in range(3):
         slope, offset = m[3 * edge], offsets[edge]

@@ -1,4 +1,4 @@
-"""Shade samples to a picture: Lambert's law under sun and sky, with ground and sky behind."""
+"""Shade samples by Lambert's law under sun and sky, with ground and sky behind."""
 
 from typing import NamedTuple, no_type_check
 
@@ -10,23 +10,23 @@ from dynamictree.parallel import compiled
 from dynamictree.render.appearance import Appearance, albedo_at
 from dynamictree.render.light import MAX_LOOKS, SkyVolume, SunMap, sky_share, sun_share
 
-# linear light: the whole is about 1 on a level white surface
+# linear light; the sum is about 1 on a level white surface
 _SUN = (1.28, 1.13, 0.90)
 _SKY = (0.42, 0.47, 0.55)
-_BOUNCE = (0.26, 0.24, 0.21)  # from the ground, on what faces down
+_BOUNCE = (0.26, 0.24, 0.21)  # light from the ground on surfaces that face down
 _GROUND = (0.46, 0.465, 0.45)
 _HORIZON, _ZENITH = (0.80, 0.84, 0.88), (0.36, 0.53, 0.78)
 
-# looks at the sun per pixel and per sample of a pixel; as integers of one type, one compilation serves both
+# shadow samples per pixel and per sample of a pixel; integers of one type, so that one compilation serves both
 _PIXEL_LOOKS, _SAMPLE_LOOKS = np.int64(MAX_LOOKS), np.int64(3)
 
-_BYTE_STARTS = srgb_to_linear((np.arange(256) - 0.5) / 255)  # least light of each byte
-_CELLS = 4096  # of light; a byte is wider, so the byte at a cell's start is at most one too low
+_BYTE_STARTS = srgb_to_linear((np.arange(256) - 0.5) / 255)  # smallest light of each byte
+_CELLS = 4096  # cells of light; bytes are wider, so the byte at a cell's start is at most one too low
 _BYTE_AT = (np.searchsorted(_BYTE_STARTS, np.arange(_CELLS + 1) / _CELLS, side="right") - 1).astype(np.uint8)
 
 
 class Scene(NamedTuple):
-    """A mesh in its light."""
+    """Mesh and light of a picture."""
 
     vertices: Float64[np.ndarray, "N 3"]
     normals: Float64[np.ndarray, "N 3"]
@@ -37,29 +37,29 @@ class Scene(NamedTuple):
     sky: SkyVolume
     shadows: bool
     ground: bool
-    centre: Float64[np.ndarray, "3"]  # of the mesh's footprint, on the ground [m]
-    radius_m: float  # of the mesh around it
+    centre: Float64[np.ndarray, "3"]  # centre of the mesh's footprint, on the ground [m]
+    radius_m: float  # half the diagonal of the mesh's bounding box
 
 
 class View(NamedTuple):
-    """A camera with a size of picture."""
+    """Camera for pictures of one size."""
 
     position: Float64[np.ndarray, "3"]
-    ray: Float64[np.ndarray, "3 3"]  # (x, y, 1) in samples to a direction in the world
+    ray: Float64[np.ndarray, "3 3"]  # matrix from (x, y, 1) in samples to a direction in the world
     supersampling: int
 
 
 @compiled
 @no_type_check
 def shade_rows(first, end, picture, visible_face, triangles, scene, view):
-    """Fill rows of the picture: the mean light of the samples of each pixel, as sRGB bytes.
+    """Fill rows of the picture with the mean light of each pixel's samples, as sRGB bytes.
 
-    Where all samples see one face, the light is taken once, in the middle.
+    If all samples see the same face, the light is computed once, at the pixel's centre.
     """
     n = view.supersampling
     for row in range(first, end):
         for column in range(picture.shape[1]):
-            # neighbouring pixels look at the sun in other patterns: a penumbra has noise instead of rings
+            # neighbouring pixels use different shadow patterns, so that penumbras have noise instead of rings
             phase = row * 5 + column * 7
             top, left = row * n, column * n
             face = visible_face[top, left]
@@ -86,7 +86,7 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
 @compiled
 @no_type_check
 def _srgb_byte(light):
-    """The byte nearest to the sRGB value, from tables: three powers took a fifth of the shading."""
+    """Return the byte nearest to the sRGB value, from tables; powers took a fifth of the shading's time."""
     value = min(max(light, 0.0), 1.0)
     byte = np.int64(_BYTE_AT[int(value * _CELLS)])
     while byte < 255 and value >= _BYTE_STARTS[byte + 1]:
@@ -151,7 +151,7 @@ def _blend(values, corners, weights):
 @compiled
 @no_type_check
 def _surface_normal(corners, weights, direction, scene):
-    """Smooth normal, or the face's own where the two differ by more than 60 degrees; turned to the viewer."""
+    """Return the smooth normal, or the face's if they differ by more than 60 degrees, towards the viewer."""
     p, q, r = scene.vertices[corners[0]], scene.vertices[corners[1]], scene.vertices[corners[2]]
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]

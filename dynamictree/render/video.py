@@ -1,4 +1,4 @@
-"""Moving pictures: MP4 through ffmpeg, animated WebP through Pillow."""
+"""Write videos: MP4 with ffmpeg, animated WebP with Pillow."""
 
 import shutil
 import subprocess
@@ -14,15 +14,15 @@ from PIL import Image, TiffImagePlugin
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import DynamicTreeError, InputError
 
-Picture = UInt8[np.ndarray, "_h _w 3"]  # of any size: whether all have one is checked as they come
+Picture = UInt8[np.ndarray, "_h _w 3"]  # any size; the writers check that all frames have the same
 
 
 @contextmanager
 def spooled(frames: Iterable[Picture]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]:
-    """Pictures of one size on disk, for those who go through them more than once; gone at the end.
+    """Store pictures of one size in a temporary file, for repeated passes.
 
     Raises:
-        InputError: no frames.
+        InputError: there are no frames.
     """
     with tempfile.TemporaryFile() as spool:
         shape: tuple[int, ...] = ()
@@ -37,7 +37,7 @@ def spooled(frames: Iterable[Picture]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]
 
 
 def _checked(frames: Iterable[Picture], fps: float, *, most: float) -> tuple[tuple[int, ...], Iterator[Picture]]:
-    """The size of the frames, and the frames, which are compared with it as they come."""
+    """Return the shape of the frames, and an iterator that checks each frame's shape."""
     if not 0 < fps <= most:
         raise InputError(f"fps is {fps}; above 0 and at most {most:g} are allowed")
     rest = iter(frames)
@@ -56,26 +56,26 @@ def _of_one_size(frames: Iterator[Picture], shape: tuple[int, ...]) -> Iterator[
 
 
 def write_mp4(frames: Iterable[Picture], stream: ByteWriter, fps: float) -> None:
-    """Write pictures of one size as a film, one at a time.
+    """Write pictures of one size as an MP4 video, one at a time.
 
     Raises:
-        DynamicTreeError: ffmpeg failed; the message holds its own.
-        InputError: no frames, frames of several sizes, or too many a second.
+        DynamicTreeError: ffmpeg failed; the message includes its output.
+        InputError: there are no frames, frames of several sizes, or too many per second.
     """
-    import imageio_ffmpeg  # the extra `video`; only this format needs it
+    import imageio_ffmpeg  # extra `video`, needed by this format only
 
     shape, frames = _checked(frames, fps, most=240.0)
-    # yuv420p halves the colour's resolution and wants even sides: one pixel of edge is repeated where a side is odd
+    # yuv420p halves the resolution of colour and needs even sides: odd sides are padded by a pixel
     even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{shape[1]}x{shape[0]}", "-r", f"{fps:.6f}", "-i", "-"]
     coded = ["-an", "-vf", even, "-c:v", "libx264", "-crf", "18", "-preset", "medium", "-pix_fmt", "yuv420p"]
     with tempfile.NamedTemporaryFile(suffix=".mp4") as film, tempfile.TemporaryFile() as log:
-        # a seekable file, so that the index can go to the front and browsers start before the end
+        # a seekable file, so that the index moves to the front and browsers start before the end
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *source, *coded]
         command += ["-threads", "2", "-movflags", "+faststart", film.name]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log) as encoder:
             assert encoder.stdin is not None
-            with suppress(BrokenPipeError):  # ffmpeg gave up; its log tells why
+            with suppress(BrokenPipeError):  # ffmpeg failed; its log has the reason
                 for frame in frames:
                     encoder.stdin.write(np.ascontiguousarray(frame).tobytes())
                 encoder.stdin.close()
@@ -88,9 +88,9 @@ def write_mp4(frames: Iterable[Picture], stream: ByteWriter, fps: float) -> None
 
 
 def write_webp(frames: Iterable[Picture], stream: ByteWriter, fps: float) -> None:
-    """Write pictures of one size as an animated WebP that repeats for ever; raises as `write_mp4`."""
+    """Write pictures of one size as an endlessly looping WebP; see `write_mp4` for exceptions."""
     _, frames = _checked(frames, fps, most=100.0)
-    # Pillow wants all frames in memory or in one file of many pages; the file keeps memory small
+    # Pillow needs all frames in memory or in one multi-page file, which saves memory
     with tempfile.TemporaryFile() as spool:
         with TiffImagePlugin.AppendingTiffWriter(spool) as pages:
             for frame in frames:

@@ -1,1 +1,1 @@
-"""Voxelization: occupied voxels of a surface, and averages of vertex values in them."""
+"""Voxelization: occupied voxels of a surface, and averages of vertex values in each."""

@@ -1,8 +1,8 @@
-"""Clip triangles to a grid: the exact area of each in each voxel.
+"""Clip triangles to a grid, and compute the exact area of each in each voxel.
 
 A triangle is cut into slabs along x, each slab's polygon along y, each of those along z. The range of the next cut is
-that of the polygon at hand, so only voxels that the triangle meets are visited. A corner is six numbers: its position
-in voxels and its barycentric coordinates, which are cut along with it and so stay exact on needles.
+that of the current polygon, so only voxels that the triangle meets are visited. A corner is six numbers: its position
+in voxels and its barycentric coordinates, which are interpolated with it and so stay exact on needles.
 """
 
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.parallel import compiled
 
-_X, _Y, _Z = np.int64(0), np.int64(1), np.int64(2)  # with a type, so that one compilation serves the three
+_X, _Y, _Z = np.int64(0), np.int64(1), np.int64(2)  # typed, so that one compilation serves all three
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfacePieces:
-    """Parts of faces, one for each voxel that a face passes through, in the order of faces."""
+    """Pieces of faces, one per voxel that a face meets, in the order of faces."""
 
-    keys: Int64[np.ndarray, " P"]  # of the voxel, (x R + y) R + z
+    keys: Int64[np.ndarray, " P"]  # key of the voxel, (x R + y) R + z
     faces: Int32[np.ndarray, " P"]
-    areas: Float64[np.ndarray, " P"]  # in squared voxels; 0 where the face only touches the voxel
-    centroids: Float32[np.ndarray, "P 3"]  # barycentric in the face
+    areas: Float64[np.ndarray, " P"]  # [voxels²]; 0 if the face only touches the voxel
+    centroids: Float32[np.ndarray, "P 3"]  # barycentric coordinates in the face
 
 
 def cut_faces(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> SurfacePieces:
-    """Cut triangles whose corners are given in voxels, all within 0 to resolution."""
+    """Cut triangles with corners in voxels, within 0 to `resolution`."""
     counts = np.zeros(len(corners), np.int64)
     nothing = (np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0), np.zeros((0, 3), np.float32))
     _cut_all(corners, resolution, counts, counts, False, *nothing)
@@ -42,7 +42,7 @@ def cut_faces(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Surface
 @compiled
 @no_type_check
 def _cut(polygon, count, axis, bound, sign, out):
-    """Keep the side where sign * (x - bound) >= 0 (Sutherland and Hodgman 1974); gives the number of corners left."""
+    """Clip a polygon to sign * (x - bound) >= 0 (Sutherland-Hodgman 1974); return the number of corners left."""
     num_left = 0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
@@ -64,7 +64,7 @@ def _cut(polygon, count, axis, bound, sign, out):
 @compiled
 @no_type_check
 def _slab(polygon, count, axis, index, scratch, out):
-    """Keep index <= x <= index + 1."""
+    """Clip a polygon to index <= x <= index + 1."""
     left = _cut(polygon, count, axis, float(index), 1.0, scratch)
     return _cut(scratch, left, axis, index + 1.0, -1.0, out)
 
@@ -72,7 +72,7 @@ def _slab(polygon, count, axis, index, scratch, out):
 @compiled
 @no_type_check
 def _range(polygon, count, axis):
-    """First and last voxel index along one axis; what lies in a boundary plane belongs to the voxel above it."""
+    """Return the first and last voxel index along an axis; points in a boundary plane belong to the voxel above."""
     low, high = polygon[0, axis], polygon[0, axis]
     for i in range(1, count):
         low, high = min(low, polygon[i, axis]), max(high, polygon[i, axis])
@@ -82,7 +82,7 @@ def _range(polygon, count, axis):
 @compiled
 @no_type_check
 def _area(polygon, count):
-    """Area of a flat polygon, as a fan from its first corner, and the barycentric coordinates of its centroid."""
+    """Compute a flat polygon's area, as a fan from its first corner, and its centroid's barycentric coordinates."""
     total, weighted_0, weighted_1, weighted_2 = 0.0, 0.0, 0.0, 0.0
     for i in range(1, count - 1):
         ax, bx = polygon[i, 0] - polygon[0, 0], polygon[i + 1, 0] - polygon[0, 0]

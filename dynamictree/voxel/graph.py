@@ -1,27 +1,27 @@
-"""Graph of touching voxels, and those where the tree stands."""
+"""Graph of touching voxels, and the voxels at the tree's roots."""
 
 from collections.abc import Sequence
 
 import numpy as np
-import scipy  # its parts come in when they are used: the service starts without them
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Int, Int32, Int64, Shaped
 
 from dynamictree.voxel.grid import VoxelGrid
 
 ROOT_SHARE = 0.02
-"""Of the tree's height: voxels this near to the lowest may stand in the ground, see `root_rows`."""
+"""Share of the tree's height; voxels this near to the lowest may be in the ground, see `root_rows`."""
 
 
 OFFSETS = tuple((x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1))
-"""The 27 taps of a 3³ kernel, in the order of a dense kernel's memory; tap 26 - i is the opposite of tap i."""
+"""Offsets of the 27 taps of a 3³ kernel, in a dense kernel's memory order; tap 26 - i is opposite to tap i."""
 CENTRE = 13
 
 Pair = tuple[Int64[np.ndarray, " _"], Int64[np.ndarray, " _"]]
 
 
 def neighbour_pairs(coords: Int[np.ndarray, "V 3"]) -> list[Pair]:
-    """Rows a and b of voxels with coords[b] = coords[a] + offset, for each of OFFSETS[:CENTRE]."""
-    shifted = coords.astype(np.int64) - coords.min(axis=0) + 1  # a border of one: no neighbour's key wraps around
+    """Return rows a and b of voxels with coords[b] = coords[a] + offset, for each of OFFSETS[:CENTRE]."""
+    shifted = coords.astype(np.int64) - coords.min(axis=0) + 1  # border of one: neighbours' keys cannot wrap around
     span = int(shifted.max()) + 2
     strides = np.array([span * span, span, 1])
     own = shifted @ strides
@@ -35,10 +35,10 @@ def neighbour_pairs(coords: Int[np.ndarray, "V 3"]) -> list[Pair]:
 
 
 def voxel_graph(grid: VoxelGrid, pairs: Sequence[Pair] | None = None) -> "scipy.sparse.csr_array":
-    """Distances [V, V] between voxels that touch by face, edge or corner, made connected [m].
+    """Build a connected graph [V, V] of distances between voxels that touch by face, edge or corner [m].
 
-    Parts that touch no other are joined to their nearest neighbour part by the shortest gap, until all is one.
-    `pairs` are those of `neighbour_pairs`, where someone has them.
+    Separate parts are joined to their nearest part by the shortest gap, until all are connected. `pairs` is the result
+    of `neighbour_pairs`, if it is at hand.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -54,13 +54,13 @@ def voxel_graph(grid: VoxelGrid, pairs: Sequence[Pair] | None = None) -> "scipy.
 
 
 def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndarray, " R"]:
-    """Voxels that stand in the ground: the tree's foot, and those of other trunks.
+    """Find the voxels in the ground: the feet of the tree's trunks.
 
-    Branches that hang to the ground end there too. From such a tip, the way to all else is longer than from the foot
-    that bears it: it leads back up to the trunk.
+    Branches may hang to the ground too. From such a tip, the mean path to all other voxels is longer than from the
+    foot, since it leads back to the trunk.
     """
-    max_detour = 1.05  # how much further, in the mean, all else may be from another trunk than from the foremost
-    max_feet = 8  # parts near the ground that are looked at, the largest
+    max_detour = 1.05  # largest ratio of a trunk's mean path length to the smallest one
+    max_feet = 8  # number of parts near the ground that are tested, the largest first
     from scipy.sparse.csgraph import connected_components, dijkstra
 
     height = grid.coords[:, 2]
@@ -75,7 +75,7 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
 
 
 def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> "scipy.sparse.csr_array":
-    """Both directions of every edge."""
+    """Build the graph with both directions of every edge."""
     lengths = np.linalg.norm((grid.coords[starts] - grid.coords[ends]) * grid.voxel_size_m, axis=1).astype(np.float32)
     rows, columns = np.concatenate([starts, ends]), np.concatenate([ends, starts])
     both = scipy.sparse.coo_array((np.tile(lengths, 2), (rows, columns)), shape=(len(grid), len(grid)))
@@ -85,8 +85,8 @@ def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndar
 def shortest_gaps(
     points: Shaped[np.ndarray, "V 3"], part: Int64[np.ndarray, " V"]
 ) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
-    """From every part but the largest, the pair of points nearest to another part: a round of Borůvka's algorithm."""
-    # looked at first when a component seeks the nearest voxel of another; doubled until one is found
+    """Find the shortest gap from each part but the largest to another part: one round of Borůvka's algorithm."""
+    # neighbours searched first for a voxel of another part; doubled until one is found
     first_neighbours = 16
     from scipy.spatial import cKDTree
 
@@ -101,7 +101,7 @@ def shortest_gaps(
         distance = np.where(part[neighbour] == part[seeking][:, None], np.inf, distances)  # [M, count]
         best = np.argmin(distance, axis=1)
         gap = distance[np.arange(len(seeking)), best]
-        order = np.lexsort((seeking, gap, part[seeking]))  # the first of each part is its shortest gap
+        order = np.lexsort((seeking, gap, part[seeking]))  # the first row of each part is its shortest gap
         first = order[np.unique(part[seeking][order], return_index=True)[1]]
         first = first[np.isfinite(gap[first])]
         starts.append(seeking[first])

@@ -1,4 +1,4 @@
-"""The sparse grid that a tree's motion lives on."""
+"""Sparse voxel grid, on which a tree's motion is defined."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ from jaxtyping import Float32, Int32, Int64
 from dynamictree.errors import InputError
 
 MARGIN = 0.01
-"""Empty border of the grid's cube, as a share of the largest extent: a surface on the cube's face stays inside."""
+"""Empty border of the grid's cube, which encloses the whole surface [share of the largest extent]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelGrid:
-    """Occupied voxels of a cube of `resolution`³, in ascending order of `keys`.
+    """Occupied voxels in a cube of `resolution`³ voxels, in ascending order of `keys`.
 
     The centre of a voxel is `origin_m + (coords + 0.5) * voxel_size_m`.
     """
@@ -43,7 +43,7 @@ class VoxelGrid:
         voxel_size_m: float,
         resolution: int,
     ) -> "VoxelGrid":
-        """Sort, and drop what occurs twice."""
+        """Create a grid from coordinates in any order, with duplicates removed."""
         keys = distinct(_keys(coords, resolution))
         ordered = np.stack([keys // resolution**2, keys // resolution % resolution, keys % resolution], axis=1)
         return cls(coords=ordered.astype(np.int32), origin_m=origin_m, voxel_size_m=voxel_size_m, resolution=resolution)
@@ -53,7 +53,7 @@ class VoxelGrid:
 
     @property
     def keys(self) -> Int64[np.ndarray, " V"]:
-        """One ascending integer a voxel: (x R + y) R + z."""
+        """One ascending integer per voxel: (x R + y) R + z."""
         return _keys(self.coords, self.resolution)
 
     @property
@@ -63,15 +63,15 @@ class VoxelGrid:
 
     @property
     def height_m(self) -> float:
-        """From the bottom of the lowest voxel to the top of the highest [m]."""
+        """Height from the bottom of the lowest voxel to the top of the highest [m]."""
         return (int(np.ptp(self.coords[:, 2])) + 1) * self.voxel_size_m
 
     def coords_of(self, points: Float32[np.ndarray, "N 3"]) -> Int32[np.ndarray, "N 3"]:
-        """Index of the voxel that each point lies in, occupied or not; may be outside of the cube."""
+        """Return the index of the voxel at each point, which may be empty or outside the cube."""
         return np.asarray(np.floor((points - np.asarray(self.origin_m)) / self.voxel_size_m), np.int32)
 
     def rows_of(self, coords: Int32[np.ndarray, "N 3"]) -> Int32[np.ndarray, " N"]:
-        """Row in `coords` of each voxel index, or -1 where that voxel is not occupied."""
+        """Return the row in `coords` of each voxel index, or -1 if the voxel is not occupied."""
         inside = ((coords >= 0) & (coords < self.resolution)).all(axis=1)
         wanted = _keys(coords, self.resolution)
         keys = self.keys
@@ -80,9 +80,9 @@ class VoxelGrid:
 
 
 def grid_frame(points: Float32[np.ndarray, "N 3"], resolution: int) -> tuple[tuple[float, float, float], float]:
-    """Origin and voxel size [m] of the cube that holds all points; grids of 2ⁿ times the resolution nest exactly.
+    """Return origin and voxel size [m] of a cube around all points; grids of 2ⁿ times the resolution nest exactly.
 
-    The cube stands centred under the points, its floor just below the lowest.
+    The cube is centred horizontally; its floor is just below the lowest point.
     """
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
     extent = float((high - low).max())
@@ -93,14 +93,14 @@ def grid_frame(points: Float32[np.ndarray, "N 3"], resolution: int) -> tuple[tup
 
 
 def distinct(keys: Int64[np.ndarray, " M"]) -> Int64[np.ndarray, " D"]:
-    """Every key once, in ascending order: `np.unique`, whose hash table takes 40 times as long for millions of keys."""
+    """Return unique keys in ascending order; for millions of keys 40 times as fast as `np.unique`."""
     ordered = np.sort(keys)
     first: Int64[np.ndarray, " D"] = ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]
     return first
 
 
 def morton_order(cells: Int64[np.ndarray, "M 3"]) -> Int64[np.ndarray, " M"]:
-    """The order of cells, below 65,536, along a curve on which neighbours are neighbours in space."""
+    """Sort cells with coordinates below 65,536 along a Morton curve."""
     key = np.zeros(len(cells), np.int64)
     for bit in range(16):
         for axis in range(3):

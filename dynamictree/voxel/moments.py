@@ -1,4 +1,4 @@
-"""Moments of the surface inside each voxel, which distinguish a card from a thin twig."""
+"""Moments of the surface in each voxel, which distinguish a card from a thin twig."""
 
 from collections.abc import Iterator
 
@@ -11,16 +11,16 @@ from dynamictree.voxel.grid import VoxelGrid
 
 NUM_MOMENTS = 16
 AREA, OFFSET, SPREAD, NORMAL = slice(0, 1), slice(1, 4), slice(4, 10), slice(10, 16)
-"""Area; its centroid, from the voxel's centre; second moment of the area about its centroid; mean of n nᵀ, which is
-of rank one in a card, whichever side faces out, and of rank two in a tube. In voxels; tensors as SIX."""
+"""Area; its centroid, relative to the voxel's centre; second moment of the area about its centroid; mean of n nᵀ, which
+has rank one for a card, whatever its orientation, and rank two for a tube. In voxels; tensors as SIX."""
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def moments_of(
     mesh: Surface, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
 ) -> Float32[np.ndarray, "V 16"]:
-    """NUM_MOMENTS numbers a voxel, of the pieces of surface in it; `rows` are the pieces' voxels."""
-    at_once = 1 << 20  # pieces whose corners are gathered: 72 MB
+    """Compute NUM_MOMENTS numbers per voxel from its pieces of surface; `rows` are the pieces' voxels."""
+    at_once = 1 << 20  # number of pieces whose corners are gathered at once, 72 MB
     vertices = (mesh.vertices.astype(np.float64) - grid.origin_m) / grid.voxel_size_m
     corners = vertices[mesh.faces]  # [F, 3, 3]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -42,17 +42,17 @@ def moments_of(
 def _columns(
     place: Float64[np.ndarray, "P 3"], pieces: SurfacePieces, facing: Float64[np.ndarray, "F 6"]
 ) -> Iterator[Float64[np.ndarray, " P"]]:
-    """What is averaged in each voxel, a column at a time, as all together are 120 bytes per piece."""
+    """Yield the columns to average in each voxel, one by one, since all take 120 bytes per piece."""
     yield from place.T
     for number, (i, j) in enumerate(SIX):
         flat = float(i == j) - facing[pieces.faces, number]
-        yield place[:, i] * place[:, j] + pieces.areas / 12 * flat  # of a square piece of this area, in its plane
+        yield place[:, i] * place[:, j] + pieces.areas / 12 * flat  # second moment of a square piece of this area
     for number in range(len(SIX)):
         yield facing[pieces.faces, number]
 
 
 def moments_of_normals(normals: Float32[np.ndarray, "V 3"]) -> Float32[np.ndarray, "V 16"]:
-    """What is left where no mesh is known: each voxel as if one square card lay across it."""
+    """Estimate moments without a mesh, as if one square card lay across each voxel."""
     facing = _six(normals.astype(np.float64))
     flat = (_six(np.eye(3)).sum(axis=0) - facing) / 12
     area, offset = np.ones((len(normals), 1)), np.zeros((len(normals), 3))
@@ -65,7 +65,7 @@ def coarse_moments(
     coarse: VoxelGrid,
     owner: Int32[np.ndarray, " V"],
 ) -> Float32[np.ndarray, "W 16"]:
-    """The same surface in larger voxels; `owner` is the coarse row of each fine voxel."""
+    """Compute the moments in larger voxels; `owner` is the coarse row of each fine voxel."""
     factor = fine.resolution // coarse.resolution
     area = moments[:, AREA].astype(np.float64)
     place = (fine.coords + 0.5 + moments[:, OFFSET]) / factor - coarse.coords[owner] - 0.5
@@ -77,5 +77,5 @@ def coarse_moments(
 
 
 def _six(vectors: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 6"]:
-    """Products of components, in the order of SIX."""
+    """Compute the products of components, in the order of SIX."""
     return np.stack([vectors[:, i] * vectors[:, j] for i, j in SIX], axis=1)

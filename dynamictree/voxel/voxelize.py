@@ -1,4 +1,4 @@
-"""The surface of a mesh as occupied voxels, and vertex values as means over the surface in each. Paper section 3.3."""
+"""Voxelize the surface of a mesh, and average vertex values over the surface in each voxel. Paper section 3.3."""
 
 from dataclasses import dataclass, field
 
@@ -15,13 +15,13 @@ from dynamictree.voxel.moments import moments_of
 
 MIN_RESOLUTION, MAX_RESOLUTION = 32, 512
 MAX_PIECES = 30_000_000
-"""Of faces in voxels: 3 GB at 100 bytes per piece, measured. A mesh at the caps of `mesh.py` has 10 million at 512³."""
+"""Limit of pieces of faces: 3 GB at 100 bytes each, measured. The largest meshes have 10 million at 512³."""
 
 _LEAST_AREA = 1e-16
-"""Of the cube's face. A smaller piece of surface is rounding: a face that only touches the voxel."""
+"""Share of the area of the cube's face; smaller pieces are rounding errors of faces that touch the voxel."""
 
 _CANCELLED = 0.2
-"""Length of a mean of unit normals below which the surface in a voxel is two-sided, such as a leaf card with a back."""
+"""Length of the mean unit normal below which a voxel's surface is two-sided, such as a leaf card with a back."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,26 +29,26 @@ class SurfaceVoxels:
     """Voxelized surface of a tree: occupied voxels, normals and moments."""
 
     grid: VoxelGrid
-    normals: Float32[np.ndarray, "V 3"]  # unit length
-    moments: Float32[np.ndarray, "V 16"] | None = None  # see `voxel.moments`; None where no mesh is known
-    tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
+    normals: Float32[np.ndarray, "V 3"]  # unit normals
+    moments: Float32[np.ndarray, "V 16"] | None = None  # see `voxel.moments`; None without a mesh
+    tree: Int32[np.ndarray, " V"] | None = None  # number of the tree, from 0; None for one tree
     source: Source = field(default_factory=Source)
 
 
 def voxelize(mesh: Surface, resolution: int = 128, *, source: Source = UNKNOWN) -> SurfaceVoxels:
-    """The voxels that hold a piece of the surface, with the mean normal of the surface in each.
+    """Find the voxels that contain a piece of the surface, with the mean normal in each.
 
-    A voxel is half-open: what lies in the plane between two belongs to the upper one. Where the two sides of a thin
-    card cancel in the mean, the normal is the direction that the pieces share, turned away from the tree's middle.
+    A voxel is half-open: points in the plane between two belong to the upper one. If the two sides of a thin card
+    cancel in the mean, the normal is the principal axis of the normals, pointing away from the tree's centre.
 
     Args:
-        mesh: with finite vertices; faces without area are passed over.
-        resolution: voxels along the cube's edge, 32 to 512.
-        source: what the mesh was read from, to be recorded.
+        mesh: mesh with finite vertices; faces without area are ignored.
+        resolution: number of voxels along the cube's edge, 32 to 512.
+        source: source of the mesh, to be recorded.
 
     Raises:
         InputError: the resolution is out of range.
-        MeshError: the mesh has no surface, or more of it than `MAX_PIECES`.
+        MeshError: the mesh has no surface, or more pieces than `MAX_PIECES`.
     """
     if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
         raise InputError(f"the resolution is {resolution}; {MIN_RESOLUTION} to {MAX_RESOLUTION} are allowed")
@@ -70,7 +70,7 @@ def voxelize(mesh: Surface, resolution: int = 128, *, source: Source = UNKNOWN) 
 
 
 def voxel_trees(mesh: Surface, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:
-    """Of a mesh of several trees, the one that has most of the surface in each voxel; -1 where there is none."""
+    """Return the tree with most of the surface in each voxel; -1 for voxels without surface."""
     mesh = mesh.moving_part
     assert mesh.face_tree is not None
     pieces, rows = _pieces_in(mesh, grid)
@@ -83,25 +83,25 @@ def _largest_share(
     num_trees = int(face_tree.max()) + 1
     keys, group = np.unique(rows * num_trees + face_tree[pieces.faces], return_inverse=True)
     area = np.bincount(group, pieces.areas)
-    order = np.lexsort((area, keys // num_trees))  # the last of each voxel has the most
+    order = np.lexsort((area, keys // num_trees))  # the last row of each voxel has the largest area
     trees = np.full(num_voxels, -1, np.int32)
     trees[keys[order] // num_trees] = keys[order] % num_trees
     return trees
 
 
 def surface_moments(mesh: Surface, grid: VoxelGrid) -> Float32[np.ndarray, "V 16"]:
-    """The moments that `voxelize` gives of this mesh, which made the grid."""
+    """Compute the moments that `voxelize` returns for the grid's own mesh."""
     return moments_of(mesh, grid, *_pieces_in(mesh, grid))
 
 
 def surface_average(mesh: Surface, grid: VoxelGrid) -> scipy.sparse.csr_array:
-    """Weights [V, N] that turn values at vertices into their mean over the surface in each voxel; rows sum to 1.
+    """Compute weights [V, N] that average vertex values over the surface in each voxel; rows sum to 1.
 
-    Exact for values that are linear on each face. Paper appendix A averages the vertices of a voxel instead, which
-    leaves voxels in the middle of large faces without a value.
+    They are exact for values that are linear on each face. Paper appendix A averages the vertices in a voxel instead,
+    which leaves voxels inside large faces without a value.
 
     Raises:
-        InputError: a voxel of the grid holds none of the mesh's surface.
+        InputError: a voxel of the grid contains no surface of the mesh.
     """
     pieces, rows = _pieces_in(mesh, grid)
     rows = np.repeat(rows, 3)
@@ -118,7 +118,7 @@ def surface_average(mesh: Surface, grid: VoxelGrid) -> scipy.sparse.csr_array:
 
 
 def _pieces_in(mesh: Surface, grid: VoxelGrid) -> tuple[SurfacePieces, Int64[np.ndarray, " P"]]:
-    """Pieces of faces in the occupied voxels of a grid, and the row of each."""
+    """Return the pieces of faces in the occupied voxels of a grid, and each piece's row."""
     pieces, keys = grid_pieces(mesh, grid), grid.keys
     rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
     there = keys[rows] == pieces.keys
@@ -126,14 +126,14 @@ def _pieces_in(mesh: Surface, grid: VoxelGrid) -> tuple[SurfacePieces, Int64[np.
 
 
 def grid_pieces(mesh: Surface, grid: VoxelGrid) -> SurfacePieces:
-    """Pieces of faces in the voxels of a grid."""
+    """Return the pieces of faces in the voxels of a grid."""
     return surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
 
 
 def surface_pieces(
     mesh: Surface, origin_m: tuple[float, float, float], voxel_size_m: float, resolution: int
 ) -> SurfacePieces:
-    """Pieces of faces in voxels, and each corner of a face in its voxel with the least weight that still counts."""
+    """Return pieces of faces in voxels, plus each corner of a face as a piece with the least area."""
     in_voxels = (mesh.vertices.astype(np.float64) - origin_m) / voxel_size_m  # [N, 3]
     corners = in_voxels[mesh.faces]  # [F, 3, 3]
     inside = ((corners >= 0) & (corners < resolution)).all(axis=(1, 2))
@@ -162,10 +162,10 @@ def _has_area(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Bool[np
 
 
 def _refuse_too_much(corners: Float64[np.ndarray, "F 3 3"]) -> None:
-    """Bound the number of pieces by area and extent before any is made."""
+    """Bound the number of pieces by area and extent before they are computed."""
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     extent = np.ptp(corners, axis=1).sum()
-    expected = 1.5 * area + extent + len(corners)  # a plane in general position meets 1.5 voxels a squared voxel
+    expected = 1.5 * area + extent + len(corners)  # a plane in general position meets 1.5 voxels per squared voxel
     if expected > MAX_PIECES:
         raise MeshError(
             f"the faces would be cut into about {expected:.2g} pieces; at most {MAX_PIECES:.2g} are allowed; take a "
@@ -198,7 +198,7 @@ def _shared_direction(
     normals: Float64[np.ndarray, "P 3"],
     voxels: Int64[np.ndarray, " M"],
 ) -> Float64[np.ndarray, "M 3"]:
-    """First principal axis of the normals in each of some voxels, whichever their sign."""
+    """Return the first principal axis of the normals in some voxels, pointing outward."""
     place = np.full(len(grid), -1)
     place[voxels] = np.arange(len(voxels))
     chosen = place[rows] >= 0
