@@ -1,1 +1,1 @@
-"""Devoxelization, Dev(·) of paper eq. 1: from spectra of voxels to spectra of vertices."""
+"""Devoxelization, Dev(·) in paper eq. 1: from spectra of voxels to spectra of vertices."""

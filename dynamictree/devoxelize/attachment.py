@@ -1,9 +1,9 @@
 """Find where small separate parts of a mesh, such as leaf cards, are attached to larger parts.
 
-Files rarely join a leaf to its twig: it is a part of its own that only comes near. A part hangs by its point that is
-nearest to a larger part, on the nearest point there: on one that is clearly larger if there is one, on a twig rather
-than on another card. A branch of its own hangs where its end touches, or the end of what carries it, also on a trunk
-that is no larger, or a pile of parts; else where it crosses the tree. What is far from it hangs on nothing.
+Files rarely connect a leaf with its twig: it is a separate part nearby. A part is attached at its point nearest to a
+larger part, to the nearest point there; clearly larger parts are preferred, and twigs rather than cards. A separate
+branch is attached where its end, or the end of its carrier, touches, also to a trunk that is no larger or consists of
+several parts; otherwise where it crosses the tree. Parts far from the tree are not attached.
 """
 
 from dataclasses import dataclass
@@ -20,46 +20,45 @@ from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import grid_pieces
 
 SMALL_PART_VOXELS = 8.0
-"""Largest extent of a part that hangs on another, in voxels. The voxels of a larger one say how it moves."""
+"""Largest extent of an attached part [voxels]; the motion of larger parts is determined by their own voxels."""
 
 FEW_VERTICES = 24
-"""A part with no more hangs on another whatever its extent: low-poly crowns are made of large ones."""
+"""Parts with at most this many vertices are attached whatever their extent, as in low-poly crowns."""
 
 CARD_VERTICES = 8
-"""A part with no more is a card, and hangs on the nearest part that is none; stems hang on it for want of others."""
+"""Parts with at most this many vertices are cards, attached to other parts if possible, and carriers of last resort."""
 
 MAX_GAP_VOXELS = 2.0
-"""Farther from any larger part, a part moves by its own voxels; nearer ones may share voxels with it."""
+"""Largest gap to a larger part; a part farther away moves by its own voxels."""
 
 TWIG_GAP_VOXELS, TWIG_GAP_SHARE = 6.5, 0.65
-"""The same for a card and a twig that is clearly larger, at most this share of the card's extent: artists place cards
-near twigs, not on them."""
+"""The same for a card and a clearly larger twig, and as a share of the card's extent; artists leave gaps there."""
 
 TOUCHING_VOXELS = 1.0
-"""A branch that is a part of its own hangs on what its end touches."""
+"""Largest gap at which the end of a separate branch touches another part."""
 
-_NEAR_PIECES = (4, 32)  # most find a larger part among few
+_NEAR_PIECES = (4, 32)  # numbers of nearest pieces; most parts find a larger one among the first few
 _PIECES_AT_ONCE = 100_000
 _CLEARLY_LARGER = 1.7
-"""A part hangs on one that is this much larger if one is near, so that leaves hang on twigs and not on each other."""
-_CLASSES_PER_DOUBLING = 4  # of extents: each has a search tree of what is clearly larger
-_AT_END = 0.3  # of the extent: how far from the middle of a branch its end is, at least
+"""Ratio of extents of a preferred carrier, so that leaves are attached to twigs and not to each other."""
+_CLASSES_PER_DOUBLING = 4  # number of classes of extents, each with a search tree of clearly larger parts
+_AT_END = 0.3  # share of the extent; least distance of a branch's end from its middle
 _NO_PAIRS = np.zeros((0, 2), np.int64)
 _NOWHERE = np.zeros((0, 2, 3), np.int32), np.zeros((0, 2, 3), np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attachments:
-    """B parts that are attached to others."""
+    """Attachments of B parts to others."""
 
-    part: Int32[np.ndarray, " N"]  # of each vertex
-    children: Int32[np.ndarray, " B"]  # the parts that hang
-    corners: Int32[np.ndarray, "B 2 3"]  # by which face of theirs, on which face of the other part
-    weights: Float32[np.ndarray, "B 2 3"]  # and where in these, barycentric
+    part: Int32[np.ndarray, " N"]  # part of each vertex
+    children: Int32[np.ndarray, " B"]  # attached parts
+    corners: Int32[np.ndarray, "B 2 3"]  # vertices of a face of the part, and of the face that it is attached to
+    weights: Float32[np.ndarray, "B 2 3"]  # barycentric coordinates in these faces
 
 
 def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
-    """Find the attachments in a welded mesh and its grid."""
+    """Find the attachments in a welded mesh; `grid` gives the unit of lengths."""
     part = connected_parts(mesh.faces, mesh.num_vertices)
     low, high = part_bounds(part, mesh.vertices)
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
@@ -67,14 +66,14 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
         return _attachments(mesh, part, None, _NO_PAIRS)
     num_vertices = np.bincount(part)
     small, few, card = extent < SMALL_PART_VOXELS, num_vertices <= FEW_VERTICES, num_vertices <= CARD_VERTICES
-    stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk never hangs on its crown
-    rank = np.argsort(np.lexsort((extent, ~card)))  # whatever its size, a stem carries cards
+    stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk is never attached to its crown
+    rank = np.argsort(np.lexsort((extent, ~card)))  # stems of any size carry cards
     pieces = grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
     surface = _Surface(places=places, owner=owner, extent=extent, voxel_size_m=grid.voxel_size_m)
     trunk, pairs = stands.copy(), [_NO_PAIRS]
-    while True:  # a trunk may be a pile of parts, each shorter than the branches
+    while True:  # a trunk may consist of parts that are shorter than the branches
         piled = surface.near_any_larger(~(trunk | small | card), trunk, trunk.astype(np.int64))
         on_end = surface.touches_at_end(piled) & surface.touches_at_end(piled[:, ::-1])
         octaves = np.diff(np.log2(surface.thickness_m[owner[piled]]), axis=1)[:, 0]
@@ -98,7 +97,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
     pairs.append(surface.near_any_larger(left(), np.ones_like(card), rank))  # another card
     pairs.append(surface.near_larger(left() & few, np.ones_like(card), TWIG_GAP_VOXELS))
     pairs, carrier, goes_on = [np.concatenate(pairs)], np.arange(len(extent)), True
-    while goes_on:  # stems as large as what carries them, from the trunk outward
+    while goes_on:  # stems as large as their carrier, from the trunk outward
         carrier[owner[pairs[-1][:, 0]]] = owner[pairs[-1][:, 1]]
         root = carrier
         while (root[root] != root).any():
@@ -107,7 +106,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
         alone = ~(rooted | small | card) & (carrier == root)
         on_alike = surface.near_any_larger(alone, rooted & ~card, rooted.astype(np.int64))
         pairs.append(on_alike[surface.touches_at_end(on_alike) | surface.touches_at_end(on_alike[:, ::-1])])
-        if len(pairs[-1]) == 0:  # rather on what it crosses than on nothing
+        if len(pairs[-1]) == 0:  # a part that it crosses is better than none
             pairs[-1] = surface.near_any_larger(~rooted & (carrier == root), rooted, rooted.astype(np.int64))
         goes_on = len(pairs[-1]) > 0
     return _attachments(mesh, part, pieces, np.concatenate(pairs))
@@ -115,17 +114,17 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
 
 @dataclass(frozen=True, kw_only=True)
 class _Surface:
-    """The pieces of all parts."""
+    """Pieces of the surface of all parts."""
 
     places: Float32[np.ndarray, "P 3"]  # [m]
-    owner: Int32[np.ndarray, " P"]  # part of each
-    extent: Float64[np.ndarray, " parts"]  # in voxels
+    owner: Int32[np.ndarray, " P"]  # part of each piece
+    extent: Float64[np.ndarray, " parts"]  # [voxels]
     voxel_size_m: float
 
     def near_larger(
         self, seeking: Bool[np.ndarray, " parts"], allowed: Bool[np.ndarray, " parts"], gap_voxels: float
     ) -> Int64[np.ndarray, "B 2"]:
-        """Of each part that seeks, its piece nearest to an allowed part that is clearly larger, and the one there."""
+        """Pair each seeking part's nearest piece with the piece of an allowed, clearly larger part."""
         size_class = np.ceil(np.log2(np.maximum(self.extent, 1)) * _CLASSES_PER_DOUBLING).astype(np.int64)
         pairs = [_NO_PAIRS]
         for one in np.unique(size_class[seeking]):
@@ -145,7 +144,7 @@ class _Surface:
         allowed: Bool[np.ndarray, " parts"],
         rank: Int64[np.ndarray, " parts"],
     ) -> Int64[np.ndarray, "B 2"]:
-        """The same with an allowed part that is larger by however little."""
+        """Pair each seeking part's nearest piece with the piece of an allowed part of higher rank."""
         own, above = (np.flatnonzero(some[self.owner]) for some in (seeking, allowed))
         if len(own) == 0 or len(above) == 0:
             return _NO_PAIRS
@@ -154,7 +153,7 @@ class _Surface:
         smallest, there = np.full(len(own), np.inf), np.zeros(len(own), np.int64)
         seeks = np.arange(len(own))
         for count in (min(pieces, len(above)) for pieces in _NEAR_PIECES):
-            full = np.full(len(own), -1.0)  # gap to the last of so many, where there may be more
+            full = np.full(len(own), -1.0)  # gap to the last of `count` pieces, if there may be more
             for some in np.array_split(seeks, -(-len(seeks) // _PIECES_AT_ONCE) or 1):
                 gap, nearest = _nearest(tree, self.places[own[some]], reach_m=reach_m, count=count)
                 full[some] = np.where(np.isfinite(gap[:, -1]), gap[:, -1], -1)
@@ -164,26 +163,26 @@ class _Surface:
                 smallest[some], there[some] = (np.take_along_axis(of, column, axis=1)[:, 0] for of in (gap, other))
             best_m = np.full(len(self.extent), np.inf)
             np.minimum.at(best_m, self.owner[own], smallest)
-            # others have no more near them, or their part has a nearer one
+            # the others have no more pieces nearby, or their part has a nearer one
             seeks = np.flatnonzero((full >= 0) & np.isinf(smallest) & (full <= best_m[self.owner[own]]))
         best = _first_of_each(self.owner[own], smallest)
         return np.stack([own[best], there[best]], axis=1)
 
     def means(self, values: Float[np.ndarray, "P C"]) -> Float64[np.ndarray, "parts C"]:
-        """Mean of the pieces of each part."""
+        """Average values over the pieces of each part."""
         count = np.maximum(np.bincount(self.owner, minlength=len(self.extent)), 1)
         sums = [np.bincount(self.owner, column, len(self.extent)) for column in values.T]
         return np.asarray(np.stack(sums, axis=1) / count[:, None])
 
     @cached_property
     def thickness_m(self) -> Float64[np.ndarray, " parts"]:
-        """Of each part: the root of the second of its principal moments."""
+        """Thickness of each part: root of its second principal moment."""
         away = self.places - self.means(self.places)[self.owner]
         moments = self.means(np.einsum("pi,pj->pij", away, away).reshape(-1, 9)).reshape(-1, 3, 3)
         return np.asarray(np.sqrt(np.linalg.eigvalsh(moments)[:, 1].clip(1e-18)))
 
     def touches_at_end(self, pairs: Int64[np.ndarray, "B 2"]) -> Bool[np.ndarray, " B"]:
-        """Whether a part touches the other, and not with its middle, as branches that cross do."""
+        """Whether a part touches the other with its end, and not with its middle, as crossing branches do."""
         (own, other), part = self.places[pairs].transpose(1, 0, 2), self.owner[pairs[:, 0]]
         from_middle = np.linalg.norm(own - self.means(self.places)[part], axis=1) / self.voxel_size_m
         touches = np.linalg.norm(own - other, axis=1) <= TOUCHING_VOXELS * self.voxel_size_m
@@ -191,19 +190,19 @@ class _Surface:
 
 
 def _tree(places: Float32[np.ndarray, "P 3"]) -> cKDTree:
-    return cKDTree(places, balanced_tree=False, compact_nodes=False)  # few queries: quick to build
+    return cKDTree(places, balanced_tree=False, compact_nodes=False)  # quick to build, since there are few queries
 
 
 def _nearest(
     tree: cKDTree, points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
 ) -> tuple[Float64[np.ndarray, "M count"], Int64[np.ndarray, "M count"]]:
-    """Distance and row of the nearest places to each point, nearest first; infinite and their number if none is."""
+    """Return distances and rows of the places nearest to each point, nearest first; infinite if there are none."""
     matches = tree.query(points, k=np.arange(1, count + 1), distance_upper_bound=reach_m, workers=num_cores())
     return np.asarray(matches[0]), np.asarray(matches[1])
 
 
 def _first_of_each(group: Int32[np.ndarray, " M"], gap: Float64[np.ndarray, " M"]) -> Int64[np.ndarray, " B"]:
-    """Row of the smallest gap of each group; groups without any are left out."""
+    """Return the row of the smallest gap of each group; groups without a finite gap are left out."""
     order = np.lexsort((gap, group))
     first: Int64[np.ndarray, " B"] = order[np.unique(group[order], return_index=True)[1]]
     return np.asarray(first[np.isfinite(gap[first])])

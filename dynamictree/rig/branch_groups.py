@@ -1,4 +1,4 @@
-"""What engines that move a tree's joints themselves need to know of them: branch orders, influence, capsules."""
+"""Properties of joints for engines that animate a tree themselves: branch orders, bending angles, capsules."""
 
 from dataclasses import dataclass
 
@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from dynamictree.rig.rig import Rig
 from dynamictree.skin import Skin
 
-MAX_ORDER = 3  # finer branches count as these
+MAX_ORDER = 3  # order of all finer branches too
 _THINNEST_M = 0.005
-_INSIDE = 0.5  # of the vertices that a bone carries; the others are of twigs that stick out
+_INSIDE = 0.5  # share of a bone's vertices inside its capsule; the others are twigs that stick out
 
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
-    """A ball that was swept along a segment [m], carried by a joint. Length and radius are those at rest."""
+    """Capsule carried by a joint: points within a radius of a segment [m]. Length and radius are those at rest."""
 
     joint: int
     start_m: Float32[np.ndarray, "3"]
@@ -24,15 +24,15 @@ class Capsule:
 
 
 def branch_orders(parent: Int32[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
-    """Order of the branch that each joint belongs to: 0 the trunk, 1 what leaves the trunk, and so on.
+    """Return the branch order of each joint: 0 for the trunk, 1 for branches from the trunk, and so on.
 
-    A joint's branch goes on in the child that carries most joints.
+    A joint's branch continues in the child that carries most joints.
     """
     order, size = np.zeros(len(parent), np.int64), np.ones(len(parent), np.int64)
     for joint in range(len(parent) - 1, -1, -1):  # children come after their parents
         if parent[joint] >= 0:
             size[parent[joint]] += size[joint]
-    heir = {parent[joint]: joint for joint in np.lexsort((-np.arange(len(parent)), size))}  # the largest comes last
+    heir = {parent[joint]: joint for joint in np.lexsort((-np.arange(len(parent)), size))}  # the largest is last
     for joint, above in enumerate(parent):
         if above >= 0:
             order[joint] = order[above] if heir[above] == joint else min(order[above] + 1, MAX_ORDER)
@@ -40,13 +40,13 @@ def branch_orders(parent: Int32[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
 
 
 def bending_rad(skin: Skin) -> Float64[np.ndarray, " B"]:
-    """Root mean square angle by which each joint turns against its parent over the loop."""
+    """Compute the root mean square rotation of each joint relative to its parent over the loop [rad]."""
     angle = 2 * np.arctan2(np.linalg.norm(skin.turns[:, :, 1:], axis=2), np.abs(skin.turns[:, :, 0]))
     return np.asarray(np.sqrt((angle**2).mean(axis=0)), np.float64)
 
 
 def capsules(rig: Rig, vertices: Float32[np.ndarray, "N 3"], wood: Bool[np.ndarray, " N"]) -> list[Capsule]:
-    """A capsule for each bone that carries wood; those of a trunk, not its twigs, set the radius."""
+    """Create a capsule for each bone that carries wood; the median distance of its vertices is the radius."""
     bones, weights = rig.skeleton, rig.vertices
     strongest = weights.rows[np.arange(len(vertices)), weights.shares.argmax(axis=1)]
     capsules_of_wood = []

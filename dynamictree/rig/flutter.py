@@ -1,4 +1,4 @@
-"""Flutter of a rig's ends: what leaves and twig ends turn faster than the spectrum reaches."""
+"""Flutter of a rig's end bones: rotations of leaves and twig ends at frequencies above the spectrum's."""
 
 from dataclasses import replace
 
@@ -11,16 +11,16 @@ from dynamictree.spectrum import UNKNOWN_FOLIAGE, SparseVoxelSpectrum, Wind
 from dynamictree.wind.flutter import FASTEST_HZ, turn_modes
 
 PATCH_SHARE = 0.3
-"""Of a leaf's turns: those of a patch of a crown that is one surface, which stands for many leaves."""
+"""Amplitude of a patch of a one-surface crown, which represents many leaves [share of a leaf's]."""
 
 
 def flutter_modes(rig: Rig, spectrum: SparseVoxelSpectrum, size: float) -> Complex64[np.ndarray, "B L 3"]:
-    """Turns of the bones that no other hangs on [rad], at frequencies from the spectrum's last to FASTEST_HZ.
+    """Sample rotations of the bones without children [rad], at frequencies from the spectrum's last to FASTEST_HZ.
 
     Args:
-        rig: of the tree.
-        spectrum: its wind, foliage and seed decide when and how far the bones turn.
-        size: factor; 0 is none.
+        rig: rig of the tree.
+        spectrum: source of wind, foliage and seed, which determine the flutter.
+        size: factor of the amplitude; 0 for none.
     """
     skeleton, first = rig.skeleton, spectrum.num_frequencies
     last = min(int(FASTEST_HZ * spectrum.period_s), spectrum.num_frames // 2 - 1)
@@ -47,7 +47,7 @@ def flutter_modes(rig: Rig, spectrum: SparseVoxelSpectrum, size: float) -> Compl
 
 
 def fluttering(rig: Rig, modes: Complex64[np.ndarray, "B L 3"]) -> Rig:
-    """The rig with the turns of `flutter_modes` beside its own."""
+    """Return the rig with the rotations of `flutter_modes` added."""
     turns = modes.copy()
     turns[:, : rig.turns.shape[1]] += rig.turns
     return replace(rig, turns=turns)

@@ -1,4 +1,4 @@
-"""Forward kinematics of a skeleton, and where its bones carry points. The equations are in the package's docstring."""
+"""Forward kinematics of a skeleton, and skinning of points. The equations are in the package's docstring."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,24 +11,24 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from dynamictree.parallel import compiled, in_bands
 
 GROUND = 0
-"""The bone that never moves. It carries what is no plant."""
+"""Bone that never moves; it carries everything that is no plant."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Skeleton:
-    """B bones in the order of their depth, so parents before children; the first is the ground."""
+    """B bones in the order of their depth, so that parents come before children; the first is the ground."""
 
-    parent: Int32[np.ndarray, " B"]  # -1 of the ground
-    foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
-    reach_m: Float32[np.ndarray, "B 3"]  # from the foot to the bone's end
-    in_surface: Bool[np.ndarray, " B"]  # of a crown that is one surface
+    parent: Int32[np.ndarray, " B"]  # -1 for the ground
+    foot_m: Float32[np.ndarray, "B 3"]  # pivot of a bone, carried by its parent
+    reach_m: Float32[np.ndarray, "B 3"]  # vector from the foot to the bone's end
+    in_surface: Bool[np.ndarray, " B"]  # bones of a crown that is one surface
 
     def __len__(self) -> int:
         return len(self.parent)
 
     @property
     def depths(self) -> Int64[np.ndarray, " B"]:
-        """Number of ancestors of each bone, in any order of the bones."""
+        """Number of ancestors of each bone; the bones may be in any order."""
         above, depth = self.parent, np.zeros(len(self), np.int64)
         while above.max(initial=-1) >= 0:
             depth += above >= 0
@@ -37,14 +37,14 @@ class Skeleton:
 
     @property
     def above(self) -> Int32[np.ndarray, " B"]:
-        """Parent of each bone; the ground's own is itself."""
+        """Parent of each bone; the ground's is itself."""
         return np.asarray(np.maximum(self.parent, 0))
 
     @property
     def directions(self) -> Float32[np.ndarray, "B 3"]:
-        """Unit vector whose swing turns with the wind's direction: from each foot to the bone's end.
+        """Unit vector from each foot to the bone's end; its swing rotates with the wind's direction.
 
-        Up where both are one, and in a surface, so that all its bones turn alike and it does not tear.
+        It is up for bones without length, and in a surface, whose bones rotate alike so that it does not tear.
         """
         length = np.linalg.norm(self.reach_m, axis=1, keepdims=True)
         upward = (length == 0) | self.in_surface[:, None]
@@ -53,14 +53,14 @@ class Skeleton:
 
     @cached_property
     def levels(self) -> list[slice]:
-        """Bones of each depth, from 1."""
+        """Slices of the bones of each depth, from 1."""
         edges = np.append(np.flatnonzero(np.diff(self.depths)) + 1, len(self.parent)).tolist()
         return [slice(first, end) for first, end in pairwise(edges)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Bones that carry each of n points, and their shares, which sum to 1."""
+    """Skinning weights: bones that carry each of n points, and their shares, which sum to 1."""
 
     rows: Int32[np.ndarray, "n W"]
     shares: Float32[np.ndarray, "n W"]
@@ -74,14 +74,14 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True)
 class Poses:
-    """Poses of all bones at T moments: a point x of bone b goes to rotation (x - foot) + place."""
+    """Poses of all bones at T moments: a point x of bone b moves to rotation (x - foot) + place."""
 
     rotation: Float64[np.ndarray, "T B 3 3"]
     place_m: Float64[np.ndarray, "T B 3"]
 
 
 def by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
-    """The same bones in the order of their depth, and which each was before."""
+    """Sort bones by depth; return them and each one's previous index."""
     order = np.argsort(skeleton.depths, kind="stable")
     number = np.argsort(order)
     parent = np.where(skeleton.parent < 0, -1, number[skeleton.parent])[order].astype(np.int32)
@@ -97,7 +97,7 @@ def by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
 
 
 def poses(skeleton: Skeleton, theta: Float32[np.ndarray, "T B 3"]) -> Poses:
-    """Poses of the bones where they turn by these θ [rad]."""
+    """Compute the poses of the bones from their θ [rad]."""
     foot, turns = skeleton.foot_m.astype(np.float64), np.ascontiguousarray(theta, np.float64)
     rotation, place = np.empty((*theta.shape, 3)), np.empty(theta.shape)
     in_bands(_pose, len(theta), skeleton.above, foot, turns, rotation, place)
@@ -107,17 +107,17 @@ def poses(skeleton: Skeleton, theta: Float32[np.ndarray, "T B 3"]) -> Poses:
 def carried(
     skeleton: Skeleton, stance: Poses, moment: int, points: Float32[np.ndarray, "n 3"], weights: Weights
 ) -> Float32[np.ndarray, "n 3"]:
-    """Displacement of points at one moment of the poses [m]."""
+    """Compute the displacement of points at one moment of the poses [m]."""
     rotation = stance.rotation[moment]
     shift = stance.place_m[moment] - np.einsum("bij,bj->bi", rotation, skeleton.foot_m)  # x' = Σ w (R x + shift)
     moved = np.empty((len(points), 3), np.float32)
-    less_one = rotation - np.eye(3)  # (R - 1) x + shift keeps the digits of small motions
+    less_one = rotation - np.eye(3)  # (R - 1) x + shift retains the digits of small motions
     in_bands(_carry, len(points), less_one, shift, points, weights.rows, weights.shares, moved)
     return moved
 
 
 @compiled
-@no_type_check  # numba compiles no checked function
+@no_type_check  # numba cannot compile a type-checked function
 def _pose(first, end, above, foot, theta, rotation, place):
     for t in range(first, end):
         for b in range(len(foot)):

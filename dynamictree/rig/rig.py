@@ -1,4 +1,4 @@
-"""A tree that moves: its bones, how they turn in each mode, and which bones carry its vertices and voxels."""
+"""Rig of a tree: bones, their rotation modes, and skinning weights of vertices and voxels."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,28 +17,28 @@ from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, in_steps, ite
 from dynamictree.voxel.voxelize import surface_average, voxel_trees
 
 BONES_A_VOXEL = 4
-"""A voxel is the mean of what lies in it; its strongest bones carry it, as many as an engine's vertex takes."""
-_POINTS_AT_ONCE = 10_000  # 12 MB of frames
+"""Number of bones that carry a voxel, its strongest ones; as many as for an engine's vertex."""
+_POINTS_AT_ONCE = 10_000  # points per pass, 12 MB of frames
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """B bones with K turn modes each, for N vertices of a mesh and V voxels of a grid."""
+    """B bones with K rotation modes each, which carry N vertices of a mesh and V voxels of a grid."""
 
     skeleton: Skeleton
-    turns: Complex64[np.ndarray, "B K 3"]  # [rad], as a spectrum: Re c_0 + 2 Re Σ c_k e^{2πik·phase}
+    turns: Complex64[np.ndarray, "B K 3"]  # spectrum of θ [rad]: Re c_0 + 2 Re Σ c_k e^{2πik·phase}
     vertices: Weights
     voxels: Weights
-    num_frames: int  # T of the spectrum, which has frequencies up to T / 2
+    num_frames: int  # number of frames T of the spectrum, with frequencies up to T / 2
 
     def theta(self, phases: Float64[np.ndarray, " M"]) -> Iterator[Float32[np.ndarray, "B 3"]]:
-        """How far each bone turns at phases of the loop, in periods [rad]."""
+        """Yield θ of each bone at phases of the loop [rad]; the phases are in periods."""
         return iter_motion(self.turns, phases, self.num_frames)
 
     def in_wind(
         self, theta: Float32[np.ndarray, "B 3"], turn: Float32[np.ndarray, "3 3"]
     ) -> Float32[np.ndarray, "B 3"]:
-        """θ in a wind that a matrix about the vertical has turned: a bone's end swings as much, in its direction."""
+        """Rotate θ to another wind direction by a matrix about the vertical; each bone's end swings equally far."""
         direction = self.skeleton.directions
         along = (theta * direction).sum(axis=1, keepdims=True) * direction
         return np.asarray(np.cross(direction, np.cross(theta, direction) @ turn.T) + along, np.float32)
@@ -46,9 +46,9 @@ class Rig:
     def loop(
         self, points: Float32[np.ndarray, "n 3"], weights: Weights, num_frequencies: int | None = None
     ) -> Complex64[np.ndarray, "n L 3"]:
-        """Spectrum of points that the bones carry over one loop [m]; by default with K frequencies.
+        """Compute the spectrum over one loop of points that the bones carry [m]; by default with K frequencies.
 
-        A turn that adds frequencies moves a point along an arc, so some of the motion lies above the K.
+        Rotations move points along arcs, so some of the motion has frequencies above the K.
         """
         stance = poses(self.skeleton, np.stack(list(self.theta(np.arange(self.num_frames) / self.num_frames))))
         count = num_frequencies or self.turns.shape[1]
@@ -62,11 +62,11 @@ class Rig:
     def displacement(
         self, theta: Float32[np.ndarray, "B 3"], points: Float32[np.ndarray, "n 3"], weights: Weights
     ) -> Float32[np.ndarray, "n 3"]:
-        """Displacement of points that the bones carry where they turn by θ [m]."""
+        """Compute the displacement of points that the bones carry, for given θ [m]."""
         return carried(self.skeleton, poses(self.skeleton, theta[None]), 0, points, weights)
 
     def levers_m(self, points: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " B"]:
-        """Of each bone its reach, or how far one of its vertices is; times the root of the number of bones on it."""
+        """Return each bone's reach, or its farthest vertex's distance, times the root of the number of bones on it."""
         skeleton, rows = self.skeleton, self.vertices.rows.T
         reach, count = np.linalg.norm(skeleton.reach_m, axis=1).astype(np.float64), np.ones(len(skeleton))
         np.maximum.at(reach, rows, np.linalg.norm(points - skeleton.foot_m[rows[0]], axis=1))
@@ -76,12 +76,12 @@ class Rig:
 
 
 def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float], None] = lambda done: None) -> Rig:
-    """Find the bones of a mesh and fit their turns to the spectrum of its voxels, telling `report` the share done.
+    """Find the bones of a mesh and fit their rotations to a spectrum; `report` gets the completed share.
 
-    Each of several trees has bones of its own, and voxels in which it has most of the surface.
+    Each of several trees has its own bones, and the voxels in which it has most of the surface.
 
     Raises:
-        InputError: a voxel of the grid holds none of the mesh's surface.
+        InputError: a voxel of the grid contains no surface of the mesh.
     """
     if mesh.face_tree is None:
         return _of_one(mesh, spectrum, report)
@@ -102,7 +102,7 @@ def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float
 
 
 def in_bytes(shares: Float64[np.ndarray, "n W"]) -> Float32[np.ndarray, "n W"]:
-    """Shares in steps of 1/255, which sum to 1; what rounding leaves over goes to the first."""
+    """Round shares to steps of 1/255 that sum to 1; the first share takes the rounding error."""
     whole = np.rint(255 * shares / shares.sum(axis=1, keepdims=True))
     whole[:, 0] += 255 - whole.sum(axis=1)
     return np.asarray(whole / 255, np.float32)
@@ -120,16 +120,16 @@ def _of_one(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[floa
         num_frames=num_frames,
         voxel_m=float(np.ptp(mesh.vertices[np.unique(moving.faces)], axis=0).max()) / FINENESS,
     )
-    with single_thread():  # the products are small: BLAS's other threads would only wait
+    with single_thread():  # the products are too small for several BLAS threads
         steps, step_rad = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
-    parts = steps * step_rad[:, None, None]  # as the file has them, so that whoever reads it shows the same places
+    parts = steps * step_rad[:, None, None]  # the file's rounded values, so that its readers show the same positions
     turns = parts[..., 0] + 1j * parts[..., 1]
     voxels = _strongest(mean, bones.vertices, len(bones.skeleton))
     return Rig(skeleton=bones.skeleton, turns=turns, vertices=bones.vertices, voxels=voxels, num_frames=num_frames)
 
 
 def _strongest(mean: scipy.sparse.csr_array, vertices: Weights, num_bones: int) -> Weights:
-    """Of each voxel, the bones that carry most of the surface in it."""
+    """Return the bones that carry most of the surface in each voxel."""
     num_vertices, width = vertices.rows.shape
     ends = width * np.arange(num_vertices + 1)
     carries = scipy.sparse.csr_array(
@@ -151,7 +151,7 @@ def _strongest(mean: scipy.sparse.csr_array, vertices: Weights, num_bones: int) 
 def _together(
     every: Sequence[tuple[Int32[np.ndarray, " _"], Int64[np.ndarray, " _"], Rig]], num_vertices: int, num_voxels: int
 ) -> Rig:
-    """Several rigs as one, on one ground; what is of none stands still. Each with its rows of vertices and voxels."""
+    """Merge rigs, each with its rows of vertices and voxels, on one ground; points of no rig stand still."""
     bones = np.cumsum([1, *(len(rig.skeleton) - 1 for _, _, rig in every)])
     ground = every[0][2]
 

@@ -1,4 +1,4 @@
-"""A rig as joints with keys in 16 bits, for files and engines: all bones, or the few that lose least."""
+"""Convert a rig to joints with 16-bit keys, for files and engines: all bones, or the most important ones."""
 
 from dataclasses import replace
 
@@ -13,9 +13,9 @@ from dynamictree.spectrum import STEPS, bin_weights
 
 
 def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> tuple[Skin, SkinSummary]:
-    """A skin of at most `num_joints` joints over the loop, and how far it is from the rig.
+    """Create a skin of at most `num_joints` joints over the loop, with a summary of its error against the rig.
 
-    With as many joints as the rig has bones it is the rig to the precision of the keys, and weights are the same.
+    With as many joints as bones it equals the rig to the precision of the keys, with the same weights.
     """
     few = reduced(rig, vertices, num_joints)
     skeleton = few.skeleton
@@ -48,7 +48,7 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
 
 
 def played(skin: Skin) -> Poses:
-    """Poses of the joints at every frame, as a player has them."""
+    """Compute the poses of the joints at every frame, as a player does."""
     foot, rotation = skin.joint_m.astype(np.float64), _matrices(skin.turns.astype(np.float64))
     place = np.tile(foot, (len(rotation), 1, 1))
     for joint, above in enumerate(skin.parent.tolist()):
@@ -59,7 +59,7 @@ def played(skin: Skin) -> Poses:
 
 
 def _keys(skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"]) -> Float32[np.ndarray, "T B 4"]:
-    """Turns against the parents in 16 bits. What a parent is off by, its children make up for."""
+    """Quantize rotations relative to the parents to 16 bits; children compensate their parents' errors."""
     turns = np.tile(np.array([1.0, 0, 0, 0]), (*rotation.shape[:2], 1))
     stored = np.tile(np.eye(3), (*rotation.shape[:2], 1, 1))
     for level in skeleton.levels:
@@ -76,14 +76,14 @@ def _matrices(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 3
 
 
 def _steady(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 4"]:
-    """The same turns with the sign that is nearer to the frame before."""
+    """Choose each quaternion's sign nearer to the previous frame."""
     flips = np.cumsum((turns[1:] * turns[:-1]).sum(axis=2) < 0, axis=0)
     turns[1:] *= np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None]
     return turns
 
 
 def reduced(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> Rig:
-    """The rig with at most `num_bones` bones: those stay whose turn against their parent moves most of the mesh."""
+    """Reduce a rig to `num_bones` bones, those whose rotation relative to their parent moves the mesh most."""
     skeleton = rig.skeleton
     if len(skeleton) <= num_bones:
         return rig
@@ -115,7 +115,7 @@ def reduced(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> R
 
 
 def _losses(rig: Rig, vertices: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " B"]:
-    """Sum of squares [m²] of what is lost where a bone turns as its parent does, to first order."""
+    """Compute the squared error [m²] of letting each bone rotate like its parent, to first order."""
     skeleton, count = rig.skeleton, len(rig.skeleton)
     bone = rig.vertices.rows[np.arange(len(vertices)), rig.vertices.shares.argmax(axis=1)]
     arm = ((vertices - skeleton.foot_m[bone]).astype(np.float64) ** 2).sum(axis=1)
@@ -130,7 +130,7 @@ def _losses(rig: Rig, vertices: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarra
 
 
 def _merged(weights: Weights, number: Int32[np.ndarray, " B"]) -> Weights:
-    """Weights by other numbers of the bones; shares of bones that became one are added."""
+    """Renumber the bones of weights, and add the shares of merged bones."""
     rows, shares = number[weights.rows], weights.shares.copy()
     for later in range(1, rows.shape[1]):
         for earlier in range(later):

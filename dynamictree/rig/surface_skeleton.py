@@ -1,9 +1,9 @@
-"""A skeleton of a mesh whose bones only turn: pieces of its stems, and a bone for each leaf card.
+"""Build a skeleton of a mesh with bones that only rotate: pieces of stems, and a bone for each leaf card.
 
-A part of the mesh that bends is cut where the way along its surface from its foot is a whole number of bones long. The
-connected vertices between two cuts are a node, and a bone leads to it from the node before, from centre to centre. A
-card, or another small part, is one bone. The first bone of a part begins where the part is attached to another, which
-carries it; that of a trunk begins on the ground.
+A bending part of the mesh is cut where the path along its surface from its foot is a whole number of bone lengths. The
+connected vertices between two cuts are a node; a bone leads from the centre of the previous node to its centre. A card,
+or another small part, is one bone. The first bone of a part starts where the part is attached to another, which carries
+it; that of a trunk starts on the ground.
 """
 
 from dataclasses import dataclass, replace
@@ -19,32 +19,32 @@ from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth
 from dynamictree.voxel.grid import VoxelGrid
 
 FINENESS = 128
-"""Voxels along the tree that say how long a bone is and which parts are small, whatever the grid of the motion."""
+"""Voxels along the tree, as the unit of bone lengths and small parts, independent of the motion's grid."""
 BONE_VOXELS = 2.0
 SMALLEST_NODE, NEAR_VOXELS = 3, 6.0
-"""A node with fewer vertices that is this near to its parent is a part of it."""
+"""A node with fewer vertices, this near to its parent, is merged with it."""
 WIDE_VOXELS, PATCH_VOXELS = 8.0, 4.0
-"""A node that is wider, as in a crown that is one surface, is cut into patches."""
+"""A wider node, as in a crown that is one surface, is cut into patches."""
 THIN = 0.05
-"""A node that is thinner, in lengths of its bone, goes with it whole. Blended, a ring of a twig collapses where bones
-turn far apart; carried whole, edges to the next ring grow with its radius (docs/decisions/modal.md)."""
+"""A thinner node [bone length] moves rigidly with its bone. Blended, a twig's ring collapses between bones of very
+different rotation; moved rigidly, edges to the next ring grow with its radius (docs/decisions/modal.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Parts:
-    """The P connected parts of a welded surface of n vertices."""
+    """P connected parts of a welded surface of n vertices."""
 
     of: Int64[np.ndarray, " n"]
     is_card: Bool[np.ndarray, " P"]
     stands: Bool[np.ndarray, " P"]
-    above: Int64[np.ndarray, "P 3"]  # corners of what a part hangs on: the nearest, and those far from it; or -1
+    above: Int64[np.ndarray, "P 3"]  # corners of the face that carries a part: the nearest, and distant ones; or -1
     foot_m: Float64[np.ndarray, "P 3"]
-    begins: Bool[np.ndarray, " n"]  # where a part that bends begins
+    begins: Bool[np.ndarray, " n"]  # vertices where a bending part starts
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceBones:
-    """Bones of a mesh, the two that carry each of its N vertices, and which vertices are of rigid cards."""
+    """Bones of a mesh, the two that carry each of its N vertices, and a mask of the vertices of rigid cards."""
 
     skeleton: Skeleton
     vertices: Weights
@@ -52,7 +52,7 @@ class SurfaceBones:
 
 
 def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
-    """Find the bones of a mesh of one tree; `grid` is that of its motion."""
+    """Build the bones of a mesh of one tree; `grid` is that of its motion."""
     surface, vertex = weld(mesh.moving_part)
     surface, attached, row = _without_loose_vertices(surface, find_attachments(surface, grid))
     vertex = row[vertex]
@@ -67,17 +67,17 @@ def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
     bone, share = _carriers(places, node, parent, foot, centre - foot)
     hangs = is_base & (parts.above[part, 0] >= 0)
     standing = is_base & parts.stands[part]
-    hinged = parts.is_card[part] & is_base & ~standing  # turns by itself from its foot on
+    hinged = parts.is_card[part] & is_base & ~standing  # rotates independently from its foot on
     share[hinged[bone] & (share <= 0.5)] = 0
-    share[is_base[bone] & ~hinged[bone]] *= 2  # the foot of a branch is in the bark, that of a trunk in the ground
+    share[is_base[bone] & ~hinged[bone]] *= 2  # a branch's foot is fixed in the bark, a trunk's in the ground
 
-    above = parts.above[part[hangs]].T  # a face between two nodes is of the second one's bone
+    above = parts.above[part[hangs]].T  # a face between two nodes belongs to the second one's bone
     carrier, b, c = np.where((share[above] > 0.5) & (parent[bone[above]] >= 0), parent[bone[above]], bone[above])
     parent[hangs] = np.where(parent[b] == carrier, b, np.where(parent[c] == carrier, c, carrier))
     floating = np.flatnonzero(is_base & ~hangs & ~standing)
     ground = places[places[:, 2] <= places[:, 2].min() + voxel_m].mean(axis=0)
     num_nodes, num_floating = len(parent), len(floating)
-    # then a bone to the foot of each floating part from the ground, and the ground itself
+    # append a bone from the ground to the foot of each floating part, and the ground itself
     parent[standing] = num_nodes + num_floating
     parent[floating] = num_nodes + np.arange(num_floating)
     parent = np.concatenate([parent, np.full(num_floating, num_nodes + num_floating), [-1]])
@@ -95,7 +95,7 @@ def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
     )
     still = mesh.still_vertices | (vertex < 0)
     own = np.where(still, GROUND, np.argsort(order)[bone][vertex]).astype(np.int32)
-    of_parent = np.where(still, 0, np.rint(255 * share[vertex]) / 255).astype(np.float32)  # a byte in files
+    of_parent = np.where(still, 0, np.rint(255 * share[vertex]) / 255).astype(np.float32)  # stored in a byte
     return SurfaceBones(
         skeleton=skeleton,
         vertices=Weights(
@@ -109,7 +109,7 @@ def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
 def _without_loose_vertices(
     surface: Surface, attached: Attachments
 ) -> tuple[Surface, Attachments, Int64[np.ndarray, " n"]]:
-    """The same without vertices of no face, such as those of a pot; and the row of each vertex, -1 of these."""
+    """Remove vertices without faces, such as those of a pot; return each vertex's new row too, -1 if removed."""
     used = np.unique(surface.faces)
     row = np.full(surface.num_vertices, -1, np.int64)
     row[used] = np.arange(len(used))
@@ -131,7 +131,7 @@ def _parts_of(surface: Surface, attached: Attachments, voxel_m: float) -> _Parts
     stands = ~small & (low[:, 2] < low[:, 2].min() + voxel_m)
     extent = (high - low).max(axis=1)
     extent[attached.children] = 0
-    stands[extent.argmax()] = True  # the trunk, also where leaves hang lower than its foot
+    stands[extent.argmax()] = True  # the trunk, even if leaves hang lower than its foot
     is_card = (small | (np.bincount(of) <= CARD_VERTICES)) & ~stands
     near_foot = surface.vertices[:, 2] <= low[of, 2] + voxel_m
     foot = _means(of[near_foot], surface.vertices[near_foot].astype(np.float64), len(low))
@@ -149,9 +149,9 @@ def _parts_of(surface: Surface, attached: Attachments, voxel_m: float) -> _Parts
 def _nodes(
     surface: Surface, parts: _Parts, voxel_m: float
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " B"], Int64[np.ndarray, " B"], Bool[np.ndarray, " P"]]:
-    """Node of each vertex; of each node, the one before it in its part, or -1, and its vertex nearest to the foot.
+    """Return each vertex's node; each node's predecessor in its part, or -1, and its vertex nearest to the foot.
 
-    Last, which parts have nodes that were cut into patches.
+    The last value is a mask of the parts with nodes that were cut into patches.
     """
     places, count = surface.vertices.astype(np.float64), surface.num_vertices
     bends = ~parts.is_card[parts.of]
@@ -199,9 +199,9 @@ def _carriers(
     foot: Float64[np.ndarray, "B 3"],
     reach: Float64[np.ndarray, "B 3"],
 ) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Bone of each vertex and its parent's share: 1/2 at the foot of a bone, 0 from its middle on.
+    """Return each vertex's bone and its parent's share: 1/2 at the foot of a bone, 0 beyond its middle.
 
-    Beyond the middle, a vertex belongs to the next bone already, and the share goes from 1 to 1/2. Thin nodes do not.
+    Beyond the middle, a vertex belongs to the next bone, and the share falls from 1 to 1/2; not for thin nodes.
     """
 
     def along(bone: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
@@ -213,7 +213,7 @@ def _carriers(
     children = np.flatnonzero(parent >= 0)
     children = children[np.argsort(parent[children], kind="stable")]
     rank = np.arange(len(children)) - np.searchsorted(parent[children], parent[children])
-    for turn in range(int(rank.max()) + 1 if len(rank) else 0):  # the nearest of the bones that begin at the node
+    for turn in range(int(rank.max()) + 1 if len(rank) else 0):  # nearest of the bones that start at the node
         child = np.full(len(parent), -1)
         child[parent[children[rank == turn]]] = children[rank == turn]
         rows = np.flatnonzero(child[node] >= 0)

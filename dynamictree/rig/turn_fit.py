@@ -1,17 +1,17 @@
-"""Fit how the bones turn to a motion of voxels: least squares over the loop, with prices.
+"""Fit the bones' rotations to a motion of voxels: regularized least squares over the loop.
 
-Wanted are K frequencies of each voxel's mean over the surface inside. So that what the voxels do not tell stays quiet,
-a bone's turn against its parent's has a price, and so have edges of the mesh that grow, in the motion's own wind and in
-one from the side: in a wind that turned by α, the swing θ × d of a bone of direction d turns by α.
+The data are K frequencies of each voxel's mean over the surface inside. To regularize rotations that the voxels do not
+determine, a bone's rotation relative to its parent has a cost, and so have stretched edges of the mesh, in the motion's
+own wind and in one from the side: in a wind rotated by α, the swing θ × d of a bone of direction d rotates by α.
 
-Each card, and all that bends together, shall go where its voxels go, and further by what their means then still miss:
-Σ_v Σ_b w_vb |x_vb - y_vb|², y_vb = x_vb + what voxel v misses. That is never below what the means miss, and equal to it
-where the voxels were read last, so whatever lowers it brings the means nearer. In it cards that share a voxel are not
-coupled: memory and time to factor it grow with their number.
+Each card, and all bending bones together, should move with their voxels, plus the means' residuals:
+Σ_v Σ_b w_vb |x_vb - y_vb|², y_vb = x_vb + residual of voxel v. This bounds the means' squared residuals from above,
+with equality where the voxels were last evaluated, so lowering it lowers them (majorization). It does not couple cards
+that share a voxel, so memory and time of its factorization grow only with their number.
 
-Gauss-Newton steps: the mean pose alone first, then all frequencies, linearised around it, and both again, dearer, where
-wood or a crown's surface would break. The rig's own loop is played and what is missing in its K frequencies is fitted.
-A step turns no bone by more than `MOST_STEP_RAD`, is shortened until it lowers the cost, and else is the last one.
+Gauss-Newton steps fit the mean pose first, then all frequencies, linearised around it, and both again at a higher cost
+if wood or a crown's surface would break. Each step simulates the rig's loop, and fits the residuals of K frequencies.
+It rotates no bone by more than `MOST_STEP_RAD`, and is shortened until it lowers the cost; if none does, it is last.
 """
 
 from collections.abc import Callable
@@ -28,33 +28,33 @@ from dynamictree.rig.turn_matrices import Target
 from dynamictree.spectrum import bin_weights, iter_motion
 
 STRETCH = 500.0
-"""Price of edges that grow by their own lengths, as that of moving as many voxels by a voxel: at 5000, a shrub in a
-storm is off by 12 % and not 7 %."""
+"""Cost of edges that double their length, in units of moving as many voxels by a voxel; with 5000, a shrub in a storm
+has an error of 12 % instead of 7 %."""
 FROM_SIDE = 0.1
-"""Of it in a wind at right angles to the motion's: sin² of how far the direction turns, 18°."""
+"""Share of that cost in a wind perpendicular to the motion's: sin² of the rotation of the direction, 18°."""
 MEAN_ROUNDS, ROUNDS = (3, 1, 1), (3, 1, 1, 1, 1)
-"""Steps at most, each time that the voxels are read: of the mean pose, and of all frequencies."""
-LEAST_GAIN = 0.01  # of the cost: a step that gains less is the last
+"""Largest numbers of steps per evaluation of the voxels: for the mean pose, and for all frequencies."""
+LEAST_GAIN = 0.01  # relative decrease of the cost below which to stop
 MOST_STEP_RAD = 0.3
 STEP_LENGTHS = (1.0, 0.5, 0.25)  # tried in this order
-FRAMES_A_FREQUENCY = 3  # two would do, were there nothing above the K frequencies
+FRAMES_A_FREQUENCY = 3  # two would suffice without motion above the K frequencies
 _VOXELS_AT_ONCE = 100_000
-_CHAINED = 1e6  # price of leaving the parent, as that of moving a voxel
-_FIXED = 1e10  # price of a turn of the ground
-_ANCHOR = 1e-9  # keeps the system definite where no voxel tells of a bone
-_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of a turn about the vertical
+_CHAINED = 1e6  # cost of separation from the parent [cost of moving a voxel]
+_FIXED = 1e10  # cost of a rotation of the ground
+_ANCHOR = 1e-9  # makes the system definite for bones without voxels
+_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # generator of rotations about the vertical
 
 Solution = Complex64[np.ndarray, "U K"]
-"""Displacements of the B feet, turns, and feet in a side wind of the bones that bend; three numbers each."""
-Prices = tuple[Float64[np.ndarray, " B"] | float, Float64[np.ndarray, " E"] | float]  # of turns, and of edges
+"""Displacements of the B feet, rotations, displacements of bending bones' feet in a side wind; three numbers each."""
+Prices = tuple[Float64[np.ndarray, " B"] | float, Float64[np.ndarray, " E"] | float]  # factors of rotations, of edges
 Stacked = Complex64[np.ndarray, "B4 3 K"]
-"""Of each bone its foot, then the columns of its rotation, less those at rest: what `matrices.placing` multiplies."""
+"""Feet, then columns of the rotations, minus those at rest; the vector that `matrices.placing` multiplies."""
 
 
 def fit_turns(
     skeleton: Skeleton, weights: Weights, target: Target, report: Callable[[float], None]
 ) -> Complex64[np.ndarray, "B K 3"]:
-    """Turn modes [rad] of the bones that carry the target's points; `report` gets the share done."""
+    """Fit rotation modes [rad] of the bones that carry the target's points; `report` gets the completed share."""
     voxels = _Voxels(skeleton, weights, target)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
     prices: Prices = (1.0, 1.0)
@@ -72,7 +72,7 @@ def fit_turns(
         turns = problem.turns(now.solution)
         if num_frequencies > 1 and np.hstack(prices := problem.prices(now.growth)).max() == 1:
             break
-        del problem  # its factor, hundreds of megabytes, before the next is made
+        del problem  # frees its factorization, hundreds of megabytes, before the next
     return turns
 
 
@@ -88,16 +88,16 @@ def _descended(problem: "_Problem", now: "_State", rounds: int) -> "_State":
 
 
 class _Voxels:
-    """Means of the bones' surface in each of V voxels, and what they should do."""
+    """Means of the bones' surface in each of V voxels, and their target motion."""
 
     def __init__(self, skeleton: Skeleton, weights: Weights, target: Target) -> None:
         self.coefficients, self.num_frames, num_bones = target.coefficients, target.num_frames, len(skeleton)
         self.placing = matrices.placing(skeleton, weights, target.points)
         self.means = (target.mean.astype(np.float32) @ self.placing.astype(np.float32)).tocsr()
-        alone = np.arange(num_bones)  # all that bends is fitted together
+        alone = np.arange(num_bones)  # bending bones are fitted together
         alone[weights.rows[(weights.shares > 0) & (weights.shares < 1)]] = GROUND
-        # a voxel counts as 1 / energy, or a trunk moves with what its crown misses; all above the median count as one,
-        # and so does a crown that is one surface, which would tear where it hardly moves
+        # the weight is 1 / energy, or a trunk would compensate its crown's residuals; it is 1 for voxels above the
+        # median, and for one-surface crowns, which would tear where they hardly move
         power = (np.abs(self.coefficients) ** 2).sum(axis=2) @ bin_weights(self.coefficients.shape[1], self.num_frames)
         dear = np.clip(np.median(power) / np.maximum(power, 1e-30), 1, 1000)
         dear[target.mean @ skeleton.in_surface[weights.rows[:, 0]] > 0.5] = 1
@@ -114,7 +114,7 @@ class _Voxels:
             self.moments = self.moments + parts.T @ parts
 
     def read(self, stacked: Stacked) -> tuple[Stacked, float]:
-        """What the voxels miss, summed over each bone's shares, and the sum of its squares [m²]."""
+        """Compute the voxels' residuals, summed by each bone's shares, and the sum of their squares [m²]."""
         missed, lost = np.zeros_like(stacked), 0.0
         for start in range(0, len(self.coefficients), _VOXELS_AT_ONCE):
             some = slice(start, start + _VOXELS_AT_ONCE)
@@ -128,17 +128,17 @@ class _Voxels:
 
 @dataclass(frozen=True, kw_only=True)
 class _State:
-    """What a loop of a solution shows and costs, and how the cost falls with each unknown."""
+    """Loop of a solution, with its cost and the negative gradient of the cost."""
 
     solution: Solution
-    stacked: Stacked  # frequencies
-    growth: Complex64[np.ndarray, "E K"]  # of edges, weighted
+    stacked: Stacked  # spectrum of the poses
+    growth: Complex64[np.ndarray, "E K"]  # weighted growth of edges
     downhill: Solution
     cost: float
 
 
 class _Problem:
-    """Least squares linearised around one pose. Edges count as growth times a voxel over their length."""
+    """Least squares linearised around one pose. The growth of an edge is weighted by a voxel over its length."""
 
     def __init__(
         self,
@@ -156,7 +156,7 @@ class _Problem:
         self.vectors = (ends @ voxels.placing).tocsr()  # [E, 4B]
         self.price = STRETCH * len(voxels.coefficients) / max(len(target.fitted_edges), 1)
         self.bends = np.zeros(num_bones, np.bool_)
-        self.stretches = np.unique(self.vectors.indices % num_bones)  # bones that edges can pull at
+        self.stretches = np.unique(self.vectors.indices % num_bones)  # bones that affect edges
         self.bends[self.stretches] = True
         columns = (self.stretches + num_bones * np.arange(4)[:, None]).ravel()
         self.their_vectors = self.vectors[:, columns]
@@ -174,7 +174,7 @@ class _Problem:
         aside = self._lengthening(at_rest) @ side_growth
         apart = matrices.apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
         price = np.ones(apart.shape[0])
-        price[: 3 * (num_bones - 1)] = np.repeat(np.broadcast_to(prices[0], num_bones)[1:], 3)  # children come first
+        price[: 3 * (num_bones - 1)] = np.repeat(np.broadcast_to(prices[0], num_bones)[1:], 3)  # children are first
         prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ scipy.sparse.diags_array(price) @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
@@ -186,13 +186,13 @@ class _Problem:
         system = (system + scipy.sparse.diags_array(fixed)).tocsr()[used][:, used].tocsc()
         self.moves, self.along = (part.tocsr()[:, used].astype(np.float32) for part in (moves, along))
         self.prior = prior.tocsr()[used][:, used].astype(np.float32)
-        del moves, growth, along, side_growth, aside, moments, chained, prior  # 150 MB: the factor is as much
+        del moves, growth, along, side_growth, aside, moments, chained, prior  # 150 MB; the factorization takes as much
         self.factor = scipy.sparse.linalg.splu(
             system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
 
     def _lengthening(self, pose: Poses) -> scipy.sparse.csr_array:
-        """From displacements of edge vectors [m] to weighted growth [E, 3E]."""
+        """Return the matrix from displacements of edge vectors [m] to weighted growth [E, 3E]."""
         vectors = self.vectors @ matrices.stacked(pose)[..., 0]
         along = vectors * (self.scale / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None]
         count = len(along)
@@ -200,14 +200,14 @@ class _Problem:
         return scipy.sparse.csr_array((along.ravel(), np.arange(3 * count), ends), shape=(count, 3 * count))
 
     def read(self, solution: Solution, stacked: Stacked, growth: Complex64[np.ndarray, "E K"]) -> _State:
-        """Want of each bone what its voxels miss in a loop that was played."""
+        """Set each bone's target from its voxels' residuals in a simulated loop."""
         missed, lost = self.voxels.read(stacked)
         self.wanted = _times(self.voxels.moments, stacked) + missed
         self.lost = lost + self._weighed(stacked, self.wanted) + self._weighed(stacked, missed)
         return self._state(solution, stacked, growth, missed, lost)
 
     def state(self, solution: Solution) -> _State:
-        """Play a loop of the rig, and compare its frequencies."""
+        """Simulate a loop of the rig, and compare its spectrum with the target."""
         stacked, growth = self.played(solution)
         missing = self.wanted - _times(self.voxels.moments, stacked)
         lost = self.lost - self._weighed(stacked, self.wanted) - self._weighed(stacked, missing)
@@ -226,8 +226,8 @@ class _Problem:
         return _weighed(one, other, self.voxels.num_frames)
 
     def played(self, solution: Solution) -> tuple[Stacked, Complex64[np.ndarray, "E K"]]:
-        """Frequencies of the bones' poses, and of how much edges grow, weighted."""
-        poses_at_once = 500_000  # 50 MB; twelve times as many are added up at once
+        """Simulate a loop; return the spectra of the bones' poses and of the weighted growth of edges."""
+        poses_at_once = 500_000  # 50 MB; twelve times as many are accumulated at once
         num_bones, num_frequencies = len(self.skeleton), solution.shape[1]
         num_frames = FRAMES_A_FREQUENCY * num_frequencies if num_frequencies > 1 else 1
         frame = np.arange(num_frames)
@@ -237,7 +237,7 @@ class _Problem:
         moved = np.zeros((2 * num_frequencies, num_bones, 4, 3), np.float32)  # feet, then columns of rotations
         growth = np.zeros((len(self.length), 2 * num_frequencies), np.float32)
         for group in np.array_split(frame, -(-num_frames * num_bones // (12 * poses_at_once))):
-            off = np.empty((len(group), num_bones, 4, 3), np.float32)  # of the pose at rest
+            off = np.empty((len(group), num_bones, 4, 3), np.float32)  # difference from the pose at rest
             for row in np.array_split(np.arange(len(group)), -(-len(group) * num_bones // poses_at_once)):
                 some = group[row]
                 now = poses(
@@ -255,7 +255,7 @@ class _Problem:
         return stacked.reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
 
     def step(self, state: _State) -> Solution:
-        """The step to the least linearised cost, with no bone's turn above `MOST_STEP_RAD`."""
+        """Compute the step to the minimum of the linearised cost, with rotations limited to `MOST_STEP_RAD`."""
         downhill = state.downhill.view(np.float32).astype(np.float64)
         step = np.ascontiguousarray(self.factor.solve(downhill), np.float32).view(np.complex64)
         turns = step[3 * len(self.skeleton) : 6 * len(self.skeleton)].reshape(len(self.skeleton), 3, -1)
@@ -265,9 +265,9 @@ class _Problem:
         return step
 
     def prices(self, growth: Complex64[np.ndarray, "E K"]) -> Prices:
-        """How many times dearer turns and edges shall be where one edge in twenty grows by more than `strained`.
+        """Return cost factors of rotations and edges, above 1 if one edge in twenty grows by more than `strained`.
 
-        Root mean square of the loop, in shares of a length: wood breaks at 0.01, and noise of voxels asks for more.
+        Growth is the loop's root mean square relative to length: wood breaks at 0.01; noise of voxels exceeds that.
         """
         strained, gentle, quiet, most = 0.004, 0.003, 0.0005, 10
         power = np.abs(growth) ** 2 @ bin_weights(growth.shape[1], self.voxels.num_frames)
@@ -285,7 +285,7 @@ class _Problem:
         return turns, edges
 
     def with_side_feet(self, solution: Solution) -> Solution:
-        """The same turns, with the feet that a side wind then moves."""
+        """Return the solution with the feet's displacements in a side wind computed from its rotations."""
         skeleton, above = self.skeleton, self.skeleton.above
         foot = skeleton.foot_m.astype(np.float64)
         lever = (-matrices.cross(foot - foot[above]) @ self.side_swing[above]).astype(np.float32)
@@ -298,12 +298,12 @@ class _Problem:
         return solution
 
     def turns(self, solution: Solution) -> Complex64[np.ndarray, "B K 3"]:
-        """The turns of a solution, as a rig has them."""
+        """Extract the rotations of a solution, in a rig's layout."""
         count = len(self.skeleton)
         return np.ascontiguousarray(solution[3 * count : 6 * count].reshape(count, 3, -1).transpose(0, 2, 1))
 
     def solution(self, turns: Complex64[np.ndarray, "B L 3"], num_frequencies: int) -> Solution:
-        """Unknowns of K frequencies, of which the turns are the first."""
+        """Create a solution of K frequencies whose first frequencies are the given rotations."""
         count = len(self.skeleton)
         solution = np.zeros((6 * count + 3 * int(self.bends.sum()), num_frequencies), np.complex64)
         solution[3 * count : 6 * count, : turns.shape[1]] = turns.transpose(0, 2, 1).reshape(3 * count, -1)
@@ -313,13 +313,13 @@ class _Problem:
 def _times(
     matrix: scipy.sparse.csr_array | scipy.sparse.csc_array, values: Complex64[np.ndarray, "..."]
 ) -> Complex64[np.ndarray, "..."]:
-    """A real matrix times complex values."""
+    """Multiply a real matrix with complex values."""
     product = matrix.astype(np.float32, copy=False) @ values.reshape(len(values), -1).view(np.float32)
     return np.asarray(product).view(np.complex64).reshape(-1, *values.shape[1:])
 
 
 def _weighed(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
-    """Scalar product of complex values whose last axis is a frequency: float32 over some, float64 over these."""
+    """Weighted scalar product of spectra, summed in float32 within chunks and in float64 over chunks."""
     often = bin_weights(one.shape[-1], num_frames)
     pair = [values.reshape(-1, len(often)).view(np.float32) for values in (one, other)]
     parts = np.add.reduceat(pair[0] * pair[1], np.arange(0, len(pair[0]), 512), axis=0)

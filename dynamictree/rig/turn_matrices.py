@@ -1,4 +1,4 @@
-"""Matrices that the fit of turns is made of: how poses place points, what edges and neighbours cost."""
+"""Matrices for the fit of rotations: skinning of points, growth of edges, and coupling of neighbours."""
 
 from dataclasses import dataclass
 
@@ -9,25 +9,25 @@ from jaxtyping import Complex64, Float32, Float64, Int, Int32
 from dynamictree.rig.pose import Poses, Skeleton, Weights
 
 APART = 0.2
-"""Price of a bone's turn against its parent's, as that of moving a voxel at its end by as much. Measured on six grown
-trees (docs/decisions/modal.md): 1 loses flutter, 0.05 turns what no voxel tells."""
+"""Cost of a bone's rotation relative to its parent, in units of moving a voxel at its end as far. Measured on six grown
+trees (docs/decisions/modal.md): 1 suppresses flutter, 0.05 rotates bones without data."""
 APART_BESIDE = 3.0
-"""Likewise, against another bone that edges join it to, as in a crown that is one surface."""
+"""The same relative to another bone connected by edges, as in a crown that is one surface."""
 IN_SURFACE = 10.0
-"""Times as much in a crown that is one surface: it has no cards, which turn at no price, and stretched by 22 %."""
-MOST_EDGES = 60_000  # of a larger mesh, evenly chosen: stretch is a mean
-_SHORTEST_EDGE = 0.25  # in voxels; shorter edges cost no more
+"""Factor of the edges' cost in a one-surface crown: it has no cards, which rotate freely, and stretched by 22 %."""
+MOST_EDGES = 60_000  # number of edges used of a larger mesh, evenly chosen, since stretch is a mean
+_SHORTEST_EDGE = 0.25  # [voxels]; shorter edges have no higher weight
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """N points that the bones carry, edges between them, and the motion of V voxels that are means of them."""
+    """N points that the bones carry, edges between them, and the motion of V voxels, which average them."""
 
     points: Float32[np.ndarray, "N 3"]
     edges: Int32[np.ndarray, "E 2"]
     mean: scipy.sparse.csr_array  # [V, N], rows sum to 1
     coefficients: Complex64[np.ndarray, "V K 3"]  # [m]
-    num_frames: int  # T of the spectrum
+    num_frames: int  # number of frames T of the spectrum
     voxel_m: float
 
     @property
@@ -37,7 +37,7 @@ class Target:
 
 
 def placing(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "N 3"]) -> scipy.sparse.csr_array:
-    """Places of points as a product with a `stacked` [N, 4B]: the shares, then the shares times each arm."""
+    """Return the skinning matrix [N, 4B] for `stacked` poses: shares, then shares times each arm."""
     num_bones, (num_points, width) = len(skeleton), weights.rows.shape
     arm = points[:, None].astype(np.float64) - skeleton.foot_m[weights.rows]  # [N, W, 3]
     values = np.concatenate([np.ones((num_points, width, 1)), arm], axis=2) * weights.shares[:, :, None]
@@ -48,7 +48,7 @@ def placing(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "N
 
 
 def stacked(pose: Poses) -> Float64[np.ndarray, "B4 3 T"]:
-    """Feet, then columns of the rotations, which `placing` multiplies."""
+    """Stack feet and columns of the rotations, which `placing` multiplies."""
     parts = [pose.place_m, *(pose.rotation[..., column] for column in range(3))]
     return np.concatenate([part.transpose(1, 2, 0) for part in parts])
 
@@ -56,7 +56,7 @@ def stacked(pose: Poses) -> Float64[np.ndarray, "B4 3 T"]:
 def edge_ends(
     skeleton: Skeleton, weights: Weights, target: Target
 ) -> tuple[scipy.sparse.csr_array, Float64[np.ndarray, " E"], Float64[np.ndarray, " E"]]:
-    """Differences [E, N] of the edges that can grow; their lengths [m], and weights of their growth [1/m · m]."""
+    """Return differences [E, N] of the edges that can grow, their lengths [m] and the weights of their growth."""
     edges = target.fitted_edges
     length = np.linalg.norm(target.points[edges[:, 0]].astype(np.float64) - target.points[edges[:, 1]], axis=1)
     one, other = weights.rows[edges[:, 0]], weights.rows[edges[:, 1]]
@@ -71,7 +71,7 @@ def edge_ends(
 
 
 def turning(theta: Float64[np.ndarray, "B 3"]) -> Float64[np.ndarray, "B 3 3"]:
-    """From a change of θ to the small rotation [rad] that R(θ) is turned by."""
+    """Return the matrices from a change of θ to the small rotation [rad] of R(θ)."""
     cosine = (1 / np.sqrt(1 + (theta**2).sum(axis=1)))[:, None, None]
     outer = theta[:, :, None] * theta[:, None, :]
     return np.asarray(cosine * np.eye(3) - cosine**3 / (1 + cosine) * outer + cosine**2 / (1 + cosine) * cross(theta))
@@ -80,9 +80,9 @@ def turning(theta: Float64[np.ndarray, "B 3"]) -> Float64[np.ndarray, "B 3 3"]:
 def linear(
     skeleton: Skeleton, placing: scipy.sparse.csr_array, pose: Poses, *, feet: int, swing: Float64[np.ndarray, "B 3 3"]
 ) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
-    """Displacements of the rows of `placing` [m] under small turns `swing` θ, and what feet leave their parents by [m].
+    """Linearise the displacements of the rows of `placing` [m] and the feet's gaps from their parents [m].
 
-    `feet` is the block of the unknowns that has the displacements of the feet.
+    The small rotations are `swing` θ; `feet` is the block of the unknowns with the displacements of the feet.
     """
     num_bones, above = len(skeleton), skeleton.above
     rotation = pose.rotation[0]
@@ -112,8 +112,8 @@ def linear(
 
 
 def apart(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarray) -> scipy.sparse.csr_array:
-    """What neighbours turn apart times the length of the shorter bone, weighted [m]; 9B columns."""
-    stiff = 0.007  # price for each voxel beyond; with 0.008 a branch's foot leaves the bark by 0.3 % of the height
+    """Build the weighted differences of neighbours' rotations, times the length of the shorter bone [m]; 9B columns."""
+    stiff = 0.007  # cost per voxel beyond; with 0.008 a branch's foot leaves the bark by 0.3 % of the height
     beyond, num_bones, parent, one_voxel = voxels.copy(), len(skeleton), skeleton.parent, target.voxel_m**2
     for level in reversed(skeleton.levels):
         np.add.at(beyond, skeleton.above[level], beyond[level])
@@ -135,7 +135,7 @@ def apart(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarr
 def _blocks(
     shape: tuple[int, int], *blocks: tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"], Float64[np.ndarray, "_ 3 3"]]
 ) -> scipy.sparse.csr_array:
-    """Sparse matrix [3 rows, 9 bones] of 3 x 3 blocks: row, column and values of each."""
+    """Build a sparse matrix [3 rows, 9 bones] from 3 x 3 blocks, each with row, column and values."""
     row, column = np.mgrid[0:3, 0:3]
     rows = np.concatenate([(3 * r[:, None, None] + row).ravel() for r, _, _ in blocks])
     columns = np.concatenate([(3 * c[:, None, None] + column).ravel() for _, c, _ in blocks])
@@ -144,7 +144,7 @@ def _blocks(
 
 
 def cross(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """Matrices of the cross products v x."""
+    """Return the matrices of the cross products v ×."""
     x, y, z = vectors.T
     zero = np.zeros(len(vectors))
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
