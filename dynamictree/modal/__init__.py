@@ -1,1 +1,1 @@
-"""The spectrum as a modal basis: response of the tree to forces."""
+"""Response of a tree to forces, with its spectrum as the modal basis."""

@@ -1,4 +1,4 @@
-"""The rig's bones under forces: how a unit of each mode turns them, alone or near a place."""
+"""Rotations of the rig's bones under forces, from modal coordinates, for the whole tree or locally."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from dynamictree.spectrum import bin_weights
 
 @dataclass(frozen=True, kw_only=True)
 class Bones:
-    """The B bones of a rig, and its V voxels."""
+    """B bones of a rig, and its V voxels."""
 
     skeleton: Skeleton
     shapes: Complex64[np.ndarray, "B M 3"]  # θ per unit of each coordinate [rad]
     voxels: Weights
-    stem: Int32[np.ndarray, " B"]  # of each bone itself, or of a card the bone that it hangs on
-    of_voxel: Int32[np.ndarray, " V"]  # that carries most of it, and is no card
-    of_vertex: Int32[np.ndarray, " N"]  # that carries most of it
-    num_carried: Int64[np.ndarray, " B"]  # voxels that each carries, its own included
+    stem: Int32[np.ndarray, " B"]  # the bone itself, or the carrier of a card
+    of_voxel: Int32[np.ndarray, " V"]  # stem bone that carries most of each voxel
+    of_vertex: Int32[np.ndarray, " N"]  # bone that carries most of each vertex
+    num_carried: Int64[np.ndarray, " B"]  # number of voxels that each bone carries, its own included
 
 
 def bones_of(rig: Rig) -> Bones:
-    """The bones of a rig under forces."""
+    """Prepare the bones of a rig for forces."""
     parent = rig.skeleton.parent
     bends = np.zeros(len(parent), np.bool_)
     bends[rig.vertices.rows[rig.vertices.shares[:, 1] > 0, 0]] = True
@@ -57,7 +57,7 @@ def bones_of(rig: Rig) -> Bones:
 def turns_of(
     bones: Bones, reaches: Sequence[Reach | None], q: Complex128[np.ndarray, "G M"]
 ) -> Float64[np.ndarray, "B 3"]:
-    """θ of every bone where the groups have these coordinates; without a reach a group moves the whole tree."""
+    """Compute θ of every bone from the groups' coordinates; a group without a reach moves the whole tree."""
     skeleton = bones.skeleton
     turns = np.zeros((len(skeleton), 3))
     for reach, coordinates in zip(reaches, q, strict=True):
@@ -70,13 +70,13 @@ def turns_of(
 
 
 @compiled
-@no_type_check  # numba compiles no checked function
+@no_type_check  # numba cannot compile a type-checked function
 def _local(above, foot, end, weights, kind, own):
-    """A group's turns: see `reach.py`."""
+    """Compute a group's rotations, see `reach.py`."""
     turns, shift = np.zeros_like(own), np.zeros_like(own)
     for b in range(1, len(own)):
         a = above[b]
-        shift[b] = shift[a] + np.cross(own[a], foot[b] - foot[a])  # of the foot, in the plain answer
+        shift[b] = shift[a] + np.cross(own[a], foot[b] - foot[a])  # displacement of the foot without locality
         if kind[b] == HANGS:
             turns[b] = own[b]
         elif kind[b] == CARRIES:

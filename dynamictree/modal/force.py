@@ -1,7 +1,7 @@
-"""Forces on the tree, projected to generalised forces per step; linear in each force and additive.
+"""Project forces on the tree to generalised forces per step; they are linear and additive.
 
-A force of F newtons at the points p pushes coordinate k with f_k = Σ_p conj(φ_k(p)) · F_p joules. Time is cut into
-steps, and each step gets the force's mean over it, so an impulse keeps its newton-seconds whatever dt is.
+Forces F_p [N] at points p give coordinate k the generalised force f_k = Σ_p conj(φ_k(p)) · F_p [J]. Each time step
+gets the force's mean over it, so an impulse is independent of dt.
 """
 
 from dataclasses import dataclass
@@ -19,25 +19,25 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class CarriedPoint:
-    """A point of the mesh that a drag by displacement holds, and the bones that carry it."""
+    """Point of the mesh that a drag by displacement fixes, and the bones that carry it."""
 
     point_m: Float32[np.ndarray, " 3"]
-    bones: Int32[np.ndarray, " W"]  # of the rig
+    bones: Int32[np.ndarray, " W"]  # bones of the rig
     weights: Float32[np.ndarray, " W"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Voxels that a force is spread over; the weights sum to 1, the first row is where it is aimed."""
+    """Voxels over which a force is distributed; the weights sum to 1, the first row is its target."""
 
     rows: Int32[np.ndarray, " P"]
     weights: Float64[np.ndarray, " P"]
-    drawn: CarriedPoint | None = None  # what a drag by displacement holds; the first voxel where there is none
+    drawn: CarriedPoint | None = None  # point that a drag by displacement fixes; None for the first voxel
 
 
 @dataclass(frozen=True, kw_only=True)
 class Impulse:
-    """An impulse [N s], spread evenly over its duration (0 is within one step)."""
+    """Impulse [N s], distributed evenly over its duration (0 means within one step)."""
 
     at: Contact
     impulse_n_s: Vector
@@ -47,18 +47,18 @@ class Impulse:
 
 @dataclass(frozen=True, kw_only=True)
 class Drag:
-    """Pull a point, then release it: by a force, or by the displacement that the force would reach."""
+    """Pull and release of a point, by a force or by the displacement to reach."""
 
     at: Contact
     force_n: Vector | None = None
     displacement_m: Vector | None = None
     start_s: float = 0.0
-    duration_s: float | None = None  # None: for ever, a rest load
+    duration_s: float | None = None  # None for a permanent load
 
 
 @dataclass(frozen=True, kw_only=True)
 class WindField:
-    """Air that moves over the whole tree: samples of its velocity, evenly spaced over the duration."""
+    """Wind over the whole tree: samples of its velocity, evenly spaced over the duration."""
 
     velocity_m_s: Float64[np.ndarray, "S 3"]
     start_s: float = 0.0
@@ -69,7 +69,7 @@ Force = Impulse | Drag | WindField
 
 
 def contact_at_voxel(grid: VoxelGrid, row: int) -> Contact:
-    """One voxel, by its row in the spectrum.
+    """Create a contact at one voxel, by its row in the spectrum.
 
     Raises:
         InputError: there is no such row.
@@ -80,12 +80,12 @@ def contact_at_voxel(grid: VoxelGrid, row: int) -> Contact:
 
 
 def contact_at_point(grid: VoxelGrid, point_m: Vector, *, radius_m: float = 0.0) -> Contact:
-    """The voxel nearest to a point, or evenly all whose centres lie within a radius of it.
+    """Create a contact at the voxel nearest to a point, or evenly at all voxels within a radius.
 
     Raises:
         InputError: the point is not finite, or no voxel is near.
     """
-    reach_voxels = 3.0  # a point further from every voxel's centre lies outside of the tree
+    reach_voxels = 3.0  # [voxels]; a point farther from all voxel centres is outside the tree
     if not (np.isfinite(point_m).all() and np.isfinite(radius_m) and radius_m >= 0):
         raise InputError(f"point_m {point_m} with radius_m {radius_m}; both must be finite, the radius not negative")
     distance = np.linalg.norm(grid.centres_m - np.asarray(point_m), axis=1)  # [V]
@@ -105,10 +105,10 @@ def contact_at_point(grid: VoxelGrid, point_m: Vector, *, radius_m: float = 0.0)
 def generalised_force(
     system: ModalSystem, force: Force, *, dt_s: float, num_frames: int
 ) -> Complex128[np.ndarray, "T M"]:
-    """f_k, the mean over each of the steps [J].
+    """Compute the generalised force f_k, averaged over each step [J].
 
     Raises:
-        InputError: a vector or a time is not finite, or a drag asks for what the tree cannot do.
+        InputError: a vector or a time is not finite, or a drag is impossible.
     """
     match force:
         case Impulse():
@@ -123,21 +123,21 @@ def generalised_force(
 
 
 def generalised(system: ModalSystem, at: Contact, vector_n: Float64[np.ndarray, " 3"]) -> Complex128[np.ndarray, " M"]:
-    """A force at a contact in modal coordinates, Σ_p conj(φ_k(p)) · F_p [J]."""
+    """Project a force at a contact to modal coordinates, Σ_p conj(φ_k(p)) · F_p [J]."""
     pushed: Complex128[np.ndarray, " M"] = _shape_at(system, at).conj() @ vector_n
     return pushed
 
 
 def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
-    """The force of a drag [N]; for a displacement, the one under which the point rests there.
+    """Return the force of a drag [N]; for a displacement, the static force that reaches it.
 
-    A point gives way in some directions only (a branch bends, it does not stretch), so the compliance is inverted
-    with Tikhonov's damping: along the soft directions the point goes the whole way, along the stiff ones hardly.
+    A point is compliant in some directions only (a branch bends, it does not stretch), so the compliance is inverted
+    with Tikhonov regularization: the point moves the whole way along soft directions, and hardly along stiff ones.
 
     Raises:
-        InputError: neither or both of force and displacement are given, or nothing moves at the point.
+        InputError: not exactly one of force and displacement is given, or the modes do not move the point.
     """
-    stiff_share = 0.1  # a direction that gives way by this share of the softest is dragged half of the way
+    stiff_share = 0.1  # relative compliance of a direction that is dragged half of the way
     if (drag.force_n is None) == (drag.displacement_m is None):
         raise InputError("a drag has either force_n or displacement_m; give exactly one of them")
     if drag.force_n is not None:
@@ -153,25 +153,25 @@ def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
 
 
 def compliance(system: ModalSystem, at: Contact) -> Float64[np.ndarray, "3 3"]:
-    """Static displacement at a contact over the force there, Σ_k Re(φ_k φ_kᴴ) / (m ω_k²) [m/N]."""
+    """Compute the static displacement per force at a contact, Σ_k Re(φ_k φ_kᴴ) / (m ω_k²) [m/N]."""
     shape = _shape_at(system, at)  # [M, 3]
     softness = (shape / system.stiffness[:, None]).T @ shape.conj()
     return np.asarray(softness.real)
 
 
 def equilibrium(system: ModalSystem, generalised_n_m: Complex128[np.ndarray, "G M"]) -> State:
-    """The shape in which the tree rests under a load that is there for good, q_k = f_k / (m ω_k²)."""
+    """Return the state at rest under a permanent load, q_k = f_k / (m ω_k²)."""
     return State(q=generalised_n_m / system.stiffness, q_dot=np.zeros_like(generalised_n_m))
 
 
 def davis_state(system: ModalSystem, force: Impulse | Drag, *, gain: float = 1.0) -> State:
-    """Davis et al. 2015, section 4.3: |z_k| = α|φ_k·d|, arg z_k = −arg(φ_k·d), a further −π/2 for an impulse.
+    """Initial state of Davis et al. 2015, section 4.3: |z_k| = α|φ_k·d|, arg z_k = −arg(φ_k·d), −π/2 for an impulse.
 
-    z = q − i q̇/ω. A constant drag has no rate, so q has the phase; an impulse has q = 0 and a rate.
-    Not additive: d is a direction, and the gain alone says how strong. Here α = gain / max_k|φ_k·d|².
+    With z = q − i q̇/ω, a constant drag has q = z and no rate; an impulse has q = 0 and a rate. The state is not
+    additive: d is a direction, and only the gain sets the strength. α = gain / max_k|φ_k·d|².
 
     Raises:
-        InputError: the force has no direction, or nothing moves along it.
+        InputError: the force has no direction, or no mode moves along it.
     """
     vector = force.impulse_n_s if isinstance(force, Impulse) else force.displacement_m or force.force_n
     assert vector is not None
@@ -193,8 +193,8 @@ def _shape_at(system: ModalSystem, at: Contact) -> Complex128[np.ndarray, "M 3"]
 
 
 def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) -> Complex128[np.ndarray, "T M"]:
-    """½ρ C A |v| v on every voxel; a surface voxel shows a quarter of its face to any side, as a convex body does."""
-    drag_coefficient = 0.25  # crowns in leaf measure 0.2 to 0.4 at 10 m/s; half the surface or more lies in the lee
+    """Compute the wind's drag ½ρ C A |v| v on every voxel, with A a quarter of its face, as for convex bodies."""
+    drag_coefficient = 0.25  # measured: 0.2 to 0.4 for crowns in leaf at 10 m/s; half the surface or more is in the lee
     air_density_kg_m3 = 1.2
     velocity = np.asarray(wind.velocity_m_s, np.float64)
     if len(velocity) == 0:
@@ -214,17 +214,17 @@ def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) ->
 
 
 def _impulse_rate(force: Impulse, dt_s: float, num_frames: int) -> Float64[np.ndarray, " T"]:
-    """How much of the impulse falls into each step, a second [1/s]."""
+    """Return the share of the impulse in each step, per second [1/s]."""
     if force.duration_s > 0:
         return share_of_steps(force.start_s, force.duration_s, dt_s, num_frames) / force.duration_s
     _check_times(force.start_s, force.duration_s)
-    step = np.floor(force.start_s / dt_s + 1e-9)  # a start on a step's border belongs to the step that begins there
+    step = np.floor(force.start_s / dt_s + 1e-9)  # a start at a step's boundary belongs to the step that begins there
     rate: Float64[np.ndarray, " T"] = (np.arange(num_frames) == step) / dt_s
     return rate
 
 
 def share_of_steps(start_s: float, duration_s: float | None, dt_s: float, num_frames: int) -> Float64[np.ndarray, " T"]:
-    """The share of each step during which a force acts."""
+    """Return the share of each step during which a force acts."""
     _check_times(start_s, duration_s)
     begin = np.arange(num_frames) * dt_s
     end_s = np.inf if duration_s is None else start_s + duration_s
@@ -238,7 +238,7 @@ def _check_times(start_s: float, duration_s: float | None) -> None:
 
 
 def finite(name: str, values: Vector | Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """Values as an array.
+    """Convert values to an array, and check that they are finite.
 
     Raises:
         InputError: one of them is not finite.

@@ -1,4 +1,4 @@
-"""A mesh's vertices at any modal coordinates, one frame at a time: what every answer in vertices or Gaussians calls."""
+"""Displacement of a mesh's vertices from modal coordinates, frame by frame, for responses in vertices or Gaussians."""
 
 from typing import no_type_check
 
@@ -11,15 +11,15 @@ from dynamictree.spectrum import bin_weights
 
 _STEPS = np.iinfo(np.int16).max
 _BLOCK = 1024
-"""Values that are summed together: they and their rows of the basis stay in a core's first cache."""
+"""Values per block; they and their rows of the basis fit into the L1 cache."""
 _AT_ONCE = 6
-"""Rows of the basis that are added in one pass over a block: as many loads and stores of the sum are saved."""
+"""Rows of the basis that are added in one pass over a block, which saves loads and stores of the sum."""
 
 
 class VertexFrames:
-    """u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}, with φ_k of the loop in which the rig moves the vertices.
+    """Superposition u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}, with φ_k of the vertices' loop in the rig.
 
-    φ is stored in 16 bits: steps of max |φ_k| / 32767.
+    φ is stored in 16 bits, in steps of max |φ_k| / 32767.
     """
 
     def __init__(self, rig: Rig, vertices: Float32[np.ndarray, "N 3"]) -> None:
@@ -28,7 +28,7 @@ class VertexFrames:
         parts = np.concatenate([at_vertices.real, -at_vertices.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
         flat = parts.transpose(1, 0, 2).reshape(2 * len(often), -1)  # [2M, 3N]
         self._scale = np.maximum(np.abs(flat).max(axis=1, initial=0), np.finfo(np.float32).tiny) / _STEPS
-        missing = -len(flat) % _AT_ONCE  # rows of zeros, which `displacement` gives no coordinate
+        missing = -len(flat) % _AT_ONCE  # padding rows of zeros, without coordinates in `displacement`
         self._basis = np.pad(np.round(flat / self._scale[:, None]).astype(np.int16), ((0, missing), (0, 0)))
         self._bones = rig.vertices
 
@@ -38,16 +38,16 @@ class VertexFrames:
         return int(self._basis.nbytes)
 
     def weights(self, of_bones: Float64[np.ndarray, "G B"]) -> Float32[np.ndarray, "G N"]:
-        """w_g of each vertex: the mean over the bones that carry it."""
+        """Return w_g of each vertex: the mean over the bones that carry it."""
         return np.asarray((of_bones[:, self._bones.rows] * self._bones.shares).sum(axis=2), np.float32)
 
     def displacement(
         self, q: Complex128[np.ndarray, "G M"], weights: Float32[np.ndarray, "G N"] | None = None
     ) -> Float32[np.ndarray, "N 3"]:
-        """Displacement of every vertex at one moment [m].
+        """Compute the displacement of every vertex at one moment [m].
 
         Args:
-            q: modal coordinates, a row per group of forces.
+            q: modal coordinates, one row per group of forces.
             weights: w_g of each vertex; by default every group moves the whole tree.
         """
         coordinates = np.zeros((len(q), len(self._basis)), np.float32)

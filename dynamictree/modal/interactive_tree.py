@@ -1,4 +1,4 @@
-"""A tree prepared for interaction: which bones and voxels each group of forces moves, and how far."""
+"""Tree prepared for interaction: computes how far each group of forces moves bones and voxels."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, displacement
 
-if TYPE_CHECKING:  # what brings numba
+if TYPE_CHECKING:  # modules that import numba
     from dynamictree.modal.bones import Bones
     from dynamictree.modal.frames import VertexFrames
     from dynamictree.modal.joints import Joints
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # what brings numba
 
 @dataclass(frozen=True, kw_only=True)
 class Locality:
-    """Where a group's answer is centred, and how fast it fades."""
+    """Centre and falloff of a group's response."""
 
     seed_voxel: int
     falloff_m: float
@@ -44,7 +44,7 @@ class Locality:
 
 @dataclass(frozen=True, kw_only=True)
 class ForceGroup:
-    """Forces that share modal coordinates; without a locality they move the whole tree."""
+    """Forces that share modal coordinates; a group without a locality moves the whole tree."""
 
     locality: Locality | None = None
     forces: tuple[Force, ...] = ()
@@ -52,15 +52,15 @@ class ForceGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class Reached:
-    """Where a drag by displacement holds its point at rest [m from rest]."""
+    """Displacement at rest of the point of a drag by displacement [m]."""
 
     wanted_m: Float64[np.ndarray, " 3"]
     reached_m: Float64[np.ndarray, " 3"]
-    beyond_m: float  # how far the target lies beyond the length of the branches between it and the root [m]
+    beyond_m: float  # distance of the target beyond the length of the branches from the root [m]
 
     @property
     def why(self) -> str:
-        """Why the point may rest elsewhere."""
+        """Reason why the point may miss its target."""
         if self.beyond_m > 0:
             return f"the target is {self.beyond_m:.3g} m too far from the root: branches do not stretch"
         return "the branches between the point and the root are too stiff in this direction"
@@ -68,7 +68,7 @@ class Reached:
 
 @dataclass(frozen=True, kw_only=True)
 class Rest:
-    """A group at rest under a drag by displacement."""
+    """Static solution of a group under a drag by displacement."""
 
     bend: Float64[np.ndarray, "n 3"]
     q: Complex128[np.ndarray, " M"]
@@ -77,27 +77,27 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Modal coordinates and local bends per frame and group, and the state that the next run begins with."""
+    """Response: modal coordinates and local bends per frame and group, and the start state of a next run."""
 
     groups: tuple[ForceGroup, ...]
     q: Complex128[np.ndarray, "T G M"]
     final: State
-    bends: tuple[Float64[np.ndarray, "T n 3"], ...]  # per group; n = 0 where no joint bends
+    bends: tuple[Float64[np.ndarray, "T n 3"], ...]  # per group; n = 0 without bending joints
     final_bends: tuple[Bend, ...]
     reached: tuple[Reached, ...] = ()  # per drag by displacement, in the order of the groups' forces
 
 
 @dataclass(frozen=True)
 class InteractiveTree:
-    """Prepared once per spectrum and used for many requests. What is local to a branch, or bends, needs the rig."""
+    """Tree prepared once per spectrum for many requests. Local responses and bends need the rig."""
 
     system: ModalSystem = field(repr=False)
     rig: "Rig | None" = field(default=None, repr=False)
-    mesh: TriangleMesh | None = field(default=None, repr=False)  # the rig's
+    mesh: TriangleMesh | None = field(default=None, repr=False)  # mesh of the rig
 
     @cached_property
     def bones(self) -> "Bones":
-        """The rig's bones under forces.
+        """Rig's bones, prepared for forces.
 
         Raises:
             InputError: the tree has no rig.
@@ -110,15 +110,15 @@ class InteractiveTree:
 
     @cached_property
     def joints(self) -> "Joints":
-        """The joints that a pull bends."""
+        """Joints that a pull bends."""
         from dynamictree.modal.joints import joints_of
 
         bones = self.bones
-        assert self.mesh is not None  # as the rig is not
+        assert self.mesh is not None  # set together with the rig
         return joints_of(bones, self.mesh, self.system.shapes)
 
     def reaches(self, groups: Sequence[ForceGroup]) -> "list[Reach | None]":
-        """How each group of forces takes part in the bones; None where it moves the whole tree."""
+        """Return each group's reach on the bones; None for a group that moves the whole tree."""
         return [None if group.locality is None else self._reach(group.locality) for group in groups]
 
     def _reach(self, place: Locality) -> "Reach":
@@ -128,7 +128,7 @@ class InteractiveTree:
         return reach_of(self.bones.skeleton, int(self.bones.of_voxel[seed]), place.falloff_m)
 
     def weights(self, groups: Sequence[ForceGroup]) -> Float32[np.ndarray, "G V"]:
-        """Weight of each voxel in each group, that of its bone."""
+        """Return the weight of each voxel in each group, which is that of its bone."""
         everywhere = np.ones(len(self.system.grid), np.float32)
         rows = [
             everywhere if reach is None else reach.weights[self.bones.of_voxel].astype(np.float32)
@@ -137,8 +137,8 @@ class InteractiveTree:
         return np.stack(rows) if rows else np.zeros((0, len(everywhere)), np.float32)
 
     def voxels(self, answer: Answer, *, warp: bool = False) -> Iterator[Float32[np.ndarray, "V 3"]]:
-        """Displacement of every voxel, frame after frame [m]."""
-        frames_at_once = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
+        """Yield the displacement of every voxel, frame by frame [m]."""
+        frames_at_once = 32  # frames per matrix product of plain superposition, 15 MB at 40,000 voxels
         grid = self.system.grid
         if warp:
             yield from self.bent(answer, grid.centres_m, self.bones.voxels)
@@ -152,7 +152,7 @@ class InteractiveTree:
             yield from moved
 
     def superposed(self, answer: Answer, vertices: "VertexFrames") -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of a mesh's vertices without warp, frame after frame [m]."""
+        """Yield the displacement of a mesh's vertices without warp, frame by frame [m]."""
         weights = None
         if any(group.locality for group in answer.groups):
             one = np.ones(len(self.bones.skeleton))
@@ -163,7 +163,7 @@ class InteractiveTree:
     def bent(
         self, answer: Answer, points: Float32[np.ndarray, "N 3"], weights: "Weights"
     ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of points that bones carry, frame after frame [m]."""
+        """Yield the displacement of points that bones carry, frame by frame [m]."""
         from dynamictree.modal.bones import turns_of
         from dynamictree.rig.pose import carried, poses
 
@@ -178,19 +178,19 @@ class InteractiveTree:
             yield carried(bones.skeleton, stance, 0, points, weights)
 
     def chain(self, group: ForceGroup) -> Int64[np.ndarray, " n"]:
-        """Joints from a group's own towards the root, which a pull bends."""
+        """Return the joints from a group's own towards the root, which a pull bends."""
         if group.locality is None:
             return np.zeros(0, np.int64)
         return self.joints.chain(int(contact_at_voxel(self.system.grid, group.locality.seed_voxel).rows[0]))
 
     def hold(self, system: ModalSystem, group: ForceGroup, drag: Drag, *, near: "Rest | None" = None) -> "Rest":
-        """Hold a point by bends of the joints that carry it; without a locality, by the modes alone.
+        """Solve for the bends of the joints that fix a point; without a locality, use the modes alone.
 
         Args:
-            system: this tree's, with the physics of the moment.
-            group: the drag's.
-            drag: by displacement.
-            near: the answer for a target close by.
+            system: this tree's system, with current physics.
+            group: group of the drag.
+            drag: drag by displacement.
+            near: solution for a nearby target, as the first guess.
         """
         from dynamictree.modal.pull import grip_at, pull_to
         from dynamictree.rig.pose import Weights
@@ -213,14 +213,14 @@ class InteractiveTree:
         return Rest(bend=np.zeros((0, 3)), q=q, reached=Reached(wanted_m=wanted, reached_m=moved, beyond_m=0.0))
 
     def drawn(self, at: Contact) -> CarriedPoint:
-        """The point that a drag by displacement holds: the one of the contact, else its first voxel."""
+        """Return the point that a drag by displacement fixes: the contact's, or else its first voxel."""
         row, voxels = int(at.rows[0]), self.bones.voxels
         if at.drawn is not None:
             return at.drawn
         return CarriedPoint(point_m=self.system.grid.centres_m[row], bones=voxels.rows[row], weights=voxels.shares[row])
 
     def contact_at_vertex(self, vertices: Float32[np.ndarray, "N 3"], vertex: int, *, radius_m: float = 0.0) -> Contact:
-        """Where a vertex is pulled: the force acts at the nearest voxel of the joint that carries it."""
+        """Create a contact for a vertex; the force acts at the nearest voxel of the joint that carries it."""
         joints, (x, y, z) = self.joints, vertices[vertex].tolist()
         assert self.rig is not None
         rows, shares = self.rig.vertices.rows[vertex], self.rig.vertices.shares[vertex]

@@ -1,12 +1,12 @@
-"""Joints that a pull bends: places of the rig where all beyond can turn without tearing the surface.
+"""Joints that a pull bends: points of the rig beyond which all parts can rotate without tearing the surface.
 
-A bone that hangs at one point and carries nothing, as a card does, has the joint of what it hangs on. Bones of equal
-depth that edges of the mesh join, and those that carry them, as in a wide trunk or a crown that is one surface, have
-one joint. A bend κ_j turns all beyond joint j, in the shape x' that wind and forces give the tree:
+A bone attached at one point that carries nothing, such as a card, has the joint of its carrier. Bones of equal depth
+connected by edges of the mesh, and their carriers, as in a wide trunk or a crown that is one surface, share a joint. A
+bend κ_j rotates everything beyond joint j, in the shape x' of the tree under wind and forces:
 
     A_j = A_i exp[κ_j]×,      p_j = p_i + A_i (j_j - j_i),      x'' = Σ_b w_b (p_j(b) + A_j(b) (x'_b - j_j(b)))
 
-with i the joint that carries j, j_j its place at rest, and x'_b where bone b alone carries the point.
+with i the joint that carries j, j_j its position at rest, and x'_b the point's position if bone b alone carries it.
 """
 
 from dataclasses import dataclass
@@ -27,18 +27,18 @@ from dynamictree.rig.pose import Poses, Skeleton
 
 @dataclass(frozen=True, kw_only=True)
 class Joints:
-    """J joints, what carries a joint before it; the first is the ground, which never bends."""
+    """J joints, each after its carrier; the first is the ground, which never bends."""
 
-    parent: Int32[np.ndarray, " J"]  # -1 of the ground
+    parent: Int32[np.ndarray, " J"]  # -1 for the ground
     place_m: Float64[np.ndarray, "J 3"]
     of_bone: Int32[np.ndarray, " B"]
     of_voxel: Int32[np.ndarray, " V"]
-    num_carried: Int64[np.ndarray, " J"]  # voxels beyond
-    moved: Float64[np.ndarray, "J M"]  # e_k of what lies beyond
-    strain: Float64[np.ndarray, " J"]  # of the edges across each, per radian that it bends
+    num_carried: Int64[np.ndarray, " J"]  # number of voxels beyond
+    moved: Float64[np.ndarray, "J M"]  # e_k of the voxels beyond
+    strain: Float64[np.ndarray, " J"]  # strain of the edges across the joint, per radian of bend
 
     def chain(self, voxel: int) -> Int64[np.ndarray, " n"]:
-        """The joint of a voxel and those that carry it, which give way to a pull there."""
+        """Return the joint of a voxel and those that carry it, which bend under a pull there."""
         rows, joint = [], int(self.of_voxel[voxel])
         while joint > 0:
             rows.append(joint)
@@ -46,16 +46,16 @@ class Joints:
         return np.array(rows, np.int64)
 
     def omega(self, system: ModalSystem, chain: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Frequency at which the modes move what lies beyond each joint of a chain [rad/s]: see `local_bend.py`."""
+        """Compute the modes' mean frequency beyond each joint of a chain [rad/s], see `local_bend.py`."""
         share = self.moved[chain] + np.finfo(np.float64).tiny
         return np.asarray(np.sqrt(share @ system.omega**2 / share.sum(axis=1)))
 
     @cached_property
     def give(self) -> Float64[np.ndarray, " J"]:
-        """How far each joint bends under a moment, per metre to the next: see `pull.py`."""
-        tube, most, power = 0.6, 3, 8  # strains of branches are below the first, those in whole surfaces above it
+        """Bend of each joint per moment and per metre to the next, see `pull.py`."""
+        tube, most, power = 0.6, 3, 8  # strains of branches are below `tube`, those in one-surface crowns above
         heaviest, by_weight = np.zeros_like(self.parent), np.argsort(self.num_carried, kind="stable")
-        heaviest[self.parent[by_weight]] = by_weight  # of all that a joint carries, the last one stays
+        heaviest[self.parent[by_weight]] = by_weight  # the last assignment is the heaviest child
         stiffness, forked = np.maximum(self.num_carried, 1.0) ** 2, np.ones(len(self.parent))
         for joint, parent in enumerate(self.parent[1:].tolist(), start=1):
             is_side = parent > 0 and heaviest[parent] != joint
@@ -64,7 +64,7 @@ class Joints:
         return np.where(np.arange(len(stiffness)) > 0, 1 / stiffness, 0.0)
 
     def bent(self, stance: Poses, bends: Float64[np.ndarray, "J 3"]) -> Poses:
-        """Poses of the bones of one moment, bent."""
+        """Apply bends to the bones' poses at one moment."""
         frame, place = _frames(np.maximum(self.parent, 0), self.place_m, bends)
         own, joint = frame[self.of_bone], self.of_bone
         arm = stance.place_m[0] - self.place_m[joint]
@@ -75,12 +75,12 @@ class Joints:
 
 
 def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V M 3"]) -> Joints:
-    """Find the joints of the bones of a mesh; `shapes` are those of the voxels."""
+    """Find the joints of a mesh's bones; `shapes` are those of the voxels."""
     skeleton, edges = bones.skeleton, edges_of(mesh.faces)
     ends = bones.of_vertex[edges]
     of_bone = _together(skeleton, bones.stem, np.unique(np.sort(bones.stem[ends]), axis=0))
     parent_bone = np.where(skeleton.parent < 0, -1, of_bone[skeleton.above])
-    outermost = parent_bone != of_bone  # whose parent has another joint
+    outermost = parent_bone != of_bone  # bones whose parent has another joint
     size = 1.0 + bones.num_carried
     count = int(of_bone.max()) + 1
     parent = np.full(count, -1, np.int32)
@@ -100,7 +100,7 @@ def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V
 
 
 def _beyond(parent: Int32[np.ndarray, " J"], own: np.ndarray) -> np.ndarray:
-    """Of each joint, the sum over itself and all that it carries."""
+    """Sum values over each joint and all joints that it carries."""
     total = own.copy()
     for joint in range(len(parent) - 1, 0, -1):
         total[parent[joint]] += total[joint]
@@ -110,8 +110,8 @@ def _beyond(parent: Int32[np.ndarray, " J"], own: np.ndarray) -> np.ndarray:
 def _moved(
     parent: Int32[np.ndarray, " J"], of_voxel: Int32[np.ndarray, " V"], shapes: Complex64[np.ndarray, "V M 3"]
 ) -> Float64[np.ndarray, "J M"]:
-    """How far each mode moves the voxels beyond each joint, against those where it is, and a little in all [m²]."""
-    absolute = 0.01  # of a mode's motion counts as if the joint did not move with it: a tip has little beyond it
+    """Compute each mode's squared motion of the voxels beyond a joint, relative to the joint [m²]."""
+    absolute = 0.01  # share of the absolute motion that is added, since a tip has little beyond it
     count, of_joint = np.bincount(of_voxel, minlength=len(parent)), (of_voxel, np.arange(len(of_voxel)))
     member = scipy.sparse.csr_array((np.ones(len(of_voxel)), of_joint), shape=(len(parent), len(of_voxel)))
     total = (member @ shapes.reshape(len(shapes), -1)).reshape(len(parent), *shapes.shape[1:])
@@ -128,7 +128,7 @@ def _moved(
 def _together(
     skeleton: Skeleton, stem: Int32[np.ndarray, " B"], joined: Int32[np.ndarray, "P 2"]
 ) -> Int32[np.ndarray, " B"]:
-    """Joint of each bone, numbered by depth; `joined` are pairs of bones that edges join."""
+    """Return each bone's joint, numbered by depth; `joined` are pairs of bones connected by edges."""
     above, depth = skeleton.above, skeleton.depths
     one, other = joined.T
     pairs = [np.stack([np.arange(len(stem)), stem])]
@@ -143,16 +143,16 @@ def _together(
     tied = np.concatenate(pairs, axis=1)
     graph = scipy.sparse.coo_array((np.ones(tied.shape[1], np.int8), tied), shape=(len(stem), len(stem)))
     label = connected_components(graph, directed=False)[1]
-    first = np.unique(label, return_index=True)[1]  # bones come in the order of their depth
+    first = np.unique(label, return_index=True)[1]  # bones are sorted by depth
     number = np.empty(len(first), np.int32)
     number[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
     return np.asarray(number[label])
 
 
 @compiled
-@no_type_check  # numba compiles no checked function
+@no_type_check  # numba cannot compile a type-checked function
 def _strain(parent, place, ends, points):
-    """How far from each joint the edges across it are, in their lengths."""
+    """Compute the distance of the edges across each joint from it, in units of their lengths."""
     away, length = np.zeros(len(parent)), np.full(len(parent), 1e-30)
     for e in range(len(ends)):
         low, high = min(ends[e]), max(ends[e])
@@ -180,7 +180,7 @@ def _frames(above, joint, bends):
 @compiled
 @no_type_check
 def exponential(v):
-    """exp[v]× by Rodrigues' formula."""
+    """Compute exp[v]× by Rodrigues' formula."""
     angle = np.sqrt((v**2).sum())
     s, d = (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2) if angle > 1e-3 else (1 - angle**2 / 6, 0.5)
     cross = cross_matrix(v)
@@ -190,5 +190,5 @@ def exponential(v):
 @compiled
 @no_type_check
 def cross_matrix(v):
-    """The matrix of v x."""
+    """Return the matrix of v ×."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

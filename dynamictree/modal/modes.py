@@ -1,12 +1,12 @@
-"""A spectrum's modes for a program that evaluates them itself: 16 bits a number, with the bones that turn.
+"""Export a spectrum's modes for programs that evaluate them: 16 bits per number, with the rig's bones.
 
 Tensors of the file (safetensors): `coords` int16 [V, 3]; `shapes` int16 [V, K, 3, 2], φ = shapes · scale_m of the bin;
-`scale_m` float32 [K]; `frequencies_hz` float32 [K]; of the rig's bones `bone_parent` int32 [B], -1 of the ground,
+`scale_m` float32 [K]; `frequencies_hz` float32 [K]; of the rig's bones `bone_parent` int32 [B], -1 for the ground,
 `bone_foot_m` and `bone_reach_m` float32 [B, 3], `bone_turns` int16 [B, K, 3, 2], θ = bone_turns · bone_scale_rad of the
-bin, `bone_scale_rad` float32 [K]; of the joints that a pull bends `joint_parent` int32 [J], -1 of the ground,
+bin, `bone_scale_rad` float32 [K]; of the joints that a pull bends `joint_parent` int32 [J], -1 for the ground,
 `joint_place_m` float32 [J, 3], `joint_give` float32 [J]; `bone_of_voxel` int32 [V] and `joint_of_bone` int32 [B]. Index
-k is the frequency bin; bin 0 is no mode and 0. Where the spectrum is at hand, `lean_m` float32 [V, 3] is its bin 0: how
-far the mean wind leans each voxel. docs/interaction.md tells how they are used.
+k is the frequency bin; bin 0 is no mode and 0. If the spectrum is available, `lean_m` float32 [V, 3] is its bin 0: the
+mean displacement of each voxel in the wind. docs/interaction.md describes their use.
 """
 
 import json
@@ -18,7 +18,7 @@ from jaxtyping import Int16
 from dynamictree.modal.system import ModalSystem
 from dynamictree.spectrum import in_steps
 
-if TYPE_CHECKING:  # what brings numba
+if TYPE_CHECKING:  # modules that import numba
     from dynamictree.modal.bones import Bones
     from dynamictree.modal.joints import Joints
 
@@ -27,7 +27,7 @@ VERSION = "2"
 
 
 def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shapes: bool) -> dict[str, np.ndarray]:
-    """Everything that u(p) needs but the coordinates and the weights; `shapes` are what takes long."""
+    """Return the tensors from which u(p) is computed, without coordinates and weights; `shapes` adds the large ones."""
     tensors: dict[str, np.ndarray] = {
         "coords": system.grid.coords.astype(np.int16),
         "frequencies_hz": np.concatenate([[0], system.wind_omega / (2 * np.pi)]).astype(np.float32),
@@ -52,7 +52,7 @@ def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shape
 
 
 def mode_metadata(system: ModalSystem) -> dict[str, str]:
-    """The file's strings: format, version, and where voxels lie."""
+    """Return the file's metadata: format, version, and the grid's origin and voxel size."""
     return {
         "format": FORMAT,
         "version": VERSION,

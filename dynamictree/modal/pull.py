@@ -1,25 +1,25 @@
-"""Solve for the bends of the joints that hold a drawn point where a drag wants it.
+"""Solve for the bends of the joints that bring a dragged point to its target.
 
-Unknown are κ_i of the joints (`joints.py`) from the pulled one towards the root. Of all that bring the point to its
-target x*, the solution has the least energy
+The unknowns are κ_i of the joints (`joints.py`) from the pulled one towards the root. The solution has the least energy
+of all bends that bring the point to its target x*:
 
     E(κ) = ½ Σ_i |κ_i|² (1 + ⅓ (|κ_i| / κ_max)⁴) / g_i
 
 with g_i = |r_i| / (carried_i² Π_f s_f), |r_i| the length to the next joint and carried_i the number of voxels beyond:
-the stiffness of a beam whose cross-section is that of all that it carries, times the share s_f that it takes of its
-stem at each fork where it leaves one; where bending would tear a crown that is one surface, far less (`Joints.give`).
-So a trunk stands while its twig is pulled, and no joint folds. The point that is drawn is at
+the compliance of a beam whose cross-section is that of all branches it carries, over its share s_f of the stem at each
+fork where it branches off; far less where a bend would tear a one-surface crown (`Joints.give`). So a trunk stands
+while its twig is pulled, and no joint folds. The dragged point is at
 
     x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
 
-s_i leads from joint i to the next one, or to the point, times the share that is carried beyond. Newton's step turns the
-segments a_i = A_i s_i in space by θ_i, as a rod under the force λ that its end is pulled with:
+s_i leads from joint i to the next one, or to the point, times the share carried beyond. Newton's step rotates the
+segments a_i = A_i s_i in space by θ_i, like a rod whose end is pulled with the force λ:
 
     k_i (θ_i - θ_{i+1}) - k_{i-1} (θ_{i-1} - θ_i) + max(a_i · λ, 0) θ_i  =  a_i × λ - (m_i - m_{i-1})
 
-with m_i and k_i the moment and the stiffness of joint i, and Σ_i θ_i × a_i + ε λ = x* - x. By ε a point misses a target
-by 1 % where it takes 30,000 times the force of a small pull, as along a stem or into a fold. A step that neither brings
-the point nearer nor lessens E is taken again, shorter. `web/motion/pin.js` has `equilibrium` too.
+with m_i and k_i the moment and the stiffness of joint i, and Σ_i θ_i × a_i + ε λ = x* - x. Due to ε a point misses its
+target by 1 % if that takes 30,000 times the force of a small pull, as along a stem or into a fold. A step that neither
+brings the point nearer nor lowers E is repeated shorter. `web/motion/pin.js` implements `equilibrium` too.
 """
 
 from dataclasses import dataclass, replace
@@ -32,23 +32,23 @@ from dynamictree.modal.force import CarriedPoint
 from dynamictree.modal.joints import Joints, cross_matrix, exponential
 from dynamictree.parallel import compiled
 
-STEP_RAD = 0.5  # that a joint turns in a round, at most
-SETTLED_RAD, STUCK_RAD = 1e-3, 1e-6  # a whole step as small is the last; none as short is tried
+STEP_RAD = 0.5  # largest rotation of a joint per iteration
+SETTLED_RAD, STUCK_RAD = 1e-3, 1e-6  # full step that is the last; shortened step that ends the search
 LARGEST_BEND_RAD = 0.4  # κ_max
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pull:
-    """A point at rest under a drag."""
+    """Static solution for a dragged point."""
 
     bend: Float64[np.ndarray, "n 3"]  # κ from the grip's own joint towards the root
     reached_m: Float64[np.ndarray, " 3"]
-    beyond_m: float  # how much too short the chain is, drawn straight [m]
+    beyond_m: float  # distance of the target beyond the straightened chain [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grip:
-    """One place that can be pulled, prepared once for any target."""
+    """Point that can be pulled, prepared once for any target."""
 
     segments_m: Float64[np.ndarray, "n 3"]  # s
     give: Float64[np.ndarray, " n"]  # g
@@ -56,7 +56,7 @@ class Grip:
 
 
 def grip_at(joints: Joints, chain: Int64[np.ndarray, " n"], point: CarriedPoint) -> Grip:
-    """Prepare a point whose chain of joints may bend."""
+    """Prepare the grip at a point with its chain of joints."""
     place, at = joints.place_m[chain], point.point_m.astype(np.float64)
     index = {joint: row for row, joint in enumerate(chain.tolist())}
     segments, carried = np.zeros((len(chain), 3)), np.zeros(len(chain))  # share of the point beyond each joint
@@ -76,13 +76,13 @@ def grip_at(joints: Joints, chain: Int64[np.ndarray, " n"], point: CarriedPoint)
 
 
 def grip_of(segments_m: Float64[np.ndarray, "n 3"], give: Float64[np.ndarray, " n"]) -> Grip:
-    """A chain whose segments are these at rest."""
-    compliance = float(2 * give @ (np.cumsum(segments_m, axis=0) ** 2).sum(axis=1))  # at rest
+    """Create a grip from the segments at rest and their compliances."""
+    compliance = float(2 * give @ (np.cumsum(segments_m, axis=0) ** 2).sum(axis=1))  # value at rest
     return Grip(segments_m=segments_m, give=give, tolerance=3e-7 * compliance)
 
 
 def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np.ndarray, "n 3"] | None = None) -> Pull:
-    """Bring the point as near to its target as it can go [m from rest]; `near` is the bend for a target close by."""
+    """Bring the point as near to its target [m from rest] as possible; `near` is the bend for a nearby target."""
     still = np.zeros_like(grip.segments_m)
     if grip.tolerance <= 0:
         return Pull(bend=still, reached_m=np.zeros(3), beyond_m=0.0)
@@ -91,7 +91,7 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np
 
 
 def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
-    """The bend of least energy that holds the point at a target within reach, from a first guess on."""
+    """Find the bend of least energy with the point at a reachable target, starting from a first guess."""
     give = np.maximum(grip.give, 1e-14 * grip.give.sum())  # a joint without length is rigid
     bend, reached = _settled(grip.segments_m, give, grip.tolerance, target_m, bend)
     return Pull(bend=bend, reached_m=reached, beyond_m=0.0)
@@ -100,16 +100,16 @@ def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[n
 def _within_length(
     segments: Float64[np.ndarray, "n 3"], target_m: Float64[np.ndarray, " 3"]
 ) -> tuple[Float64[np.ndarray, " 3"], float]:
-    """The place nearest to a target that the chain reaches with some slack, and how far the target is beyond it [m].
+    """Return the reachable point nearest to a target, with some slack, and the target's distance beyond [m].
 
-    Towards a place at the whole length or beyond, bends grow without bounds, and a crook is never drawn straight. A
-    straight chain that bends evenly until its chord has turned by φ is as short as sin φ / φ of its length. Nearer to
-    the root than its longest segment leaves room for, no chain folds.
+    Towards a target at the full length or beyond, bends grow without bounds, and a crooked branch is never drawn
+    straight. A straight chain that bends evenly until its chord has rotated by φ is shortened to sin φ / φ of its
+    length. A chain with one long segment cannot fold nearer to the root than the other segments allow.
     """
-    slack_share = 0.03  # of the pull: a drag ends so far within the length of the branches
-    drawn = 0.7  # of how much longer a crooked branch is than straight: so far it can be drawn
+    slack_share = 0.03  # share of the pull by which a drag stays within the length of the branches
+    drawn = 0.7  # share of a crooked branch's excess length by which it can be straightened
     chord, sizes = segments.sum(axis=0), np.linalg.norm(segments, axis=1)
-    arm = chord + target_m  # from the root to the target
+    arm = chord + target_m  # vector from the root to the target
     distance, straight = float(np.linalg.norm(arm)), float(np.linalg.norm(chord))
     length = straight + drawn * (float(sizes.sum()) - straight)
     turned = float(np.arctan2(np.linalg.norm(np.cross(chord, arm)), chord @ arm))  # φ
@@ -121,9 +121,9 @@ def _within_length(
 
 
 @compiled
-@no_type_check  # numba compiles no checked function
+@no_type_check  # numba cannot compile a type-checked function
 def _settled(segments, give, tolerance, target, bends):
-    """The bends, and how far they bring the point."""
+    """Iterate to the equilibrium; return the bends and the point's displacement."""
     rounds, force, price, longest = 120, np.zeros(3), 0.0, STEP_RAD
     before, arms, reached, energy = _stance(segments, give, bends)
     for _ in range(rounds):
@@ -131,7 +131,7 @@ def _settled(segments, give, tolerance, target, bends):
         turns, moved = _turns(before, arms, bends, give, force)
         force = np.linalg.solve(moved[:, :3] + tolerance * np.eye(3), gap + moved[:, 3])
         step = _bent(before, bends, turns, force)
-        price = max(price, 1.5 * np.linalg.norm(force))  # of the gap, above that of the constraint
+        price = max(price, 1.5 * np.linalg.norm(force))  # penalty of the gap, above the constraint's multiplier
         size = np.sqrt((step**2).sum(axis=1).max())
         further = bends + min(1.0, longest / max(size, STUCK_RAD)) * step
         tried = _stance(segments, give, further)
@@ -150,10 +150,10 @@ def _settled(segments, give, tolerance, target, bends):
 @compiled
 @no_type_check
 def _stance(segments, give, bends):
-    """What carries each segment [n, 3, 3], the turned segments, how far they bring the point, and E."""
+    """Return the frame before each joint [n, 3, 3], the rotated segments, the point's displacement, and E."""
     before, arms = np.empty((len(bends), 3, 3)), np.empty_like(segments)
     frame, moved = np.eye(3), np.zeros(3)
-    for i in range(len(bends) - 1, -1, -1):  # from the root
+    for i in range(len(bends) - 1, -1, -1):  # order from the root
         before[i] = frame
         frame = frame @ exponential(bends[i])
         arms[i] = frame @ segments[i]
@@ -165,12 +165,12 @@ def _stance(segments, give, bends):
 @compiled
 @no_type_check
 def _turns(before, arms, bends, give, force):
-    """θ of each segment for a force along each axis and for the moments [n, 3, 4], and how far each moves the point."""
+    """Compute θ of each segment for a force along each axis and for the moments [n, 3, 4], and the point's motions."""
     n = len(arms)
     folded = ((bends**2).sum(axis=1) / LARGEST_BEND_RAD**2) ** 2
     stiffness = (1 + 5 * folded) / give
-    turns = np.empty((n, 3, 4))  # at first the right sides
-    tension = np.empty(n)  # what stiffens the segments up to this one in space
+    turns = np.empty((n, 3, 4))  # first the right-hand sides, then the solution
+    tension = np.empty(n)  # geometric stiffness of the segments up to this one
     below = np.zeros(3)
     for i in range(n):
         moment = before[i] @ bends[i] * (1 + folded[i]) / give[i]
@@ -193,12 +193,12 @@ def _turns(before, arms, bends, give, force):
 @compiled
 @no_type_check
 def _bent(before, bends, turns, force):
-    """The step of each κ under a force."""
+    """Compute the step of each κ under a force."""
     step, below = np.empty_like(bends), np.zeros(3)
     for i in range(len(bends) - 1, -1, -1):
         turn = turns[i] @ np.append(force, -1.0)
         own = before[i].T @ (turn - below)
         again = np.cross(bends[i], own)
-        step[i] = own - again / 2 + np.cross(bends[i], again) / 12  # of κ, for a turn in its frame
+        step[i] = own - again / 2 + np.cross(bends[i], again) / 12  # step of κ for a rotation in its frame
         below = turn
     return step

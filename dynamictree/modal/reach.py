@@ -1,20 +1,20 @@
-"""Locality of a push: modes span the whole tree, so each group of forces has a weight per bone.
+"""Locality of a push: since modes span the whole tree, each group of forces has a weight per bone.
 
     w(b) = exp(−(c(b) / falloff)²)
 
-c(b) is the length of the way along the bones from the middle of the pushed bone to the end of b, where
+c(b) is the length of the path along the bones from the middle of the pushed bone to the end of b, where
 
-- going outward from where the push began is free: what the pushed bone carries rides with it;
-- going towards the root costs its length: what carries it moves less, the nearer to the root the less;
-- going outward again costs `OUTWARD` times its length: other branches barely move;
-- the ground is no way.
+- steps outward from the pushed bone cost nothing: bones that it carries move with it;
+- steps towards the root cost their length: its carriers move less the nearer they are to the root;
+- steps outward from these cost `OUTWARD` times their length: other branches barely move;
+- no path leads across the ground.
 
-The plain answer of a point is w Σ_k φ_k q_k. A bone on the way to the root turns so that its end goes there:
+A point's plain response is w Σ_k φ_k q_k. A bone on the path to the root rotates so that its end follows it:
 
     θ_b = w_b t_b + r × (w_b − w_a) u_b / |r|²,      t_b = Re Σ_k θ_{b,k} q_k
 
-with r from its foot to the foot of the next on the way, and u_b how far the modes move its foot. Another branch rides
-on what carries it: θ_b = θ_a + w_b (t_b − t_a).
+with r from its foot to the foot of the next bone on the path, and u_b the displacement of its foot by the modes.
+Another branch moves with its carrier: θ_b = θ_a + w_b (t_b − t_a).
 """
 
 from dataclasses import dataclass
@@ -31,18 +31,18 @@ OTHER, CARRIES, HANGS = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """How the B bones take part in a push at one of them."""
+    """Weights and roles of the B bones in a push at one of them."""
 
     weights: Float64[np.ndarray, " B"]
-    kind: Int8[np.ndarray, " B"]  # CARRIES the pushed bone, or is it; HANGS on it; OTHER
-    end_m: Float64[np.ndarray, "B 3"]  # of what carries it, the foot of the next on the way
+    kind: Int8[np.ndarray, " B"]  # CARRIES: the pushed bone and its carriers; HANGS: bones that it carries; OTHER
+    end_m: Float64[np.ndarray, "B 3"]  # end of each bone; for carriers, the foot of the next bone on the path
 
 
 def reach_of(skeleton: Skeleton, bone: int, falloff_m: float) -> Reach:
-    """How far a push at a bone reaches.
+    """Compute the reach of a push at a bone.
 
     Raises:
-        InputError: the falloff is no length.
+        InputError: the falloff is not a positive length.
     """
     if not (np.isfinite(falloff_m) and falloff_m > 0):
         raise InputError(f"falloff_m is {falloff_m}; it must be positive and finite")

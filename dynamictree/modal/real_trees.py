@@ -1,9 +1,9 @@
-"""Natural frequency and damping of real trees by height and foliage, and how a spectrum's modes take them over.
+"""Natural frequency and damping of real trees by height and foliage, and their use for a spectrum's modes.
 
 Frequencies: 58 measured broadleaf trees of 12 to 56 m (TobyDJackson/WindAndTrees_NaturalFrequencies, field data),
-f = 0.66 H^-0.41 Hz. Below 12 m that table has no tree, and the law goes on as 1 / H, as beams of like shape do: an
-extrapolation. Damping: damped cosines fitted to 19 pull-and-release records of Wytham Woods (same source), median
-0.13 in leaf (10 records) and 0.039 bare (9). Trees 14, 16 and 20 are 0.79 to 0.94 times as fast in leaf as bare.
+f = 0.66 H^-0.41 Hz. The table has no tree below 12 m; there the law is extrapolated as 1 / H, as for similar beams.
+Damping: damped cosines fitted to 19 pull-and-release records of Wytham Woods (same source), median 0.13 in leaf (10
+records) and 0.039 bare (9). The frequencies of trees 14, 16 and 20 in leaf are 0.79 to 0.94 times those bare.
 """
 
 import numpy as np
@@ -13,41 +13,41 @@ from dynamictree.spectrum import FPS, NUM_FRAMES, UNKNOWN_FOLIAGE
 
 MEASURED_FROM_M = 12.0
 FITTED_HEIGHTS_M = (2.0, 56.0)
-"""A plant of 1 m has the frequency of one of 2 m, 1.4 Hz: twice as much is above what 16 frequencies in 4.17 s show."""
+"""Range of the law; smaller plants get the 1.4 Hz of 2 m, since 16 frequencies in 4.17 s cannot show twice as much."""
 LEARNED_TO_M = 8.0
-"""Height below which trees of version 5 of the data set, which the shipped weights learned from, get faster as 1 / √L
-only: 16 frequencies in 4.17 s end at 3.6 Hz."""
-LEAF_SLOWING = 0.85  # frequency in leaf over bare
+"""Height below which the frequency of trees in version 5 of the data set, the training set of the shipped weights,
+grows only as 1 / √L, since 16 frequencies in 4.17 s end at 3.6 Hz."""
+LEAF_SLOWING = 0.85  # ratio of the frequencies in leaf and bare
 LEAST_BINS = 2
-"""Of a loop's spectrum, the lean not counted, up to the lowest natural frequency."""
+"""Least number of a loop's bins, without the lean, up to the lowest natural frequency."""
 
 
 def height_law_hz(height_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
-    """Lowest natural frequency of real trees by height, and of shorter ones as of beams of like shape."""
+    """Return the lowest natural frequency of real trees by height, extrapolated to short ones as for similar beams."""
     law = 0.66 * np.maximum(height_m, MEASURED_FROM_M) ** -0.41
     return np.asarray(law * np.maximum(MEASURED_FROM_M / height_m, 1))
 
 
 def natural_frequency_hz(height_m: float, foliage: float | None) -> float:
-    """Lowest natural frequency of a tree [Hz]; foliage is 0 for a bare tree, 1 for a tree in leaf, None if unknown."""
+    """Return a tree's lowest natural frequency [Hz]; foliage is 0 for bare, 1 for in leaf, None if unknown."""
     bounded = float(np.clip(height_m, *FITTED_HEIGHTS_M))
     return float(height_law_hz(bounded) * LEAF_SLOWING ** (_or_middle(foliage) - 0.5))
 
 
 def learned_law_hz(length_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
-    """Frequency of a stem of up to LEARNED_TO_M by its length, as the shipped weights learned it."""
+    """Return the frequency of a stem of up to LEARNED_TO_M by its length, as in the shipped weights' training set."""
     return np.asarray(height_law_hz(LEARNED_TO_M) * np.sqrt(LEARNED_TO_M / length_m))
 
 
 def quickening(height_m: float) -> float:
-    """How much faster a small tree sways than the model's 1 / √L says; 1 where nature is not faster."""
+    """Return the factor by which a small tree sways faster than by the model's 1 / √L; at least 1."""
     max_quickening = 2.5
     height = max(height_m, 1e-3)
     return float(np.clip(height_law_hz(height) / learned_law_hz(height), 1, max_quickening))
 
 
 def natural_damping(foliage: float | None) -> float:
-    """Damping ratio of a released pull, between the medians of bare trees and trees in leaf."""
+    """Return the damping ratio after a released pull, between the medians of bare trees and trees in leaf."""
     bare_damping_ratio, leaf_damping_ratio = 0.039, 0.13
     share = _or_middle(foliage)
     return float(bare_damping_ratio ** (1 - share) * leaf_damping_ratio**share)
@@ -58,23 +58,23 @@ def _or_middle(foliage: float | None) -> float:
 
 
 def loop_times(height_m: float) -> int:
-    """Length of the loop in which a tree of this height sways at its own pace, over the paper's 4.17 s."""
-    # Longest loop that a height chooses, over the paper's: 16.7 s. Trees above 29 m would want more.
+    """Return the loop length, in multiples of the paper's 4.17 s, for a tree of this height."""
+    # Longest loop, 16.7 s. Trees above 29 m would need more.
     max_loop_times = 4
     slowest_s = LEAST_BINS / natural_frequency_hz(height_m, foliage=0.5)
     return int(np.clip(np.ceil(slowest_s * FPS / NUM_FRAMES), 1, max_loop_times))
 
 
 def loop_period_s(height_m: float) -> float:
-    """Period that a tree of this height chooses [s]."""
+    """Return the period of the loop for a tree of this height [s]."""
     return loop_times(height_m) * NUM_FRAMES / FPS
 
 
 def free_omega(wind_omega: Float64[np.ndarray, " M"], frequency_hz: float) -> Float64[np.ndarray, " M"]:
-    """Natural frequencies of the modes [rad/s] when the lowest is `frequency_hz`.
+    """Compute the natural frequencies of the modes [rad/s] for a lowest frequency `frequency_hz`.
 
-    One stiffness is added to all modes, ω² = ω_wind² + ω_0² - ω_wind,1². Modes whose bins lie below the tree's own
-    frequency are its quasi-static motion in wind, and ring at its own frequency; high modes hardly change.
+    The same stiffness is added to all modes, ω² = ω_wind² + ω_0² - ω_wind,1². Modes with bins below the tree's natural
+    frequency are its quasi-static motion in wind, and oscillate at about that frequency; high modes hardly change.
     """
     omega: Float64[np.ndarray, " M"] = np.sqrt(wind_omega**2 + (2 * np.pi * frequency_hz) ** 2 - wind_omega[0] ** 2)
     return omega

@@ -1,4 +1,4 @@
-"""Response to forces: they are grouped by where they act, and give modal coordinates over time."""
+"""Response to forces, which are grouped by location: modal coordinates over time."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -26,16 +26,16 @@ Start = Literal["rest", "held", "davis"]
 
 
 def with_bin_zero(q: Complex128[np.ndarray, "*rows M"]) -> Float64[np.ndarray, "*rows K 2"]:
-    """Coordinates as a response gives them: real and imaginary parts by frequency bin; bin 0 is no mode and 0."""
+    """Convert coordinates to real and imaginary parts by frequency bin; bin 0 is no mode and 0."""
     coordinates = np.zeros((*q.shape[:-1], q.shape[-1] + 1, 2))
     coordinates[..., 1:, 0], coordinates[..., 1:, 1] = q.real, q.imag
     return coordinates
 
 
 def answer_tensors(answer: Answer) -> dict[str, np.ndarray]:
-    """An answer as the tensors of a file: `q` [G, T, K, 2], `final_q` and `final_q_dot` [G, K, 2], and localities.
+    """Convert a response to a file's tensors: `q` [G, T, K, 2], `final_q` and `final_q_dot` [G, K, 2], localities.
 
-    `seed_voxel` is -1 and `falloff_m` 0 for a group that moves the whole tree. Of a group g whose joints bend also
+    `seed_voxel` is -1 and `falloff_m` 0 for a group that moves the whole tree. A group g with bending joints also has
     `bend_g` [T, n, 3] [rad], `final_bend_g` and `final_bend_rate_g` [n, 3].
     """
     places = [group.locality for group in answer.groups]
@@ -55,7 +55,7 @@ def answer_tensors(answer: Answer) -> dict[str, np.ndarray]:
 
 
 def group_forces(forces: Sequence[Force], *, falloff_m: float | None) -> tuple[ForceGroup, ...]:
-    """Forces at one voxel go together; wind, and without a falloff everything, moves the whole tree."""
+    """Group forces by voxel; wind, and all forces without a falloff, move the whole tree."""
     together: dict[Locality | None, list[Force]] = {}
     for force in forces:
         locality = None
@@ -78,13 +78,13 @@ def respond(
 ) -> Answer:
     """Compute the response: modal coordinates at times 0, dt, … and the state after the last step.
 
-    It starts at rest; `held`, in equilibrium with what acts at time 0; by `davis`, in his initial state; or from a
-    state of these groups, with their bends.
+    The start is at rest; `held`: in equilibrium with the forces at time 0; `davis`: in the initial state of Davis et
+    al.; or a state of these groups, with their bends.
 
-    With `bent`, the tree whose bent shape is wanted, a drag by displacement holds its point in that shape.
+    With `bent`, the tree for bent shapes, drags by displacement are solved in the bent shape.
 
     Raises:
-        InputError: a force, dt or the start cannot be used.
+        InputError: a force, dt or the start is invalid.
         UnstableTimestep: the integrator diverges at this dt.
     """
     step = STEPS[integrator](system, dt_s)
@@ -124,7 +124,7 @@ def respond(
 def _solved(
     system: ModalSystem, groups: Sequence[ForceGroup], dt_s: float, num_frames: int, bent: InteractiveTree | None
 ) -> tuple[list[ForceGroup], list[Float64[np.ndarray, "T n 3"]], tuple[Reached, ...]]:
-    """The forces on the modes, and of drags by displacement the bends that hold them in the bent shape, per step."""
+    """Return the forces on the modes, and the bends per step of drags by displacement in the bent shape."""
     if bent is None:
         return list(groups), [np.zeros((num_frames, 0, 3)) for _ in groups], ()
     solved, aims, reached = [], [], []
@@ -166,7 +166,7 @@ def _swing(
         pull = np.zeros((len(pull), *begin.turn.shape))
     if pull.shape[1] == 0:
         return pull, begin
-    if tree is None:  # nothing shows these bends now; they ring on
+    if tree is None:  # the bends are not shown, but continue to swing
         return swing(joints_step(system, np.full(len(begin.turn), system.omega.min()), dt_s), begin, pull)
     chain = tree.chain(group)
     if not len(chain) == len(begin.turn) == pull.shape[1]:
@@ -175,7 +175,7 @@ def _swing(
 
 
 def _davis(system: ModalSystem, groups: Sequence[ForceGroup]) -> State:
-    """The state that each group's one force stands for; the force itself then does not act."""
+    """Return Davis' initial state for each group's single force, which then does not act."""
     states = []
     for group in groups:
         if len(group.forces) != 1 or isinstance(group.forces[0], WindField):

@@ -1,7 +1,7 @@
-"""One step of every oscillator: y⁺ = A y + B a, with y = (q, q̇) and the acceleration a constant over the step.
+"""Time steps of the oscillators: y⁺ = A y + B a, with y = (q, q̇) and the acceleration a constant over the step.
 
 `exact_step` is the default. `symplectic_euler_step` and `explicit_euler_step` (Davis et al. 2015, equation 11, and the
-paper's) are the usual cheap ones; they differ from it in A and B only.
+paper's) are the usual cheap ones; they differ in A and B only.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ INTEGRATORS: tuple[Integrator, ...] = get_args(Integrator)
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What takes (q, q̇) over dt."""
+    """Matrices that advance (q, q̇) by dt."""
 
     A: Float64[np.ndarray, "2 2 M"]
     B: Float64[np.ndarray, "2 M"]
@@ -29,34 +29,34 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Modal coordinates and their rates, a row for each group of forces."""
+    """Modal coordinates and their rates, one row per group of forces."""
 
     q: Complex128[np.ndarray, "G M"]
     q_dot: Complex128[np.ndarray, "G M"]  # [1/s]
 
     @classmethod
     def at_rest(cls, num_groups: int, num_modes: int) -> "State":
-        """The undisturbed tree."""
+        """Return the state of the undisturbed tree."""
         zero = np.zeros((num_groups, num_modes), np.complex128)
         return cls(q=zero, q_dot=zero)
 
 
 def exact_step(system: ModalSystem, dt_s: float) -> Step:
-    """The closed form of the damped oscillator under a constant force; stable and exact at every dt and every ζ."""
+    """Return the closed form of the damped oscillator under a constant force, exact for every dt and ζ."""
     return exact_oscillator(system.omega, system.damping_ratio, dt_s)
 
 
 def exact_oscillator(omega: Float64[np.ndarray, " M"], zeta: Float64[np.ndarray, " M"], dt_s: float) -> Step:
-    """`exact_step` of oscillators with these natural frequencies [rad/s] and damping ratios."""
+    """Return the exact step of oscillators with these natural frequencies [rad/s] and damping ratios."""
     h = _positive(dt_s)
     angle = omega * h * np.sqrt(np.abs(1 - zeta**2))
     swings = zeta <= 1
     decay = np.exp(-zeta * omega * h)
-    # Overdamped, cosine and sine are cosh and sinh. Their growth and the decay become one exponential: each alone
-    # overflows or vanishes in long steps.
+    # If overdamped, cosine and sine become cosh and sinh. Their growth and the decay are one exponential, since each
+    # alone overflows or underflows in long steps.
     slow = np.exp(np.where(swings, 0.0, angle - zeta * omega * h))
     C = np.where(swings, decay * np.cos(angle), slow * (1 + np.exp(-2 * angle)) / 2)
-    # sin(ω_d h) / ω_d and sinh(ω_d h) / ω_d [s], their limit h at ω_d = 0
+    # sin(ω_d h) / ω_d and sinh(ω_d h) / ω_d [s]; the limit at ω_d = 0 is h
     sinh = -np.expm1(-2 * angle) / np.where(angle > 0, 2 * angle, 1)
     S = h * np.where(swings, decay * np.sinc(angle / np.pi), slow * sinh)
     A = np.array([[C + zeta * omega * S, S], [-(omega**2) * S, C - zeta * omega * S]])
@@ -65,10 +65,10 @@ def exact_oscillator(omega: Float64[np.ndarray, " M"], zeta: Float64[np.ndarray,
 
 
 def symplectic_euler_step(system: ModalSystem, dt_s: float) -> Step:
-    """The rate first, then the coordinate with the new rate; first order.
+    """Update the rate first, then the coordinate with the new rate; first order.
 
     Raises:
-        UnstableTimestep: ω dt > 2 (√(1 + ζ²) − ζ) for some mode.
+        UnstableTimestep: ω dt > 2 (√(1 + ζ²) − ζ) for a mode.
     """
     omega, zeta, h = system.omega, system.damping_ratio, _positive(dt_s)
     longest = float((2 * (np.sqrt(1 + zeta**2) - zeta) / omega).min())
@@ -78,10 +78,10 @@ def symplectic_euler_step(system: ModalSystem, dt_s: float) -> Step:
 
 
 def explicit_euler_step(system: ModalSystem, dt_s: float) -> Step:
-    """The paper's step: both from the old state; first order. |eigenvalue|² = 1 − 2ζωh + ω²h² where ζ <= 1.
+    """Update both from the old state, as in the paper; first order. |eigenvalue|² = 1 − 2ζωh + ω²h² for ζ <= 1.
 
     Raises:
-        UnstableTimestep: dt > 2ζ/ω for some mode: no step is stable without damping.
+        UnstableTimestep: dt > 2ζ/ω for a mode; without damping no step is stable.
     """
     omega, zeta, h = system.omega, system.damping_ratio, _positive(dt_s)
     excess = np.sqrt(np.maximum(zeta**2 - 1, 0))
@@ -102,11 +102,11 @@ STEPS: dict[Integrator, Callable[[ModalSystem, float], Step]] = {
 def run(
     step: Step, state: State, acceleration: Complex128[np.ndarray, "T G M"]
 ) -> tuple[Complex128[np.ndarray, "T G M"], State]:
-    """Coordinates at times 0, dt, … (T - 1) dt, and the state at T dt: the first frame of a run that goes on.
+    """Compute coordinates at times 0, dt, … (T - 1) dt, and the state at T dt, the first frame of a next run.
 
     Args:
-        step: from one of this module's functions.
-        state: at time 0.
+        step: step of one of this module's functions.
+        state: state at time 0.
         acceleration: generalised force over modal mass, constant over each step [1/s²].
     """
     (a, b), (c, d) = step.A
@@ -120,7 +120,7 @@ def run(
 
 
 def energy(system: ModalSystem, state: State) -> float:
-    """Kinetic and elastic energy of all groups, m Σ (|q̇|² + ω²|q|²) / 2 [J]."""
+    """Compute the kinetic and elastic energy of all groups, m Σ (|q̇|² + ω²|q|²) / 2 [J]."""
     density = np.abs(state.q_dot) ** 2 + system.omega**2 * np.abs(state.q) ** 2
     return float(system.modal_mass * density.sum() / 2)
 

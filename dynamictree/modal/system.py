@@ -1,18 +1,18 @@
-"""Damped oscillators whose shapes are a spectrum's bins. Paper section 4; Davis et al. 2015, section 4.
+"""Modal system: damped oscillators whose shapes are a spectrum's bins. Paper section 4; Davis et al. 2015, section 4.
 
-A bin k >= 1 is a mode: its shape φ_k = w_k c_k (w_k = 2) is the complex amplitude with which the wind moved each voxel.
-Its natural frequency is ω_k² = (2πk / P)² + (2πf_0)² - (2π / P)²: the lowest is that of a real tree of this height and
-foliage (`real_trees`), or as given. With one complex coordinate q_k, that is two real oscillators,
+A bin k >= 1 is a mode: its shape φ_k = w_k c_k (w_k = 2) is the complex amplitude of each voxel in the wind. Its
+natural frequency is ω_k² = (2πk / P)² + (2πf_0)² - (2π / P)²; the lowest is given, or that of a real tree of this
+height and foliage (`real_trees`). Each complex coordinate q_k is two real oscillators,
 
     m (q̈_k + 2 ζ_k ω_k q̇_k + ω_k² q_k) = Σ_p conj(φ_k(p)) · F_p,        u(p) = Re Σ_k φ_k(p) q_k.
 
 φ is a length, so q is a pure number (q_k = exp(2πikt / P) is the wind's own sway) and m is in kg m². The tree's mass is
-spread evenly over its voxels, and takes part in a mode by that mode's share of the sway:
+distributed evenly over its voxels, and contributes to a mode by that mode's share of the sway:
 
     m = mass_kg · mean_p Σ_k |φ_k(p)|² / 2.
 
-So the answer in metres to a force in newtons does not change when the spectrum is scaled, halves when the mass doubles,
-and for a single mode m is the modal mass of the textbook.
+So the response in metres to a force in newtons is invariant when the spectrum is scaled, and halves when the mass
+doubles; for a single mode, m is the textbook's modal mass.
 """
 
 from dataclasses import dataclass, replace
@@ -26,37 +26,37 @@ from dynamictree.requests import SwingParams
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 
-MASS_KG_M3 = 0.2  # green mass over height³ where none is given: 25 kg at 5 m, 200 kg at 10 m, 1.6 t at 20 m
+MASS_KG_M3 = 0.2  # default green mass over height³: 25 kg at 5 m, 200 kg at 10 m, 1.6 t at 20 m
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModalSystem:
-    """M = K - 1 modes on V voxels; complete when built, by `modal_system`."""
+    """Modal system with M = K - 1 modes on V voxels, created by `modal_system`."""
 
     grid: VoxelGrid
-    tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
+    tree: Int32[np.ndarray, " V"] | None = None  # number of the tree, from 0; None for one tree
     shapes: Complex64[np.ndarray, "V M 3"]  # φ [m], bins 1 to K - 1
-    wind_omega: Float64[np.ndarray, " M"]  # of the bins: how fast the wind moved each mode [rad/s]
+    wind_omega: Float64[np.ndarray, " M"]  # frequencies of the bins [rad/s]
     omega: Float64[np.ndarray, " M"]  # natural frequencies [rad/s]
     damping_ratio: Float64[np.ndarray, " M"]  # ζ
     mass_kg: float
     sway_m2: float  # mean_p Σ_k |φ_k(p)|² / 2
     height_m: float
-    foliage: float | None  # 0 is bare, 1 in leaf; None where it is not known
+    foliage: float | None  # 0 for bare, 1 for in leaf; None if unknown
 
     @property
     def num_modes(self) -> int:
-        """M."""
+        """Number of modes M."""
         return len(self.omega)
 
     @property
     def modal_mass(self) -> float:
-        """Generalised force over generalised acceleration, m [kg m²]."""
+        """Modal mass: generalised force over generalised acceleration, m [kg m²]."""
         return self.mass_kg * self.sway_m2
 
     @property
     def stiffness(self) -> Float64[np.ndarray, " M"]:
-        """Generalised force over coordinate at rest, m ω² [N m]."""
+        """Modal stiffness: generalised force over static coordinate, m ω² [N m]."""
         return self.modal_mass * self.omega**2
 
 
@@ -68,17 +68,17 @@ def modal_system(
     frequency_hz: float | None = None,
     foliage: float | None = None,
 ) -> ModalSystem:
-    """Read a spectrum as oscillators.
+    """Create the oscillators of a spectrum.
 
     Args:
-        spectrum: K >= 2 bins; the first is the lean and no mode.
-        mass_kg: mass that moves [kg], spread evenly over the voxels; by default `MASS_KG_M3` times the height cubed.
+        spectrum: spectrum with K >= 2 bins; the first is the lean and no mode.
+        mass_kg: moving mass [kg], distributed evenly over the voxels; by default `MASS_KG_M3` times height cubed.
         damping_ratio: ζ, one for all modes or one per mode; by default that of real trees.
-        frequency_hz: lowest natural frequency; by default that of real trees. 1 / P gives those of the bins.
-        foliage: 0 is bare, 1 in leaf; by default the spectrum's.
+        frequency_hz: lowest natural frequency; by default that of real trees. With 1 / P, all are those of the bins.
+        foliage: 0 for bare, 1 for in leaf; by default the spectrum's.
 
     Raises:
-        InputError: the spectrum does not move, or mass, damping or frequency is not a physical one.
+        InputError: the spectrum has no motion, or mass, damping or frequency is not physical.
     """
     wind_omega = 2 * np.pi * spectrum.frequencies_hz[1:]  # [M]
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
@@ -110,12 +110,12 @@ def with_physics(
     frequency_hz: float | None = None,
     foliage: float | None = None,
 ) -> ModalSystem:
-    """Change mass and foliage (None keeps them), damping and lowest frequency (None is the measured one).
+    """Change mass and foliage (None: unchanged), damping and lowest frequency (None: that of real trees).
 
-    The shapes are shared.
+    The shapes are shared with the given system.
 
     Raises:
-        InputError: mass, damping or frequency is not a physical one.
+        InputError: mass, damping or frequency is not physical.
     """
     foliage = system.foliage if foliage is None else foliage
     return replace(
@@ -130,7 +130,7 @@ def with_physics(
 def displacement(
     shapes: Complex64[np.ndarray, "N M 3"], q: Complex128[np.ndarray, "T M"]
 ) -> Float32[np.ndarray, "T N 3"]:
-    """Where each point stands at every frame, u = Re Σ_k φ_k q_k [m]: plain superposition."""
+    """Compute each point's displacement at every frame, u = Re Σ_k φ_k q_k [m], by superposition."""
     num_points, num_modes, _ = shapes.shape
     # real part of a complex sum as one real product: [re q, -im q] · [re φ, im φ]
     stacked = np.concatenate([shapes.real, shapes.imag], axis=1).transpose(1, 0, 2)  # [2M, N, 3]
@@ -166,10 +166,10 @@ def _damping(
 
 
 def default_falloff_m(system: ModalSystem) -> float:
-    """Default falloff of a push [m]: 15 % of the tree's height."""
+    """Return the default falloff of a push [m]: 15 % of the tree's height."""
     return 0.15 * (int(np.ptp(system.grid.coords[:, 2])) + 1) * system.grid.voxel_size_m
 
 
 def chosen_falloff_m(system: ModalSystem, params: SwingParams) -> float | None:
-    """Falloff of a request [m]; None where a push moves the whole tree."""
+    """Return the falloff of a request [m]; None if a push moves the whole tree."""
     return None if params.locality == "none" else params.falloff_m or default_falloff_m(system)

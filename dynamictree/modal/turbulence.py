@@ -1,17 +1,17 @@
-"""Wind that never repeats: coordinates of a spectrum's bins in turbulent wind, at any time on its own.
+"""Endless turbulent wind: coordinates of a spectrum's bins as functions of time, without periodicity or state.
 
 The loop has q_k = exp(2πi f_k t) for every bin k ≥ 1 and q_0 = 1 for the lean. In turbulent wind
 
     q_k(t) = b_k g(t) J^-1/2 Σ_j exp(i (2π f_kj t + ψ_kj)),  q_0(t) = b_0 λ(t),
     u(p, t) = Rz(α(t)) Re Σ_k w_k c_k(p) q_k(t).
 
-The J partials of a bin lie at the quantiles of the line of a damped oscillator, |f - f_k| of half-width ζ f_k, so each
-bin is a narrow-band process of unit variance that keeps the bin's amplitude and shape, with the phases between points.
-Gusts slower than the loop can hold multiply the drag, (U(t) / U)^1.4: g(t) is their effect on the sway, smoothed over
-the ring-down of the lowest bin and of unit mean square; λ(t) is the lean, of mean 1, with the resonance of the tree's
-own lowest frequency; α(t) is the turn of the wind's direction; b_k is the gain of the mean speed, 1 at the
-spectrum's own (`wind_bands`). All are sums of M partials with equal shares of the von
-Kármán spectrum. A sum of cosines is endless, bounded, the same in every language, and needs no state.
+The J partials of a bin lie at the quantiles of a damped oscillator's line, of half-width ζ f_k about f_k. So each bin
+is a narrow-band process of unit variance that retains the bin's amplitude and shape, with the phases between points.
+Gusts too slow for the loop multiply the drag, (U(t) / U)^1.4: g(t) is their effect on the sway, smoothed over the
+ring-down of the lowest bin and of unit mean square; λ(t) is the lean, of mean 1, with the resonance of the tree's
+lowest natural frequency; α(t) is the rotation of the wind's direction; b_k is the gain of the mean speed, 1 at the
+spectrum's own (`wind_bands`). g, λ and α are sums of M partials with equal shares of the von Kármán spectrum. A sum
+of cosines is endless, bounded, reproducible in every language, and needs no state.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,17 +27,17 @@ from dynamictree.wind.air import turbulence_length_m
 from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
 
 NUM_PARTIALS = 6
-"""J. |q_k| is at most √J = 2.4 times its root mean square, times g."""
+"""J, partials per bin; |q_k| is at most √J = 2.4 times its root mean square, times g."""
 NUM_GUST_PARTIALS = 12
-"""M."""
-SLOWEST_HZ = 1 / 600  # slower than the ten minutes of a mean wind is another mean wind
+"""M, partials of the gusts."""
+SLOWEST_HZ = 1 / 600  # period of ten minutes, over which a mean wind is defined
 LARGEST_TURN_RAD = np.pi / 3
-_CELLS = 64  # of the integrals over the spectrum, per partial
+_CELLS = 64  # cells of the integrals over the spectrum, per partial
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wave:
-    """mean + limit · tanh(Σ_m amplitude_m cos(2π f_m t + phase_m) / limit): a bounded random function of time."""
+    """Bounded random function of time: mean + limit · tanh(Σ_m amplitude_m cos(2π f_m t + phase_m) / limit)."""
 
     mean: float
     limit: float
@@ -46,22 +46,22 @@ class Wave:
     phase_rad: Float64[np.ndarray, " M"]
 
     def at(self, times_s: Float64[np.ndarray, " T"]) -> Float64[np.ndarray, " T"]:
-        """Its value at each time."""
+        """Evaluate the wave at each time."""
         angle = 2 * np.pi * np.outer(times_s, self.frequency_hz) + self.phase_rad
         return np.asarray(self.mean + self.limit * np.tanh(np.cos(angle) @ self.amplitude / self.limit))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurbulentWind:
-    """Coordinates of K bins as functions of time. Built by `turbulent_wind`."""
+    """Coordinates of K bins as functions of time, created by `turbulent_wind`."""
 
     seed: int
     wind: Wind
-    frequencies_hz: Float64[np.ndarray, " K"]  # f_k of the loop
+    frequencies_hz: Float64[np.ndarray, " K"]  # frequencies f_k of the loop
     natural_frequency_hz: float
     damping_ratio: float
-    length_scale_m: float  # of the turbulence
-    partial_hz: Float64[np.ndarray, "K J"]  # f_kj; row 0 is of no use: the lean has no partials
+    length_scale_m: float  # length scale of the turbulence
+    partial_hz: Float64[np.ndarray, "K J"]  # f_kj; row 0 is unused, since the lean has no partials
     partial_phase_rad: Float64[np.ndarray, "K J"]
     strength: Wave  # g
     lean: Wave  # λ
@@ -74,7 +74,7 @@ class TurbulentWind:
         return np.asarray(self.damping_ratio * self.frequencies_hz)
 
     def coordinates(self, times_s: Float64[np.ndarray, " T"]) -> Complex128[np.ndarray, "T K"]:
-        """q_k at each time, in a wind of the mean speed of `wind`."""
+        """Compute q_k at each time, for the mean speed of `wind`."""
         q = np.empty((len(times_s), len(self.frequencies_hz)), np.complex128)
         q[:, 0] = self.lean.at(times_s)
         strength = self.strength.at(times_s) / np.sqrt(self.partial_hz.shape[1])
@@ -85,24 +85,24 @@ class TurbulentWind:
 
 
 def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind | None = None) -> TurbulentWind:
-    """Coordinates for a spectrum's bins; the same seed gives the same wind.
+    """Create turbulent wind for a spectrum's bins; the same seed gives the same wind.
 
     Args:
-        spectrum: its height and foliage choose damping and natural frequency.
-        seed: of frequencies and phases.
-        wind: mean speed and gust; by default those that the spectrum was generated for.
+        spectrum: spectrum, whose height and foliage determine damping and natural frequency.
+        seed: seed of frequencies and phases.
+        wind: mean speed and gust; by default those of the spectrum.
     """
-    largest_gust = 0.9  # the factor on the drag stays within 1 ± this
+    largest_gust = 0.9  # largest deviation of the drag's factor from 1
     slowest_wind_m_s = 0.5
-    lateral_share = 0.75  # standard deviation of the speed across the mean wind over that along it, ESDU 85020
+    lateral_share = 0.75  # ratio of the speed's standard deviations across and along the mean wind, ESDU 85020
     rng = np.random.default_rng(seed)
     wind = wind or spectrum.wind or Wind()
     height = spectrum.grid.height_m
     damping, natural = natural_damping(spectrum.foliage), natural_frequency_hz(height, spectrum.foliage)
-    fastest_gust_hz = 0.5 / spectrum.period_s  # what is faster is in the spectrum
+    fastest_gust_hz = 0.5 / spectrum.period_s  # faster gusts are in the spectrum
     length = turbulence_length_m(height)
     gusts = _gusts(max(wind.speed_m_s, slowest_wind_m_s) / length, fastest_gust_hz, wind.gust, rng)
-    phase = rng.uniform(0, 2 * np.pi, (2, NUM_GUST_PARTIALS))  # of the speed, and of the direction
+    phase = rng.uniform(0, 2 * np.pi, (2, NUM_GUST_PARTIALS))  # phases of the speed, and of the direction
     resonance = gusts.filtered(lambda f: 1 / (1 - (f / natural) ** 2 + 2j * damping * f / natural))
     smoothing = gusts.filtered(lambda f: 1 / (1 + 1j * f / (damping * natural)))
     strength = gusts.wave(1.0, largest_gust, DRAG_EXPONENT * smoothing, phase[0])
@@ -128,7 +128,7 @@ def iter_turbulent_sums(
     times_s: Float64[np.ndarray, " T"],
     num_frames: int,
 ) -> Iterator[tuple[Float32[np.ndarray, "N 3"], Float32[np.ndarray, "3 3"]]]:
-    """Re Σ_k w_k c_k q_k at each moment, and the turn of the wind's direction. `num_frames` is T of the spectrum."""
+    """Yield Re Σ_k w_k c_k q_k and the rotation of the wind's direction per moment; `num_frames` is the loop's T."""
     times_at_once = 240
     num_points, num_frequencies, _ = coefficients.shape
     stacked = np.concatenate([coefficients.real, -coefficients.imag], axis=1)  # [N, 2K, 3]
@@ -143,30 +143,30 @@ def iter_turbulent_sums(
 
 
 def turned_about_z(angle_rad: float) -> Float32[np.ndarray, "3 3"]:
-    """Matrix that turns from +X towards +Y."""
+    """Return the matrix of a rotation from +X towards +Y."""
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]], np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Gusts:
-    """Partials of the speed's slow part over its mean, each of the same variance."""
+    """Partials of the speed's slow fluctuation over its mean, with equal variances."""
 
-    edges_hz: Float64[np.ndarray, "M cells"]  # equal parts of the variance within each partial
+    edges_hz: Float64[np.ndarray, "M cells"]  # frequencies at equal parts of the variance of each partial
     frequency_hz: Float64[np.ndarray, " M"]
-    amplitude: float  # of each
+    amplitude: float  # amplitude of each partial
 
     def filtered(
         self, transfer: Callable[[Float64[np.ndarray, "*shape"]], Complex128[np.ndarray, "*shape"]]
     ) -> Complex128[np.ndarray, " M"]:
-        """Transfer of each partial: its size over the whole band of the partial, its phase at the frequency."""
+        """Return each partial's transfer: magnitude averaged over its band, phase at its frequency."""
         size = np.sqrt((np.abs(transfer(self.edges_hz)) ** 2).mean(axis=1))
         return np.asarray(size * np.exp(1j * np.angle(transfer(self.frequency_hz))))
 
     def wave(
         self, mean: float, limit: float, transfer: Complex128[np.ndarray, " M"], phase_rad: Float64[np.ndarray, " M"]
     ) -> Wave:
-        """What these gusts are behind a filter."""
+        """Return the wave of these gusts after a filter."""
         return Wave(
             mean=mean,
             limit=limit,
@@ -177,14 +177,14 @@ class _Gusts:
 
 
 def _gusts(rate_hz: float, fastest_hz: float, gust: float, rng: np.random.Generator) -> _Gusts:
-    """Split the von Kármán spectrum of a wind that carries `rate_hz` gusts a second past a point."""
+    """Split the von Kármán spectrum of a wind that carries `rate_hz` gusts per second past a point."""
     frequency = np.geomspace(SLOWEST_HZ, fastest_hz, 4096)
     density = 4 / rate_hz / (1 + 70.8 * (frequency / rate_hz) ** 2) ** (5 / 6)  # over the variance [1/Hz]
     share = np.concatenate([[0], np.cumsum(np.diff(frequency) * (density[1:] + density[:-1]) / 2)])
     shares = (np.arange(NUM_GUST_PARTIALS * _CELLS) + 0.5) / (NUM_GUST_PARTIALS * _CELLS) * share[-1]
     cells = np.interp(shares, share, frequency).reshape(NUM_GUST_PARTIALS, _CELLS)
     chosen = rng.integers(_CELLS, size=NUM_GUST_PARTIALS)
-    jitter = 1 + 1e-3 * rng.standard_normal(NUM_GUST_PARTIALS)  # no common period
+    jitter = 1 + 1e-3 * rng.standard_normal(NUM_GUST_PARTIALS)  # jitter that avoids a common period
     return _Gusts(
         edges_hz=cells,
         frequency_hz=cells[np.arange(NUM_GUST_PARTIALS), chosen] * jitter,
@@ -193,7 +193,7 @@ def _gusts(rate_hz: float, fastest_hz: float, gust: float, rng: np.random.Genera
 
 
 def _of_unit_mean_square(wave: Wave) -> Wave:
-    """Scale, for the long run: a sum of so many cosines is close to normal."""
+    """Scale a wave to unit mean square over time; a sum of this many cosines is close to normal."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(32)
     spread = np.sqrt((wave.amplitude**2).sum() / 2)
     values = wave.mean + wave.limit * np.tanh(spread * nodes / wave.limit)
@@ -204,7 +204,7 @@ def _of_unit_mean_square(wave: Wave) -> Wave:
 def _partials(
     frequencies_hz: Float64[np.ndarray, " K"], damping: float, reach_hz: float, rng: np.random.Generator
 ) -> Float64[np.ndarray, "K J"]:
-    """One frequency in each part of equal power of every bin's resonance line, cut where the next bin begins."""
+    """Sample a frequency in each part of equal power of every bin's resonance line, cut at the next bin."""
     half_width = np.maximum(damping * frequencies_hz, 1e-9)[:, None]
     share = (np.arange(NUM_PARTIALS) + rng.uniform(0, 1, (len(frequencies_hz), NUM_PARTIALS))) / NUM_PARTIALS
     offset = half_width * np.tan((2 * share - 1) * np.arctan(reach_hz / half_width))

@@ -1,1 +1,1 @@
-"""The wind: turbulent air, the loop's bins in it, gains by mean speed, and flutter of leaves."""
+"""Wind: turbulent air, and flutter of leaves."""

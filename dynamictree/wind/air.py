@@ -1,9 +1,9 @@
-"""Turbulent air around a tree: a random velocity field that repeats after a period.
+"""Turbulent air around a tree: a random velocity field that is periodic in time.
 
-At each bin the velocity is a complex normal field: its size is random, so that there are gusts and lulls, and two
-places agree only as far as Davenport's root coherence exp(-c f d / U) goes, d their distance. It is a sum of plane
-waves whose wave vectors follow a Cauchy law, the spectral density of that exponential. The field travels downwind at
-the mean speed (Taylor's frozen turbulence). Bins share the variance of the gusts by the von Kármán spectrum.
+At each bin the velocity is a complex normal field: its amplitude is random, so that there are gusts and lulls, and
+points at distance d have Davenport's root coherence exp(-c f d / U). The field is a sum of plane waves whose wave
+vectors have a Cauchy distribution, the spectral density of that exponential. It travels downwind at the mean speed
+(Taylor's frozen turbulence). The von Kármán spectrum distributes the variance of the gusts over the bins.
 """
 
 from dataclasses import dataclass
@@ -14,30 +14,30 @@ from jaxtyping import Complex64, Float32, Float64
 from dynamictree.requests import Wind
 
 DECAY_ACROSS, DECAY_ALONG = 10.0, 3.0
-"""c of Davenport's coherence; measured are 8 to 15 across the wind and 2 to 10 along it (Davenport 1961)."""
+"""Decay c of Davenport's coherence; measured: 8 to 15 across the wind and 2 to 10 along it (Davenport 1961)."""
 COMPONENTS = np.array([1.0, 0.75, 0.5])
-"""Standard deviations along the wind, level across it, and upright, over that along it. ESDU 85020."""
+"""Standard deviations along the wind, across it and vertical, relative to that along it. ESDU 85020."""
 SKEW = 0.1
-"""x + s (x² - 1) in place of a normal x: skewness 6 s. At the top of canopies 0.5 to 1 was measured (Raupach, Finnigan
-and Brunet 1996): gusts are shorter and stronger than lulls."""
+"""s of x + s (x² - 1), which replaces a normal x and has skewness 6 s. At the top of canopies 0.5 to 1 was measured
+(Raupach, Finnigan and Brunet 1996): gusts are shorter and stronger than lulls."""
 ROUGHNESS_M = 0.3
-"""Of open country with trees and hedges, EN 1991-1-4."""
-GUST_M_S, GUST_LENGTH_S = 3.0, 1.0  # of a single gust
+"""Roughness length of open country with trees and hedges, EN 1991-1-4."""
+GUST_M_S, GUST_LENGTH_S = 3.0, 1.0  # speed and duration of a single gust
 
 
 @dataclass(frozen=True, kw_only=True)
 class Air:
-    """One draw of the field. Built by `turbulent_air`."""
+    """Sample of the velocity field, created by `turbulent_air`."""
 
     wind: Wind
     frequency_hz: Float64[np.ndarray, " J"]
-    axes: Float32[np.ndarray, "3 3"]  # rows: downwind, level across, up
+    axes: Float32[np.ndarray, "3 3"]  # rows: downwind, horizontally across and up
     wave: Float32[np.ndarray, "J F 3"]  # wave vectors [rad/m]
-    size: Complex64[np.ndarray, "J F 3"]  # of each wave [m/s], in wind axes
-    ticks: Float32[np.ndarray, "D T"]  # from re and im of the bins to frames
+    size: Complex64[np.ndarray, "J F 3"]  # amplitude of each wave [m/s], in wind axes
+    ticks: Float32[np.ndarray, "D T"]  # matrix from re and im of the bins to frames
 
     def velocity(self, points: Float32[np.ndarray, "M 3"]) -> Float32[np.ndarray, "3 M T"]:
-        """Velocity less the mean at places, at every frame [m/s]; x, y, z."""
+        """Compute the velocity minus the mean at points, for every frame [m/s]; x, y, z."""
         phase = np.einsum("mx,jfx->jmf", points, self.wave, optimize=True)
         waves = np.cos(phase) + 1j * np.sin(phase)  # [J, M, F]
         hat = (waves @ self.size).transpose(2, 1, 0)  # [3, M, J]
@@ -57,17 +57,17 @@ def turbulent_air(
     times_s: Float64[np.ndarray, " T"],
     rng: np.random.Generator,
 ) -> Air:
-    """Draw a field whose gusts lie on these frequencies.
+    """Sample a field whose gusts have the given frequencies.
 
     Args:
-        wind: its gust is the standard deviation of the speed over the mean.
-        height_m: of the tree; sets the length of the gusts.
-        frequency_hz: at least one, above 0.
-        times_s: of the frames.
-        rng: of amplitudes, phases and wave vectors.
+        wind: wind, whose gust is the standard deviation of the speed over the mean.
+        height_m: height of the tree, which determines the length of the gusts.
+        frequency_hz: at least one frequency, above 0.
+        times_s: times of the frames.
+        rng: source of amplitudes, phases and wave vectors.
     """
-    num_waves = 64  # per bin: the coherence of one draw is off by 1 / √64 rms
-    slowest_carrier_m_s = 1.0  # the field travels no slower, or its phase would wind up in a calm
+    num_waves = 64  # number per bin; one sample's coherence has an rms error of 1 / √64
+    slowest_carrier_m_s = 1.0  # slowest speed of the field, which limits its phase in a calm
     heading = np.deg2rad(wind.direction_deg)
     cosine, sine = np.cos(heading), np.sin(heading)
     axes = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
@@ -76,7 +76,7 @@ def turbulent_air(
     cauchy = rng.standard_normal((*shape, 3)) / np.abs(rng.standard_normal((*shape, 1)))
     decay = np.array([DECAY_ALONG, DECAY_ACROSS, DECAY_ACROSS]) / carrier * frequency_hz[:, None, None]
     wave = cauchy * decay  # [J, F, 3], in wind axes
-    wave[:, :, 0] -= 2 * np.pi * frequency_hz[:, None] / carrier  # later downwind
+    wave[:, :, 0] -= 2 * np.pi * frequency_hz[:, None] / carrier  # delay downwind
     chance = rng.standard_normal((*shape, 3, 2)) @ [1, 1j]
     power = von_karman_shares(frequency_hz, turbulence_length_m(height_m) / carrier)
     spread = np.sqrt(power[:, None] / 4 / num_waves)[:, :, None] * COMPONENTS * wind.gust * wind.speed_m_s
@@ -92,7 +92,7 @@ def turbulent_air(
 
 
 def single_gust(times_s: Float64[np.ndarray, " T"], speed_m_s: float = GUST_M_S) -> Air:
-    """Still air but for one gust along +x at time 0, everywhere at once, GUST_LENGTH_S long; it repeats after T."""
+    """Create still air with one gust along +x at time 0, everywhere at once, GUST_LENGTH_S long; repeats after T."""
     period_s = times_s[1] * len(times_s)
     frequency_hz = np.arange(1, len(times_s) // 2) / period_s
     spectrum = np.exp(-((np.pi * frequency_hz * GUST_LENGTH_S / 2) ** 2)) * GUST_LENGTH_S / period_s
@@ -110,12 +110,12 @@ def single_gust(times_s: Float64[np.ndarray, " T"], speed_m_s: float = GUST_M_S)
 
 
 def von_karman_shares(frequency_hz: Float64[np.ndarray, " J"], duration_s: float) -> Float64[np.ndarray, " J"]:
-    """Share of the variance at each frequency; `duration_s` is how long a gust takes to pass, length over speed."""
+    """Return the share of variance at each frequency; `duration_s` is the passing time of a gust, length over speed."""
     density = (1 + 70.8 * (frequency_hz * duration_s) ** 2) ** (-5 / 6)
     shares: Float64[np.ndarray, " J"] = density / density.sum()
     return shares
 
 
 def turbulence_length_m(height_m: float) -> float:
-    """Length of the gusts at the top of a tree [m]; EN 1991-1-4, annex B."""
+    """Return the turbulence length scale at the top of a tree [m]; EN 1991-1-4, annex B."""
     return float(300 * (max(height_m, 2.0) / 200) ** (0.67 + 0.05 * np.log(ROUGHNESS_M)))

@@ -1,10 +1,10 @@
-"""Flutter of leaves: fast turns that set in with the wind's speed, of the simulator's leaves and of a rig's bones.
+"""Flutter of leaves: fast rotations above a critical wind speed, for the simulator's leaves and a rig's bones.
 
-A leaf of critical speed U_c stands still in slower air; above it, it twists about its axis and flaps across it with a
-standard deviation that grows as a² / (1 + a²), a = U / U_c - 1. Critical speeds are lognormal: few leaves move in
-2 m/s, most in 5 m/s (the Beaufort scale: leaves rustle from 1.6 m/s on, leaves and small twigs move constantly from
-3.4 m/s on). A leaf's own frequency is drawn between 2 and 8 Hz, evenly in the logarithm; its line is a resonance of
-LINE_WIDTH. All leaves of a twig share TWIG_SHARE of their flutter.
+A leaf of critical speed U_c stands still in slower air; in faster air it twists about its axis and flaps across it with
+a standard deviation that grows as a² / (1 + a²), a = U / U_c - 1. Critical speeds are lognormal: few leaves move at
+2 m/s, most at 5 m/s (Beaufort scale: leaves rustle from 1.6 m/s on, leaves and small twigs move constantly from
+3.4 m/s on). A leaf's natural frequency is log-uniform between 2 and 8 Hz; its line is a resonance of LINE_WIDTH. All
+leaves of a twig share TWIG_SHARE of their flutter.
 """
 
 import numpy as np
@@ -14,42 +14,42 @@ from scipy.special import ndtri
 from dynamictree.requests import Wind
 
 SLOWEST_HZ, FASTEST_HZ = 2.0, 8.0
-"""Seen in films of plants in wind, whose amplitude falls as f^-1.07 from 1 to 12 Hz (docs/laws.md)."""
+"""Range observed in films of plants in wind, whose amplitude falls as f^-1.07 from 1 to 12 Hz (docs/laws.md)."""
 LINE_WIDTH = 0.25
-"""Half-width of a leaf's line over its frequency: the air damps leaves strongly."""
+"""Half-width of a leaf's line relative to its frequency; large, since air damps leaves strongly."""
 MEDIAN_CRITICAL_M_S, CRITICAL_SPREAD = 4.2, 0.3
-"""Median of the critical speeds, and the deviation of their logarithm: 1 % of leaves move in 2.1 m/s, 72 % in 5 m/s."""
+"""Median of the critical speeds, and standard deviation of their log: 1 % of leaves move at 2.1 m/s, 72 % at 5 m/s."""
 STILL_M_S = 1.5
-"""Below it nothing flutters: Beaufort 1, "leaves do not move"."""
+"""Speed below which nothing flutters: Beaufort 1, "leaves do not move"."""
 TWIST_RAD, FLAP_RAD = 0.35, 0.22
-"""Standard deviations of a leaf's turn in a strong wind, about its axis and across it."""
+"""Standard deviations of a leaf's rotation in a strong wind, about its axis and across it."""
 TWIG_SHARE = 0.5
-"""Of a leaf's flutter: what all leaves of its twig do together."""
-GUSTS = 16  # speeds that stand for those of a gusty wind
+"""Share of a leaf's variance that is common to all leaves of its twig."""
+GUSTS = 16  # number of speeds that represent a gusty wind
 
 
 def critical_speeds(count: int, rng: np.random.Generator) -> Float64[np.ndarray, " M"]:
-    """Speed at which each leaf begins to flutter [m/s]."""
+    """Sample the speed at which each leaf begins to flutter [m/s]."""
     drawn = MEDIAN_CRITICAL_M_S * np.exp(CRITICAL_SPREAD * rng.standard_normal(count))
     speeds: Float64[np.ndarray, " M"] = np.maximum(drawn, STILL_M_S)
     return speeds
 
 
 def onset(speed_m_s: Float[np.ndarray, "*M T"], critical_m_s: Float64[np.ndarray, " M"]) -> Float32[np.ndarray, "*M T"]:
-    """Size of the flutter of each leaf, 0 to 1, in air that passes it at a speed."""
+    """Return the relative amplitude of each leaf's flutter, 0 to 1, at an air speed."""
     above = np.maximum(speed_m_s / critical_m_s[:, None] - 1, 0)
     size: Float32[np.ndarray, "*M T"] = (above**2 / (1 + above**2)).astype(np.float32)
     return size
 
 
 def leaf_frequencies(count: int, rng: np.random.Generator) -> Float64[np.ndarray, " M"]:
-    """Own frequency of each leaf [Hz]."""
+    """Sample the natural frequency of each leaf [Hz]."""
     drawn: Float64[np.ndarray, " M"] = np.exp(rng.uniform(np.log(SLOWEST_HZ), np.log(FASTEST_HZ), count))
     return drawn
 
 
 def line(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, "M J"]:
-    """Amplitude of each leaf at each frequency of a loop; the sum of squares is 1."""
+    """Return the amplitude of each leaf at each frequency of a loop; the squares sum to 1."""
     offset = (frequency_hz - own_hz[:, None]) / (LINE_WIDTH * own_hz[:, None])
     amplitude = np.sqrt(1 / (1 + offset**2)) * (frequency_hz >= SLOWEST_HZ)
     normalised: Float64[np.ndarray, "M J"] = amplitude / np.sqrt((amplitude**2).sum(axis=1, keepdims=True))
@@ -59,7 +59,7 @@ def line(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " 
 def unit_turns(
     twig: Int[np.ndarray, " M"], frequency_hz: Float64[np.ndarray, " J"], rng: np.random.Generator
 ) -> Complex64[np.ndarray, "M 2 J"]:
-    """Spectra of each leaf's turns across its axis and about it, of unit variance; `twig` numbers what bears it."""
+    """Sample spectra of each leaf's rotations across its axis and about it, of unit variance; `twig` numbers twigs."""
     twigs, own = np.unique(twig, return_inverse=True)
     own_hz = leaf_frequencies(len(twigs), rng)[own]
     of_twig, of_leaf = (
@@ -78,15 +78,15 @@ def turn_modes(
     frequency_hz: Float64[np.ndarray, " J"],
     rng: np.random.Generator,
 ) -> Complex64[np.ndarray, "M J 3"]:
-    """Turns of leaves in a wind at the frequencies of a loop [rad], as `SparseVoxelSpectrum` has displacements.
+    """Sample rotations of leaves in a wind at the frequencies of a loop [rad], in the convention of a spectrum.
 
     Args:
         along: unit vectors from a leaf's base to its tip.
         across: unit vectors about which it flaps.
-        twig: what bears each leaf, see `unit_turns`.
-        wind: of the loop.
-        frequency_hz: those of the loop that reach FASTEST_HZ; what is slower than SLOWEST_HZ stays 0.
-        rng: of frequencies, phases and critical speeds.
+        twig: number of each leaf's twig, see `unit_turns`.
+        wind: wind of the loop.
+        frequency_hz: frequencies of the loop up to FASTEST_HZ; those below SLOWEST_HZ stay 0.
+        rng: source of frequencies, phases and critical speeds.
     """
     unit = unit_turns(twig, frequency_hz, rng)
     size = mean_onset(wind, critical_speeds(len(twig), rng))[:, None]
@@ -95,7 +95,7 @@ def turn_modes(
 
 
 def mean_onset(wind: Wind, critical_m_s: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, " M"]:
-    """Root mean square of `onset` over the gusts of a wind."""
+    """Compute the root mean square of `onset` over the gusts of a wind."""
     quantile = (np.arange(GUSTS) + 0.5) / GUSTS
     speeds = np.maximum(wind.speed_m_s * (1 + wind.gust * ndtri(quantile)), 0)
     sizes = onset(np.broadcast_to(speeds, (len(critical_m_s), GUSTS)), critical_m_s)
