@@ -41,7 +41,7 @@ _NEAR_PIECES = (4, 32)  # numbers of nearest pieces; most parts find a larger on
 _PIECES_AT_ONCE = 100_000
 _CLEARLY_LARGER = 1.7
 """Ratio of extents of a preferred carrier, so that leaves are attached to twigs and not to each other."""
-_CLASSES_PER_DOUBLING = 4  # number of classes of extents, each with a search tree of clearly larger parts
+_CLASSES_PER_DOUBLING = 4  # classes of extents, each with a search tree of clearly larger parts
 _AT_END = 0.3  # share of the extent; least distance of a branch's end from its middle
 _NO_PAIRS = np.zeros((0, 2), np.int64)
 _NOWHERE = np.zeros((0, 2, 3), np.int32), np.zeros((0, 2, 3), np.float32)

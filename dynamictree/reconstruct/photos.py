@@ -109,8 +109,8 @@ def prepare_photos(
 
     Raises:
         InputError: too few or too many photos.
-        FormatError: a file is no JPEG, PNG, WebP, TIFF or HEIC, is truncated, too large or too small; or the size of a
-            mask differs from its photo's.
+        FormatError: a file is no JPEG, PNG, WebP, TIFF or HEIC, is truncated, too large or too small; or the aspect
+            ratio of a mask differs from its photo's.
     """
     advice = "walk around the tree and take one every 10 to 20 degrees"
     if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
