@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_478,
+    "lines in dynamictree": 32_476,
     "lines in lab": 6_320,
     "lines in service, jobs and worker": 13_478,
     "lines in tests": 38_279,
