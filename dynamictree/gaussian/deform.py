@@ -43,7 +43,7 @@ class Deformer:
         self.binding = binding
         num_faces = len(binding.triangles)
         frames, flat = rest_frames(binding)
-        edges = np.diff(binding.vertices[binding.triangles].astype(np.float64), axis=1)  # 01 and 12 [U, 2, 3]
+        edges = np.diff(binding.vertices[binding.triangles].astype(np.float64), axis=1)  # edges 01 and 12 [U, 2, 3]
         face_rest = np.concatenate(
             [
                 edges[:, 0],

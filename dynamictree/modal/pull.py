@@ -50,9 +50,9 @@ class Pull:
 class Grip:
     """Point that can be pulled, prepared once for any target."""
 
-    segments_m: Float64[np.ndarray, "n 3"]  # s
-    give: Float64[np.ndarray, " n"]  # g
-    tolerance: float  # ε
+    segments_m: Float64[np.ndarray, "n 3"]  # s, segments at rest
+    give: Float64[np.ndarray, " n"]  # g, compliances
+    tolerance: float  # ε, compliance of the constraint
 
 
 def grip_at(joints: Joints, chain: Int64[np.ndarray, " n"], point: CarriedPoint) -> Grip:

@@ -63,10 +63,10 @@ class TurbulentWind:
     length_scale_m: float  # length scale of the turbulence
     partial_hz: Float64[np.ndarray, "K J"]  # f_kj; row 0 is unused, since the lean has no partials
     partial_phase_rad: Float64[np.ndarray, "K J"]
-    strength: Wave  # g
-    lean: Wave  # λ
-    turn_rad: Wave  # α
-    bands: WindBands  # b by mean speed
+    strength: Wave  # g, the gusts' effect on the sway
+    lean: Wave  # λ, the lean
+    turn_rad: Wave  # α, the wind's direction
+    bands: WindBands  # gain b by mean speed
 
     @property
     def bandwidth_hz(self) -> Float64[np.ndarray, " K"]:
@@ -179,7 +179,7 @@ class _Gusts:
 def _gusts(rate_hz: float, fastest_hz: float, gust: float, rng: np.random.Generator) -> _Gusts:
     """Split the von Kármán spectrum of a wind that carries `rate_hz` gusts per second past a point."""
     frequency = np.geomspace(SLOWEST_HZ, fastest_hz, 4096)
-    density = 4 / rate_hz / (1 + 70.8 * (frequency / rate_hz) ** 2) ** (5 / 6)  # over the variance [1/Hz]
+    density = 4 / rate_hz / (1 + 70.8 * (frequency / rate_hz) ** 2) ** (5 / 6)  # spectrum per variance [1/Hz]
     share = np.concatenate([[0], np.cumsum(np.diff(frequency) * (density[1:] + density[:-1]) / 2)])
     shares = (np.arange(NUM_GUST_PARTIALS * _CELLS) + 0.5) / (NUM_GUST_PARTIALS * _CELLS) * share[-1]
     cells = np.interp(shares, share, frequency).reshape(NUM_GUST_PARTIALS, _CELLS)

@@ -8,7 +8,7 @@ from dynamictree.planes import Plane, Points, best_plane, fit_plane, planes_of_t
 
 UP = np.array([0.0, 0.0, 1.0])
 _COLUMNS = 25  # number along the slab's longer side
-_FEWEST = 30  # columns
+_FEWEST = 30  # least number of columns or points
 
 
 def find_ground(points: Points, height_m: float, rng: np.random.Generator) -> Plane | None:

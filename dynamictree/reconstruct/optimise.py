@@ -32,7 +32,7 @@ class Target:
     camera: Camera
     photo: Float32[np.ndarray, "H W 3"]  # display space, [0, 1]
     alpha: Float32[np.ndarray, "H W"] | None = None  # mask that cuts the photo out
-    depth: Float32[np.ndarray, "H W"] | None = None  # 0 where unknown
+    depth: Float32[np.ndarray, "H W"] | None = None  # depth, 0 where unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +42,12 @@ class Schedule:
     num_steps: int = 3000
     side_px: int = 640  # long side of the finest pictures
     coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # up to this share of the steps, reduced by
-    position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # [extent], first and last; theirs times 2
+    position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # [extent], first and last; 2 times Kerbl et al.'s
     cut_out_position_rates: tuple[float, float] = (1.6e-3, 3.2e-6)  # the same for photos with masks
-    color_rate: float = 1e-2  # theirs times 4
-    opacity_rate: float = 0.1  # theirs times 2
-    scale_rate: float = 2e-2  # theirs times 4
-    turn_rate: float = 4e-3  # theirs times 4
+    color_rate: float = 1e-2  # 4 times Kerbl et al.'s
+    opacity_rate: float = 0.1  # 2 times Kerbl et al.'s
+    scale_rate: float = 2e-2  # 4 times Kerbl et al.'s
+    turn_rate: float = 4e-3  # 4 times Kerbl et al.'s
     sh_degree: int = 1
     degree_every: int = 300  # steps between increases of the degree
     densify: tuple[float, float] = (0.1, 0.7)  # first and last share of the steps

@@ -129,7 +129,7 @@ def prepare_photos(
 
 def _any_transparent(prepared: list[Photo], folder: Path) -> bool:
     """Whether any mask has a transparent pixel; if not, delete the masks, since image editors may add opaque alpha."""
-    opaque = 255  # alpha
+    opaque = 255  # alpha of an opaque pixel
     for photo in prepared:
         if photo.masked:
             with Image.open(folder / f"{photo.name}.png") as mask:

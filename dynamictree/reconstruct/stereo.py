@@ -24,8 +24,8 @@ class StereoView(NamedTuple):
     """Grey picture, with the transforms between its pixels and the world."""
 
     grey: Float32[np.ndarray, "H W"]
-    to_pixel: Float64[np.ndarray, "3 4"]  # world to pixel times depth
-    to_ray: Float64[np.ndarray, "3 3"]  # pixel to direction in the world, of depth 1
+    to_pixel: Float64[np.ndarray, "3 4"]  # matrix from the world to pixel times depth
+    to_ray: Float64[np.ndarray, "3 3"]  # matrix from a pixel to its ray in the world, at depth 1
     position: Float64[np.ndarray, "3"]
 
     def places(self, pixels: Float64[np.ndarray, "P 2"], depth: Float[np.ndarray, " P"]) -> Float64[np.ndarray, "P 3"]:

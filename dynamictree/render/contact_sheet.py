@@ -71,7 +71,7 @@ class ContactSheet:
     """Parts of a contact sheet, and values for their titles."""
 
     still: UInt8[np.ndarray, "S S 3"]
-    sway: UInt8[np.ndarray, "H W 3"]  # the amplitude in colours
+    sway: UInt8[np.ndarray, "H W 3"]  # amplitude in colours
     strip: UInt8[np.ndarray, "h w 3"]  # `NUM_STRIP` frames side by side
     title: str  # title of the still
     most_m: float  # the largest amplitude [m]
