@@ -74,9 +74,8 @@ class Artist:
             "_WIND": self.accessor(self.rng.random(24, np.float32)),
         }
         indices = self.accessor(faces.astype(np.uint16).ravel())
-        return (
-            {"attributes": attributes, "indices": indices} | ({} if material is None else {"material": material}) | more
-        )
+        more |= {} if material is None else {"material": material}
+        return {"attributes": attributes, "indices": indices} | more
 
     def materials(self) -> list[int]:
         """A blended leaf, a cut-out leaf and a bark, with all kinds of textures."""
@@ -113,10 +112,15 @@ class Artist:
         return [self.add("materials", entry) for entry in (bark, leaf, cut)]
 
     def scene(self, *nodes: int, **more: object) -> None:
-        self.root |= {
-            "scene": 0,
-            "scenes": [{"nodes": list(nodes), "name": "garden", "extras": {"season": "autumn"}} | more],
-        }
+        own = {"nodes": list(nodes), "name": "garden", "extras": {"season": "autumn"}}
+        self.root |= {"scene": 0, "scenes": [own | more]}
+
+    def alone(self, primitive: dict[str, Any], *, mesh: dict[str, Any] | None = None, **node: object) -> "Artist":
+        """With this primitive as its one mesh, in one node."""
+        self.add("meshes", {"primitives": [primitive]} | (mesh or {}))
+        self.add("nodes", {"mesh": 0, **node})
+        self.scene(0)
+        return self
 
     def glb(self) -> bytes:
         return gltf_bytes(self.root | {"buffers": [{"byteLength": len(self.binary)}]}, self.binary)
@@ -191,10 +195,7 @@ def morphing() -> Artist:
     primitive = artist.cone(artist.materials()[0])
     primitive["targets"] = [{"POSITION": artist.accessor(artist.rng.random((24, 3), np.float32))}]
     names = {"targetNames": ["bloom"], "note": "spring"}
-    artist.add("meshes", {"name": "bud", "primitives": [primitive], "weights": [0.5], "extras": names})
-    artist.add("nodes", {"mesh": 0})
-    artist.scene(0)
-    return artist
+    return artist.alone(primitive, mesh={"name": "bud", "weights": [0.5], "extras": names})
 
 
 def quantised() -> Artist:
@@ -206,36 +207,34 @@ def quantised() -> Artist:
     floats = np.frombuffer(artist.binary, "<f4", 72, artist.root["bufferViews"][old["bufferView"]]["byteOffset"])
     shorts = np.zeros((24, 4), np.int16)
     shorts[:, :3] = np.round(floats.reshape(24, 3) / 3 * 32767)
-    artist.root["bufferViews"][old["bufferView"]] |= {
-        "byteStride": 8,
-        "byteOffset": len(artist.binary),
-        "byteLength": 192,
-    }
+    place = {"byteStride": 8, "byteOffset": len(artist.binary), "byteLength": 192}
+    artist.root["bufferViews"][old["bufferView"]] |= place
     artist.binary += shorts.tobytes()
     bounds = {"min": shorts[:, :3].min(0).tolist(), "max": shorts[:, :3].max(0).tolist()}
     old |= {"componentType": 5122, "normalized": True} | bounds
-    artist.add("meshes", {"primitives": [primitive]})
-    artist.add("nodes", {"mesh": 0, "scale": [3, 3, 3]})
-    artist.scene(0)
-    return artist
+    return artist.alone(primitive, scale=[3, 3, 3])
 
 
 def instanced() -> Artist:
     """Three places of a mesh in one node."""
     artist = Artist(5)
-    artist.add("meshes", {"name": "fern", "primitives": [artist.cone(artist.materials()[2])]})
+    fern = artist.cone(artist.materials()[2])
     places = artist.accessor(np.float32([[0, 0, 0], [3, 0, 0], [0, 0, 4]]))
     sizes = artist.accessor(np.float32([[1, 1, 1], [2, 2, 2], [1, 0.5, 1]]))
     instancing = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places, "SCALE": sizes}}}
     artist.root["extensionsUsed"].append("EXT_mesh_gpu_instancing")
     artist.root["extensionsRequired"] = ["KHR_texture_transform"]
-    artist.add("nodes", {"name": "ferns", "mesh": 0, "extensions": instancing, "extras": {"count": 3}, **TURNED})
-    artist.scene(0)
-    return artist
+    return artist.alone(fern, name="ferns", extensions=instancing, extras={"count": 3}, **TURNED)
+
+
+def plain() -> Artist:
+    """A part as it is."""
+    artist = Artist(6)
+    return artist.alone(artist.cone(artist.materials()[0]))
 
 
 def compressed() -> Artist:
-    """A part as a Draco stream."""
+    """The same as a Draco stream."""
     artist = Artist(6)
     primitive = artist.cone(artist.materials()[0])
     content = document_of(artist.glb())
@@ -256,10 +255,7 @@ def compressed() -> Artist:
     primitive["extensions"] = {"KHR_draco_mesh_compression": extension}
     artist.root["extensionsUsed"].append("KHR_draco_mesh_compression")
     artist.root["extensionsRequired"] = ["KHR_draco_mesh_compression"]
-    artist.add("meshes", {"primitives": [primitive]})
-    artist.add("nodes", {"mesh": 0})
-    artist.scene(0)
-    return artist
+    return artist.alone(primitive)
 
 
 class Document:

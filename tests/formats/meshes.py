@@ -28,6 +28,12 @@ def image_bytes(kind: str = "PNG", mode: str = "RGB", size: tuple[int, int] = (4
     return stream.getvalue()
 
 
+def png_of(pixels: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "PNG")
+    return stream.getvalue()
+
+
 def trunk_and_crown(rng: np.random.Generator, *, num_sides: int = 8) -> TriangleMesh:
     """A thin stem with a wide top, with materials, texture places and colours; vertices in no special order."""
     rings = [(0.0, 0.1), (2.0, 0.08), (2.2, 1.5), (4.0, 1.2), (5.0, 0.1)]

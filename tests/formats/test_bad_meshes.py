@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError, InputError, MeshError
-from dynamictree.formats.gltf import reader as gltf_reader
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh import obj as obj_module
 from dynamictree.formats.mesh import ply as ply_module
@@ -47,50 +46,32 @@ def test_what_is_no_mesh_is_refused(file_type: str, content: bytes) -> None:
         read(content, file_type)
 
 
-@pytest.mark.parametrize("file_type", ["glb", "ply", "obj"])
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_vertices_that_are_not_finite_are_refused(rng, file_type: str, bad: float) -> None:
-    mesh = trunk_and_crown(rng)
-    content = mesh_bytes(mesh, file_type)
-    if file_type == "obj":
-        content = content.replace(b"v ", b"v %s " % str(bad).encode(), 1).replace(b" ", b" ", 1)
-        first, _, rest = content.partition(b"\n")
-        content = b" ".join(first.split()[:-1]) + b"\n" + rest
-    else:
-        first_vertex = mesh.vertices[0] if file_type == "ply" else mesh.vertices[0][[0, 2, 1]] * [1, 1, -1]
-        assert first_vertex.astype("<f4").tobytes() in content
-        content = content.replace(first_vertex.astype("<f4").tobytes(), np.array([bad] * 3, "<f4").tobytes(), 1)
-    with pytest.raises(MeshError, match="not finite"):
-        read(content, file_type)
-
-
-@pytest.mark.parametrize("file_type", ["glb", "ply", "obj"])
-def test_a_mesh_of_no_extent_is_refused(rng, file_type: str) -> None:
-    mesh = trunk_and_crown(rng)
-    point = mesh.with_vertices(np.zeros_like(mesh.vertices))
-    with pytest.raises(MeshError, match="one point"):
-        read(mesh_bytes(point, file_type), file_type)
+@pytest.mark.parametrize(("bad", "message"), [(np.nan, "not finite"), (np.inf, "not finite"), (0, "one point")])
+def test_a_glb_whose_vertices_are_no_places_or_one_is_refused(bad: float, message: str) -> None:
+    root, binary = triangle_gltf()
+    with pytest.raises(MeshError, match=message):
+        read(gltf_bytes(root, np.full(9, bad, "<f4").tobytes() + binary[36:]), "glb")
 
 
 @pytest.mark.parametrize("file_type", ["glb", "ply"])
 def test_a_truncated_file_is_refused_wherever_it_ends(rng, file_type: str) -> None:
     content = mesh_bytes(trunk_and_crown(rng), file_type)
-    for length in np.linspace(0, len(content) - 5, 60).astype(int):
+    for length in np.linspace(0, len(content) - 5, 30).astype(int):
         with pytest.raises(InputError):
             read(content[:length], file_type)
 
 
 @pytest.mark.parametrize(
-    ("module", "file_type"), [(gltf_reader, "glb"), (ply_module, "ply"), (obj_module, "obj"), (stl_module, "stl")]
+    ("module", "content", "file_type"),
+    [
+        (obj_module, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + 4 * b"f 1 2 3\n", "obj"),
+        (stl_module, b"solid t\n" + 4 * b"facet\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n", "stl"),
+        (ply_module, ply(TRIANGLE, "6 0 1 2 0 1 2\n"), "ply"),
+    ],
 )
-def test_too_many_faces_are_refused(monkeypatch, rng, module: object, file_type: str) -> None:
-    content = (
-        stl([[[0, 0, 0], [1, 0, 0], [0, 0, 1]]] * 20)
-        if file_type == "stl"
-        else mesh_bytes(trunk_and_crown(rng), file_type)
-    )
-    monkeypatch.setattr(module, "MAX_FACES", 15)
-    with pytest.raises(MeshError, match="15"):
+def test_too_many_faces_are_refused(monkeypatch, module: object, content: bytes, file_type: str) -> None:
+    monkeypatch.setattr(module, "MAX_FACES", 3)
+    with pytest.raises(MeshError, match=r"3 triangles|4 triangles|at most 3"):
         read(content, file_type)
 
 
@@ -111,16 +92,13 @@ def test_ten_million_faces_are_refused_by_the_header_alone() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "no faces"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "corner 4/0/0, but there are 3 vertices"),
-        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "corner 0/"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "corner -4/"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf a b c\n", "b'a/0/0 b/0/0 c/0/0 ', which is not understood"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "0 texture coordinates to choose"),
         (b"v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "`v` line of the OBJ file is b'1 0'; 3 numbers"),
         (b"v 0 0 0\nv 1 0 x\nv 0 1 0\nf 1 2 3\n", "b'1 0 x'"),
-        (b"v 0\nv 1\nv 0\nf 1 2 3\n", "`v` line .* is b'0'"),
         (b"f 1 2 3\n", "no vertices"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 99999999999 2 3\n", "corner 99999999999/"),
     ],
@@ -174,7 +152,6 @@ def test_an_stl_that_breaks_the_rules_is_refused(content: bytes, message: str) -
         (ply(TRIANGLE, "3 0 1 -1\n"), "beyond its 3"),
         (ply(TRIANGLE, "2 0 1\n"), "2 corners"),
         (ply(TRIANGLE, "3 0 1\n"), "row 0 of 1 of .face. in the PLY file ends beyond"),
-        (ply(TRIANGLE, "x 0 1\n"), "no number"),
         (ply(TRIANGLE, "3 0 1 x\n"), "no number"),
         (ply(TRIANGLE, "3 0 1 2\n", num_vertices=2_000_001), "2,000,001 vertices"),
         (ply(TRIANGLE, "", num_faces=0), "point cloud"),
@@ -200,33 +177,20 @@ def test_a_ply_that_breaks_the_rules_is_refused(content: bytes, message: str) ->
 @pytest.mark.parametrize(
     ("kind", "body", "message"),
     [
+        ("uchar int", b"\x03" + bytes(12) + b"\x02" + bytes(8), "face 1 of the PLY file has 2 corners"),
         ("uchar int", b"", "ends before a list"),
-        ("uchar int", b"\x03\0\0\0\0", "row 0 of 1 of .face. .* ends beyond"),
-        ("uchar int", b"\x02" + b"\0" * 8, "2 corners"),
+        ("uchar int", b"\x03\0\0\0\0", "row 0 of 2 of .face. .* ends beyond"),
+        ("uchar int", 2 * (b"\x02" + bytes(8)), "2 corners"),
         ("int int", b"\xff\xff\xff\xff", "-1 items"),
         ("float int", b"\0" * 16, "length that is no whole number"),
-        ("uchar float", b"\x03" + b"\0" * 12, "no index"),
-        ("uchar uint", b"\x03" + b"\xff" * 12, "no index"),
+        ("uchar float", 2 * (b"\x03" + bytes(12)), "no index"),
+        ("uchar uint", 2 * (b"\x03" + b"\xff" * 12), "no index"),
     ],
 )
 def test_a_binary_ply_that_breaks_the_rules_is_refused(kind: str, body: bytes, message: str) -> None:
-    head = ply("", "", kind=kind).replace(b"ascii", b"binary_little_endian")
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
+    head = ply("", "", kind=kind, num_faces=2).replace(b"ascii", b"binary_little_endian")
     with pytest.raises(InputError, match=message):
-        read(head + vertices + body, "ply")
-
-
-def test_a_mixed_binary_ply_with_a_face_of_two_corners_is_refused() -> None:
-    head = ply("", "", num_faces=2).replace(b"ascii", b"binary_little_endian")
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
-    with pytest.raises(FormatError, match="face 1 of the PLY file has 2 corners"):
-        read(head + vertices + b"\x03" + bytes(12) + b"\x02" + bytes(8), "ply")
-
-
-def test_polygons_that_make_too_many_triangles_are_refused(monkeypatch) -> None:
-    monkeypatch.setattr(ply_module, "MAX_FACES", 3)
-    with pytest.raises(MeshError, match="4 triangles"):
-        read(ply(TRIANGLE, "6 0 1 2 0 1 2\n"), "ply")
+        read(head + triangle_gltf()[1][:36] + body, "ply")
 
 
 @pytest.mark.parametrize("file_type", ["las", "points", "splat", "zip", "jpeg", "fbx"])

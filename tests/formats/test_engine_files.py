@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
-from benchmarks._played import played_skin, played_usd_skin, played_usdz, played_vertex_texture, reported_facts
+from benchmarks._played import played_usdz, played_vertex_texture
 from dynamictree.errors import InputError
-from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
 from dynamictree.formats.motion.usd import write_motion_usdz
-from dynamictree.formats.motion.usd_skin import write_skinned_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, texture_layout, vertex_texture_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.mesh import TriangleMesh
@@ -19,7 +17,7 @@ from dynamictree.rig.rig import in_bytes
 from dynamictree.rig.skin import played
 from dynamictree.rotation import unit_quaternions
 from dynamictree.skin import Skin, SkinSummary
-from tests.formats.meshes import trunk_and_crown, written
+from tests.formats.meshes import trunk_and_crown
 
 SUMMARY = SkinSummary(num_joints=3, num_keys=6, relative_error=0.5, rms_error_m=0.25, max_error_m=0.75)
 
@@ -28,18 +26,12 @@ def frames_of(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 7)
     return rng.normal(scale=0.1, size=(num_frames, mesh.num_vertices, 3)).astype(np.float32)
 
 
-def texture_zip(mesh: TriangleMesh, frames: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    files = vertex_texture_files(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True)
-    write_stored_zip(stream, files)
-    return stream.getvalue()
-
-
 def test_a_mesh_without_texture_places_has_its_lookup_in_the_second_set(rng) -> None:
     whole = trunk_and_crown(rng)
     mesh = TriangleMesh(vertices=whole.vertices, faces=whole.faces)
-    frames = frames_of(mesh, rng, 3)
-    np.testing.assert_allclose(played_vertex_texture(texture_zip(mesh, frames)), frames, atol=2e-3)
+    frames, stream = frames_of(mesh, rng, 3), io.BytesIO()
+    write_stored_zip(stream, vertex_texture_files(mesh, iter(frames), num_frames=3, fps=24.0, loop=True))
+    np.testing.assert_allclose(played_vertex_texture(stream.getvalue()), frames, atol=2e-3)
 
 
 @pytest.mark.parametrize("num_vertices", [3, 256, 257, 8_000, 100_000, 600_000])
@@ -61,7 +53,7 @@ def problems_of(stage: Usd.Stage) -> list[str]:
     return [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)]
 
 
-def test_usd_holds_every_frame_and_passes_its_validators(tmp_path, rng) -> None:
+def test_usd_holds_every_frame_binds_each_face_to_its_material_and_passes_its_validators(tmp_path, rng) -> None:
     mesh = trunk_and_crown(rng)
     frames = frames_of(mesh, rng)
     path = tmp_path / "tree.usdz"
@@ -72,14 +64,6 @@ def test_usd_holds_every_frame_and_passes_its_validators(tmp_path, rng) -> None:
     assert problems_of(stage) == []
     assert (stage.GetTimeCodesPerSecond(), UsdGeom.GetStageUpAxis(stage)) == (30.0, "Z")
     assert zipfile.ZipFile(path).namelist() == ["tree.usdc", "texture_1.png"]
-
-
-def test_usd_binds_each_face_to_its_material(tmp_path, rng) -> None:
-    mesh = trunk_and_crown(rng)
-    path = tmp_path / "tree.usdz"
-    with path.open("wb") as stream:
-        write_motion_usdz(mesh, iter(frames_of(mesh, rng, 1)), stream, fps=24.0)
-    stage = Usd.Stage.Open(str(path))
     result = np.full(mesh.num_faces, -1)
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Subset):
@@ -114,23 +98,3 @@ def posed(mesh: TriangleMesh, skin: Skin) -> np.ndarray:
     places = np.einsum("tnjab,njb->tnja", stance.rotation[:, skin.rows], arm) + stance.place_m[:, skin.rows]
     moved = (skin.weights[:, :, None] * places).sum(axis=2) - mesh.vertices
     return np.concatenate([moved, moved[:1]])
-
-
-def test_a_skinned_usd_poses_its_vertices_as_the_skin_does(tmp_path, rng) -> None:
-    mesh = trunk_and_crown(rng)
-    skin = random_skin(mesh, rng)
-    path = tmp_path / "tree.usdz"
-    with path.open("wb") as stream:
-        write_skinned_usdz(mesh, skin, stream, fps=30.0)
-    np.testing.assert_allclose(played_usd_skin(path), posed(mesh, skin), atol=2e-5)
-    stage = Usd.Stage.Open(str(path))
-    assert problems_of(stage) == []
-    assert zipfile.ZipFile(path).namelist() == ["tree.usdc", "texture_1.png"]
-
-
-def test_a_skinned_glb_poses_its_vertices_as_the_skin_does(rng) -> None:
-    mesh = trunk_and_crown(rng)
-    skin = random_skin(mesh, rng)
-    content = written(write_skinned_glb, mesh, skin, SUMMARY, fps=24.0, packing=Packing(False, False))
-    np.testing.assert_allclose(played_skin(content), posed(mesh, skin), atol=2e-5)
-    assert reported_facts(content)["max_error_m"] == 0.75

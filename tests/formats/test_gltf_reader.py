@@ -2,15 +2,19 @@
 
 import base64
 import json
+from collections.abc import Callable
 
-import DracoPy
 import numpy as np
 import pytest
 
+from dynamictree.color import linear_to_srgb
 from dynamictree.formats.gltf.template import can_carry_joints
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
-from tests.formats.meshes import gltf_bytes, image_bytes, read, triangle_gltf, trunk_and_crown
+from tests.formats import artists
+from tests.formats.artists import Artist, document_of
+from tests.formats.looks import standing
+from tests.formats.meshes import gltf_bytes, image_bytes, read, triangle_gltf
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], np.float32)  # of triangle_gltf, +Z up
 
@@ -33,25 +37,34 @@ def with_data(extra: bytes, *views: dict[str, object], **changes: object) -> Tri
     return read(gltf_bytes(root, binary + b"\0\0" + extra), "glb")
 
 
-def test_gltf_turns_from_y_up_to_z_up() -> None:
-    mesh = read_gltf()
-    np.testing.assert_array_equal(mesh.vertices, CORNERS)
-    assert mesh.source.up_axis == "+Y"
-    assert mesh.source.scale == 1.0
-    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
+@pytest.mark.parametrize(
+    ("reading", "corners", "source"),
+    [
+        (Reading(), CORNERS, ("+Y", 1.0)),
+        (Reading(up_axis="+Z", unit_m=0.01), [[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]], ("+Z", 0.01)),
+    ],
+)
+def test_gltf_is_in_metres_and_y_up_unless_said_otherwise(reading: Reading, corners: object, source: object) -> None:
+    mesh = read(gltf_bytes(*triangle_gltf()), "glb", reading=reading)
+    np.testing.assert_allclose(mesh.vertices, corners)
+    assert (mesh.source.up_axis, mesh.source.scale) == source
 
 
-def test_gltf_follows_explicit_axes_and_units() -> None:
-    root, binary = triangle_gltf()
-    mesh = read(gltf_bytes(root, binary), "glb", reading=Reading(up_axis="+Z", unit_m=0.01))
-    np.testing.assert_allclose(mesh.vertices, np.float32([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))
-    assert (mesh.source.up_axis, mesh.source.scale) == ("+Z", 0.01)
+@pytest.mark.parametrize("model", [artists.wooded, artists.repeated, artists.skinned, artists.quantised])
+def test_vertices_stand_where_nodes_and_joints_put_them(model: Callable[[], Artist]) -> None:
+    glb = model().glb()
+    mesh = read(glb, "glb")
+    np.testing.assert_allclose(mesh.vertices, standing(document_of(glb), lambda node, primitive: 0.0), atol=1e-5)
 
 
-def test_nodes_place_scale_and_turn_their_meshes() -> None:
-    half_turn = [0, 1, 0, 0]  # about +Y of the file, +Z here
-    nodes = [{"children": [1], "translation": [0, 5, 0]}, {"mesh": 0, "rotation": half_turn, "scale": [2, 3, 1]}]
-    np.testing.assert_allclose(read_gltf(nodes=nodes).vertices, [[0, 0, 5], [-2, 0, 5], [0, 0, 8]], atol=1e-6)
+def test_a_draco_stream_is_the_part_that_it_was_made_of() -> None:
+    packed, plain = (read(model().glb(), "glb") for model in (artists.compressed, artists.plain))
+    np.testing.assert_allclose(packed.vertices, plain.vertices, atol=1e-3)
+    np.testing.assert_array_equal(packed.faces, plain.faces)
+    np.testing.assert_allclose(packed.look.normals, plain.look.normals, atol=1e-2)
+    stored = document_of(artists.plain().glb()).accessor(5)  # COLOR_0, which glTF has in linear light
+    np.testing.assert_allclose(plain.look.vertex_colors[:, :3], 255 * linear_to_srgb(stored[:, :3] / 255), atol=0.51)
+    np.testing.assert_array_equal(plain.look.vertex_colors[:, 3], stored[:, 3])
 
 
 def test_a_node_s_matrix_is_stored_by_columns() -> None:
@@ -62,13 +75,6 @@ def test_a_node_s_matrix_is_stored_by_columns() -> None:
 
 def test_a_mirrored_node_keeps_the_outside_outside() -> None:
     np.testing.assert_array_equal(read_gltf(nodes=[{"mesh": 0, "scale": [-1, 1, 1]}]).faces, [[2, 1, 0]])
-
-
-def test_one_mesh_in_three_nodes_stands_three_times() -> None:
-    nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(3)]
-    mesh = read_gltf(nodes=nodes, scenes=[{"nodes": [0, 1, 2]}])
-    assert (mesh.num_vertices, mesh.num_faces) == (9, 3)
-    np.testing.assert_allclose(mesh.vertices[::3, 0], [0, 1, 2])
 
 
 def test_gpu_instances_stand_where_they_are_put() -> None:
@@ -90,30 +96,6 @@ def test_without_a_scene_all_nodes_are_in() -> None:
     root, binary = triangle_gltf(nodes=[{"mesh": 0}, {"mesh": 0}])
     del root["scene"], root["scenes"]
     assert read(gltf_bytes(root, binary), "glb").num_faces == 2
-
-
-def test_a_skin_at_rest_places_its_mesh_by_its_joints_alone() -> None:
-    joints, weights = np.zeros((3, 4), np.uint8), np.tile(np.float32([1, 0, 0, 0]), (3, 1))
-    accessors = [
-        floats(0, "VEC3"),
-        {"bufferView": 2, "componentType": 5121, "count": 3, "type": "VEC4"},
-        floats(3, "VEC4"),
-        floats(4, "MAT4", count=1),
-    ]
-    bind = np.eye(4, dtype=np.float32)
-    bind[3, :3] = [0, -1, 0]  # by columns: moves down by 1
-    mesh = with_data(
-        joints.tobytes() + weights.tobytes() + bind.tobytes(),
-        {"byteOffset": 44, "byteLength": 12},
-        {"byteOffset": 56, "byteLength": 48},
-        {"byteOffset": 104, "byteLength": 64},
-        accessors=accessors,
-        meshes=[{"primitives": [{"attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}}]}],
-        nodes=[{"mesh": 0, "skin": 0, "translation": [100, 0, 0]}, {"translation": [0, 3, 0]}],
-        scenes=[{"nodes": [0, 1]}],
-        skins=[{"joints": [1], "inverseBindMatrices": 3}],
-    )
-    np.testing.assert_allclose(mesh.vertices, CORNERS + np.array([0, 0, 2]), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -165,29 +147,6 @@ def test_a_sparse_accessor_replaces_some_elements(
         meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}],
     )
     np.testing.assert_array_equal(mesh.vertices, expected)
-
-
-def test_interleaved_and_normalised_attributes_are_read() -> None:
-    """KHR_mesh_quantization: positions as normalised int16, 8 bytes apart, with bytes of colour and uint16 places."""
-    rows = np.zeros(3, [("position", "<i2", (3,)), ("pad", "<i2")])
-    rows["position"] = [[0, 0, 0], [32767, 0, 0], [0, -32767, 0]]
-    colors, places = np.array([[255, 0, 0, 128]] * 3, np.uint8), np.array([[0, 65535]] * 3, np.uint16)
-    mesh = with_data(
-        rows.tobytes() + colors.tobytes() + places.tobytes(),
-        {"byteOffset": 44, "byteLength": 24, "byteStride": 8},
-        {"byteOffset": 68, "byteLength": 12},
-        {"byteOffset": 80, "byteLength": 12},
-        extensionsRequired=["KHR_mesh_quantization"],
-        accessors=[
-            {"bufferView": 2, "componentType": 5122, "count": 3, "type": "VEC3", "normalized": True},
-            {"bufferView": 3, "componentType": 5121, "count": 3, "type": "VEC4", "normalized": True},
-            {"bufferView": 4, "componentType": 5123, "count": 3, "type": "VEC2", "normalized": True},
-        ],
-        meshes=[{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1, "TEXCOORD_0": 2}}]}],
-    )
-    np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 0, -1]])
-    np.testing.assert_array_equal(mesh.look.uv, [[0, 1]] * 3)
-    np.testing.assert_array_equal(mesh.look.vertex_colors, [[255, 0, 0, 128]] * 3)
 
 
 def test_a_texture_s_transform_moves_its_coordinates() -> None:
@@ -256,39 +215,6 @@ def test_json_gltf_takes_its_buffers_from_data_uris_or_from_beside_it() -> None:
     root["buffers"] = [{"byteLength": 42, "uri": uri}]
     inside = read(json.dumps(root).encode(), "gltf")
     np.testing.assert_array_equal(outside.vertices, inside.vertices)
-
-
-def test_draco_is_decoded(rng) -> None:
-    mesh = trunk_and_crown(rng)
-    stream = DracoPy.encode(
-        mesh.vertices[:, [0, 2, 1]] * [1, 1, -1],
-        mesh.faces,
-        quantization_bits=20,
-        preserve_order=True,
-        tex_coord=mesh.look.uv.astype(np.float64),
-    )
-    decoded = DracoPy.decode(stream)
-    names = {0: "POSITION", 3: "TEXCOORD_0"}  # draco's attribute types
-    identities = {names[int(a["attribute_type"])]: int(a["unique_id"]) for a in decoded.attributes}
-    primitive = {
-        "attributes": {"POSITION": 0, "TEXCOORD_0": 2},
-        "indices": 1,
-        "extensions": {"KHR_draco_mesh_compression": {"bufferView": 2, "attributes": identities}},
-    }
-    result = with_data(
-        stream,
-        {"byteOffset": 44, "byteLength": len(stream)},
-        extensionsRequired=["KHR_draco_mesh_compression"],
-        meshes=[{"primitives": [primitive]}],
-        accessors=[
-            {"componentType": 5126, "count": mesh.num_vertices, "type": "VEC3"},
-            {"componentType": 5125, "count": 3 * mesh.num_faces, "type": "SCALAR"},
-            {"componentType": 5126, "count": mesh.num_vertices, "type": "VEC2"},
-        ],
-    )
-    np.testing.assert_allclose(result.vertices, mesh.vertices, atol=1e-4)
-    np.testing.assert_array_equal(result.faces, mesh.faces)
-    np.testing.assert_allclose(result.look.uv, mesh.look.uv, atol=1e-2)
 
 
 def test_what_names_an_image_that_was_not_sent_is_not_written_back() -> None:

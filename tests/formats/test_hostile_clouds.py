@@ -14,8 +14,7 @@ from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.gltf.gaussian import EXTENSION, write_gltf_gaussian
 from dynamictree.formats.splat.compressed_ply import read_compressed_ply
-from dynamictree.formats.splat.ply import property_names, read_gaussian_ply, write_gaussian_ply
-from dynamictree.formats.splat.spz import write_spz
+from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from tests.formats.artists import document_of
 from tests.formats.meshes import gltf_bytes, written
@@ -45,11 +44,9 @@ def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
     ("content", "message"),
     [
         (ply(1_000, NAMES), r"1,000 rows of 68 bytes in 'vertex', 68,000 bytes, but 0 are left"),
-        (ply(10**11, NAMES), "100,000,000,000 Gaussians"),
         (ply(50_000_000, NAMES), "50,000,000 Gaussians"),
         (ply(0, NAMES), "empty"),
         (ply(1, [n for n in NAMES if n not in ("rot_3", "opacity")], bytes(60)), "have no opacity, rot_3"),
-        (ply(1, [*NAMES, "f_rest_0"], bytes(72)), "1 properties f_rest"),
         (ply(1, [*NAMES, *(f"f_rest_{i + 1}" for i in range(9))], bytes(104)), "9 properties f_rest"),
         (ply(1, NAMES, np.full(17, np.nan, "<f4").tobytes()), "not finite|rotation has a length"),
         (ply(1, NAMES, np.full(17, 100, "<f4").tobytes()), "scales of 1 Gaussians are not finite"),
@@ -57,15 +54,12 @@ def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
         (ply(1, NAMES, bytes(68)), "rotation has a length"),
         (b"no ply at all\n", "begin with 'ply'"),
         (b"ply\n" + b"comment " + b"x" * 100_000 + b"\n", "no end within 65,536"),
-        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n", "no end within"),
         (b"ply\nend_header\n", "names no format"),
         (HEAD.encode() + b"element vertex -3\nend_header\n", "not understood: 'element vertex -3'"),
         (HEAD.encode() + b"element vertex 1\nproperty quad x\nend_header\n", "not understood: 'property quad x'"),
         (ply(1, ["x", "x"]), "'x' of 'vertex' twice"),
-        (
-            (HEAD + "element early 1\nproperty list uchar int i\n").encode() + ply(1, NAMES)[len(HEAD) :],
-            "'early' of the PLY file has lists",
-        ),
+        ((HEAD + "element early 1\nproperty list uchar int i\n").encode() + ply(1, NAMES)[len(HEAD) :],
+         "'early' of the PLY file has lists"),
         (ASCII + b"element vertex 9\n" + XYZ + b"1 2 3\n",
          "9 rows in 'vertex', at least 54 bytes"),
         (ASCII + b"element vertex 1\n" + XYZ + b"1 2 a\n",
@@ -79,11 +73,6 @@ def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
 def test_a_contradictory_ply_is_reported_with_the_place(content: bytes, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(content, "ply")
-
-
-def test_missing_properties_are_named_when_read_as_a_splat() -> None:
-    with pytest.raises(FormatError, match="no f_dc_0, f_dc_1, f_dc_2, opacity"):
-        read_gaussian_ply(io.BytesIO(ply(1, ["x", "y", "z"], bytes(12))))
 
 
 def test_a_splat_of_a_broken_size_is_refused() -> None:
@@ -103,6 +92,9 @@ def spz4(count: int, streams: int, table_offset: int, rest: bytes, *, version: i
     return b"NGSP" + struct.pack("<IIBBBBI12x", version, count, degree, 12, 0, streams, table_offset) + rest
 
 
+FIVE = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(5))
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -114,7 +106,6 @@ def spz4(count: int, streams: int, table_offset: int, rest: bytes, *, version: i
         (spz(3, 1, 0, magic=7), "no SPZ file"),
         (spz(3, 1, 4, body=bytes(100)), "degree 4"),
         (spz(3, 1, 0, fractional=30, body=bytes(20)), "30 fractional bits"),
-        (gzip.compress(b"abc", mtime=0), "within its header"),
         (spz(3, 1, 0)[:12], "truncated|within its header"),
         (b"\x1f\x8b\x08\x00" + bytes(60), "damaged|within its header"),
         (spz4(1, 5, 32, b"", version=5), "version 5"),
@@ -123,25 +114,12 @@ def spz4(count: int, streams: int, table_offset: int, rest: bytes, *, version: i
         (spz4(1, 6, 32, struct.pack("<12Q", *[5, 9] * 6)), "runs past the file's end"),
         (spz4(1, 6, 32, struct.pack("<12Q", *[5, 8] * 6) + bytes(64)), "an SPZ stream is 8 bytes"),
         (spz4(1, 6, 32, struct.pack("<12Q", *[9, 9] * 6) + bytes(64)), "damaged"),
+        (spz4(1, 6, 32, struct.pack("<12Q", len(FIVE), 9, *[0, 0] * 5) + FIVE), "ends after 5 of 9"),
     ],
 )
 def test_a_contradictory_spz_is_reported_with_the_place(content: bytes, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(content, "spz")
-
-
-def test_an_spz_stream_that_ends_early_is_refused() -> None:
-    packed = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(5))
-    sizes = struct.pack("<2Q", len(packed), 9) + struct.pack("<10Q", *[0, 0] * 5)
-    with pytest.raises(FormatError, match="ends after 5 of 9"):
-        read(spz4(1, 6, 32, sizes + packed), "spz")
-
-
-def test_a_damaged_gzip_is_refused() -> None:
-    content = bytearray(cloud_bytes(write_spz, 1000))
-    content[40:60] = bytes(20)
-    with pytest.raises(FormatError, match=r"damaged|truncated"):
-        read(bytes(content), "spz")
 
 
 def changed_glb(change: Callable[[dict[str, object]], None]) -> bytes:
@@ -168,16 +146,13 @@ def _set(document: object, path: str, value: object) -> None:
         ("meshes/0/primitives/0/attributes", {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 1}, r"\(10, 4\)"),
         ("meshes/0/primitives/0/attributes", {"POSITION": 77}, "POSITION .* is 77"),
         ("meshes/0/primitives/0/attributes", {"POSITION": 0}, "0 harmonics"),
-        (
-            "meshes/0/primitives/0/attributes",
-            {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 0},
-            "no attribute KHR_gaussian_splatting:ROTATION",
-        ),
+        ("meshes/0/primitives/0/attributes", {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 0},
+         "no attribute KHR_gaussian_splatting:ROTATION"),
         ("meshes/0/primitives/0/attributes", [], "attributes is .*a JSON object"),
         ("nodes/0/scale", [1, 2, 1], "mirrors, shears or stretches"),
         ("scene", 5, "scene .* is 5; a whole number from 0 to 0"),
     ],
-)
+)  # fmt: skip
 def test_a_contradictory_glb_is_reported_with_the_place(path: str, value: object, message: str) -> None:
     with pytest.raises(FormatError, match=message):
         read(changed_glb(lambda document: _set(document, path, value)), "glb")
@@ -186,28 +161,16 @@ def test_a_contradictory_glb_is_reported_with_the_place(path: str, value: object
 def test_a_glb_placed_by_its_node_is_read_where_it_stands() -> None:
     matrix = [0, 0, -2, 0, 0, 2, 0, 0, 2, 0, 0, 0, 1, 2, 3, 1]  # columns: a quarter turn about y, twice as large
     moved = read(changed_glb(lambda document: _set(document, "nodes/0/matrix", matrix)), "glb")
-    as_parts = read(
-        changed_glb(
-            lambda document: _set(
-                document,
-                "nodes/0",
-                {"mesh": 0, "translation": [1, 2, 3], "rotation": [0, 0.5**0.5, 0, 0.5**0.5], "scale": [2, 2, 2]},
-            )
-        ),
-        "glb",
-    )
     plain = read(cloud_bytes(write_gltf_gaussian), "glb")
     x, y, z = plain.means.T
     np.testing.assert_allclose(moved.means, np.stack([2 * -y + 1, 2 * x - 3, 2 * z + 2], axis=1), atol=1e-5)
-    np.testing.assert_allclose(as_parts.means, moved.means, atol=1e-5)
     np.testing.assert_allclose(moved.scales, plain.scales * 2, rtol=1e-5)
 
 
 def test_linear_colours_become_display_colours() -> None:
-    def change(document: dict[str, object]) -> None:
-        _set(document, f"meshes/0/primitives/0/extensions/{EXTENSION}/colorSpace", "lin_rec709_display")
-
-    grey = read(changed_glb(change), "glb").sh[0, 0, 0] * 0.28209479 + 0.5
+    space = f"meshes/0/primitives/0/extensions/{EXTENSION}/colorSpace"
+    linear = changed_glb(lambda document: _set(document, space, "lin_rec709_display"))
+    grey = read(linear, "glb").sh[0, 0, 0] * 0.28209479 + 0.5
     np.testing.assert_allclose(grey, 0.735357, atol=1e-5)  # sRGB of linear 0.5, IEC 61966-2-1
 
 

@@ -41,7 +41,7 @@ def files(tree: Tree, tmp_path_factory) -> Files:
     written: Files = {}
     for compression in ("none", "meshopt"):
         facts: dict[str, dict[str, float]] = {}
-        params = ExportParams(formats=("glb",), glb_compression=compression, flutter=0.0)
+        params = ExportParams(formats=("glb",), glb_compression=compression, flutter=0.0, joints=64)
         paths = write_products(*tree, params, tmp_path_factory.mktemp(compression), on_facts=facts.__setitem__)
         written[compression] = paths["glb"].read_bytes(), facts["glb"]
     return written

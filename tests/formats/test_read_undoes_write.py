@@ -38,7 +38,7 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
 
 
 @pytest.mark.parametrize(("kind", "uv_error"), [("glb", 0.0), ("ply", 1e-6), ("obj", 1e-6)])
-@settings(max_examples=10)
+@settings(max_examples=5)
 @shapes
 def test_corners_coordinates_and_colours(
     kind: str, uv_error: float, seed: int, sizes: tuple[int, int], has: tuple[bool, bool]
@@ -90,23 +90,14 @@ def assert_optional(result: np.ndarray | None, expected: np.ndarray | None, *, a
         np.testing.assert_allclose(result, expected, atol=atol)
 
 
-def test_glb_keeps_materials_and_textures(rng) -> None:
-    mesh = trunk_and_crown(rng)
-    result = read(written(write_glb, mesh), "glb")
-    assert result.look.materials == mesh.look.materials
-    assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
-    assert_geometry(result, mesh)
-
-
-def test_obj_keeps_materials_and_textures(rng) -> None:
+def test_glb_and_obj_keep_materials_and_textures_and_an_obj_without_its_library_their_names(rng) -> None:
     mesh, stream = trunk_and_crown(rng), io.BytesIO()
     companions = write_obj(mesh, stream, library="tree.mtl")
-    result = read(stream.getvalue(), "obj", reading=Reading(up_axis="+Z"), companions=companions)
-    assert result.look.materials == mesh.look.materials
-    assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
-
-
-def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng) -> None:
-    content = written(write_obj, trunk_and_crown(rng), library="tree.mtl")
-    result = read(content, "obj", reading=Reading(up_axis="+Z"))
-    assert [material.name for material in result.look.materials] == ["bark", "leaf"]
+    upright = Reading(up_axis="+Z")
+    of_obj = read(stream.getvalue(), "obj", reading=upright, companions=companions)
+    for result in (read(written(write_glb, mesh), "glb"), of_obj):
+        assert result.look.materials == mesh.look.materials
+        assert_optional(result.look.face_material, mesh.look.face_material, atol=0)
+        assert_geometry(result, mesh)
+    alone = read(stream.getvalue(), "obj", reading=upright)
+    assert [material.name for material in alone.look.materials] == ["bark", "leaf"]

@@ -69,24 +69,13 @@ def assert_same(result: SparseVoxelSpectrum, expected: SparseVoxelSpectrum) -> N
     assert result.grid.resolution == expected.grid.resolution
 
 
+@pytest.mark.parametrize("absent", [{}, {"wind": None, "source": Source(), "model": ""}])
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
-def test_read_undoes_write(rng, dtype: str) -> None:
-    spectrum = small_spectrum(rng)
-    assert_same(read_spectrum(io.BytesIO(spectrum_bytes(spectrum, dtype))), spectrum)
-
-
-def test_a_spectrum_without_wind_or_source_survives(rng) -> None:
-    spectrum = replace(small_spectrum(rng), wind=None, source=Source(), model="")
-    assert_same(read_spectrum(io.BytesIO(spectrum_bytes(spectrum))), spectrum)
-
-
-def test_the_same_spectrum_gives_the_same_bytes(rng) -> None:
-    spectrum = small_spectrum(rng)
-    assert spectrum_bytes(spectrum) == spectrum_bytes(spectrum)
-
-
-def test_7000_voxels_take_less_than_one_and_a_half_megabytes(rng) -> None:
-    assert len(spectrum_bytes(small_spectrum(rng, 7000))) < 1_500_000
+def test_read_undoes_write_and_the_bytes_are_always_the_same(rng, dtype: str, absent: dict[str, object]) -> None:
+    spectrum = replace(small_spectrum(rng), **absent)
+    content = spectrum_bytes(spectrum, dtype)
+    assert_same(read_spectrum(io.BytesIO(content)), spectrum)
+    assert spectrum_bytes(spectrum, dtype) == content
 
 
 def test_the_golden_file_of_version_1_stays_readable() -> None:
@@ -94,65 +83,48 @@ def test_the_golden_file_of_version_1_stays_readable() -> None:
         assert_same(read_spectrum(stream), small_spectrum(np.random.default_rng(1)))
 
 
-def test_what_float16_cannot_hold_is_not_written(rng) -> None:
+@pytest.mark.parametrize(
+    ("value", "dtype", "message"), [(1e5, "float16", "float16 holds at most"), (np.nan, "float32", "nan m")]
+)
+def test_what_a_file_cannot_hold_is_not_written(rng, value: float, dtype: str, message: str) -> None:
     spectrum = small_spectrum(rng)
-    spectrum.coefficients[3, 2, 1] = 1e5
-    with pytest.raises(NumericsError, match="float16 holds at most"):
-        spectrum_bytes(spectrum)
-    assert read_spectrum(io.BytesIO(spectrum_bytes(spectrum, "float32"))).coefficients[3, 2, 1] == 1e5
-
-
-def test_values_that_became_infinite_are_not_written(rng) -> None:
-    spectrum = small_spectrum(rng)
-    spectrum.coefficients[3, 2, 1] = np.nan
-    with pytest.raises(NumericsError):
-        spectrum_bytes(spectrum, "float32")
+    spectrum.coefficients[3, 2, 1] = value
+    with pytest.raises(NumericsError, match=message):
+        spectrum_bytes(spectrum, dtype)
 
 
 @pytest.mark.parametrize(
     ("tensors", "metadata", "message"),
     [
         ({}, {"format": "surface-voxels"}, "format"),
-        ({}, {"format": None}, "format"),
         ({}, {"version": "2"}, "version is '2'"),
         ({"coords": None}, {}, "no tensor 'coords'"),
         ({"coords": np.zeros((4, 2), np.int32)}, {}, r"\[4, 2\]"),
         ({"coords": np.zeros((4, 3), np.float32)}, {}, "float32"),
-        ({"coords": np.zeros((4, 3), np.int64)}, {}, "I64"),
         ({"coords": np.zeros((0, 3), np.int32)}, {}, "empty"),
         ({"coords": np.zeros((2, 3), np.int32)}, {}, "unique"),
         ({"coords": np.array([[0, 0, 64]], np.int32)}, {}, "0 to 63"),
-        ({"coords": np.array([[0, 0, -1]], np.int32)}, {}, "-1"),
         ({"coords": np.array([[0, 0, 1]], np.int32)}, {}, r"\[1, 'any', 3, 2\]"),
         ({"coefficients": np.full((50, 16, 3, 2), np.nan, np.float16)}, {}, "not finite"),
-        ({"coefficients": np.full((50, 16, 3, 2), np.inf, np.float32)}, {}, "not finite"),
         ({"coefficients": np.zeros((50, 0, 3, 2), np.float16)}, {}, "0 frequencies"),
         ({}, {"num_frames": "20"}, "16 frequencies"),
-        ({}, {"num_frames": "1e9"}, "num_frames"),
-        ({}, {"num_frames": "true"}, "num_frames"),
         ({}, {"num_frames": "9" * 4000}, "num_frames"),
         ({}, {"num_frames": "9" * 5000}, "5000 characters"),
         ({}, {"num_frames": None}, "num_frames"),
-        ({}, {"fps": "0"}, "fps"),
         ({}, {"fps": "NaN"}, "fps"),
         ({}, {"fps": "[24]"}, "fps"),
-        ({}, {"resolution": "0"}, "resolution"),
         ({}, {"resolution": "100000"}, "resolution"),
         ({}, {"voxel_size_m": "-1"}, "voxel_size_m"),
-        ({}, {"voxel_size_m": "Infinity"}, "voxel_size_m"),
         ({}, {"voxel_size_m": "9" * 400}, "voxel_size_m"),
         ({}, {"origin_m": "[0, 0]"}, "origin_m"),
-        ({}, {"origin_m": '{"x": 0}'}, "origin_m"),
         ({}, {"origin_m": '[0, 0, "a"]'}, "origin_m"),
         ({}, {"origin_m": "[0, 0,"}, "origin_m"),
         ({}, {"origin_m": "[" * 4000}, "origin_m"),
         ({}, {"rest": "lying"}, "rest"),
         ({}, {"seed": "0.5"}, "seed"),
-        ({}, {"wind": "[]"}, "wind"),
         ({}, {"wind": '{"speed_m_s": 1}'}, "wind"),
         ({}, {"wind": '{"speed_m_s": 1, "direction_deg": NaN, "gust": 1}'}, "wind"),
         ({}, {"model": "a\nb"}, "model"),
-        ({}, {"model": "a" * 201}, "model"),
         ({}, {"source_sha256": "xyz"}, "source_sha256"),
     ],
 )
@@ -171,19 +143,12 @@ def test_what_is_not_safetensors_is_refused(rng) -> None:
             read_spectrum(io.BytesIO(broken))
 
 
-def test_a_file_without_metadata_is_refused() -> None:
+def test_a_file_without_metadata_or_over_the_cap_is_refused(rng) -> None:
     with pytest.raises(FormatError, match="format is 'None'"):
         read_spectrum(io.BytesIO(save({"coords": np.zeros((1, 3), np.int32)})))
-
-
-def test_a_file_over_the_cap_is_refused(rng) -> None:
+    stream = io.BytesIO(spectrum_bytes(small_spectrum(rng)))
     with pytest.raises(FormatError, match="1,000 bytes"):
-        container.read_tensors(
-            io.BytesIO(spectrum_bytes(small_spectrum(rng))),
-            file_format="sparse-voxel-spectrum",
-            version="1",
-            max_bytes=1000,
-        )
+        container.read_tensors(stream, file_format="sparse-voxel-spectrum", version="1", max_bytes=1000)
 
 
 def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:
@@ -195,10 +160,8 @@ def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:
 
 
 def test_read_voxels_undoes_write_voxels(rng) -> None:
-    voxels, stream = small_voxels(rng), io.BytesIO()
-    write_voxels(voxels, stream)
-    stream.seek(0)
-    result = read_voxels(stream)
+    voxels = small_voxels(rng)
+    result = read_voxels(io.BytesIO(written(write_voxels, voxels)))
     np.testing.assert_array_equal(result.grid.coords, voxels.grid.coords)
     np.testing.assert_array_equal(result.normals, voxels.normals)
     np.testing.assert_array_equal(result.moments, voxels.moments)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf.webp import webp_textures
-from dynamictree.requests import ExportParams, Format, Reading
+from dynamictree.requests import ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from tests.formats.artists import Artist, document_of
@@ -101,13 +101,6 @@ def test_textures_become_webp_where_that_is_smaller(tmp_path, compression: str) 
     assert 0 < np.abs(became - was)[..., :3].mean() < 6
     np.testing.assert_array_equal(pixels(normal), pixels(PICTURES["normalTexture"]))
     assert small == PICTURES["emissiveTexture"]
-
-
-def test_a_packed_file_is_read_with_its_texture(tmp_path) -> None:
-    content = written(tree_of(PICTURES), tmp_path, glb_textures="webp")["glb"]
-    again = read(content, "glb", reading=Reading(up_axis="+Y"))
-    assert again.look.materials[0].texture_png is not None
-    assert [warning.code for warning in again.warnings] == ["animations-ignored"]
 
 
 def test_an_image_that_cannot_be_decoded_or_has_another_beside_it_stays() -> None:
