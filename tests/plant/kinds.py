@@ -55,17 +55,13 @@ def verdict(path: Path) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Kind:
     """One input, by its bytes, and whether what is stated of it is right."""
 
-    file_type: str
     content: Callable[[], bytes]
     is_right: Callable[[Verdict], bool]
-
-
-def warned(stated: Verdict, code: str) -> bool:
-    return code in stated["warnings"]
+    file_type: str = "glb"
 
 
 @cache
@@ -181,11 +177,8 @@ def under_a_dome() -> bytes:
     tree = grown("round-broadleaf")
     dome = trimesh.creation.icosphere(4, 60.0)
     dome = trimesh.Trimesh(dome.vertices, dome.faces[dome.triangles_center[:, 2] > -1])
-    return splat_bytes(
-        splats(tree, (0.2, 0.5, 0.15), 60_000),
-        splats(lawn(12.0), (0.3, 0.5, 0.2)),
-        splats(dome, (0.6, 0.8, 1.0), 12_000),
-    )
+    sky = splats(dome, (0.6, 0.8, 1.0), 12_000)
+    return splat_bytes(splats(tree, (0.2, 0.5, 0.15), 60_000), splats(lawn(12.0), (0.3, 0.5, 0.2)), sky)
 
 
 def robot_on_a_lawn() -> bytes:
@@ -199,19 +192,14 @@ def photogrammetry() -> bytes:
     rows = np.zeros(len(points), [("place", "<f4", 3), ("normal", "<f4", 3), ("color", "u1", 3)])
     down = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     rows["place"], rows["normal"], rows["color"] = points @ down.T, mesh.face_normals[face] @ down.T, (60, 120, 40)
-    names = [
-        *(f"float {n}" for n in ("x", "y", "z", "nx", "ny", "nz")),
-        *(f"uchar {n}" for n in ("red", "green", "blue")),
-    ]
+    names = [*(f"float {n}" for n in ("x", "y", "z", "nx", "ny", "nz")), "uchar red", "uchar green", "uchar blue"]
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *(f"property {n}" for n in names)]
     return ("\n".join([*head, "end_header"]) + "\n").encode() + rows.tobytes()
 
 
 def stand() -> bytes:
-    trees = [
-        grown(name, 3).copy().apply_translation((4.0 * n, 0, 0)) for n, name in enumerate(("birch", "maple", "pine"))
-    ]
-    return exported(*trees)
+    species = enumerate(("birch", "maple", "pine"))
+    return exported(*(grown(name, 3).copy().apply_translation((4.0 * n, 0, 0)) for n, name in species))
 
 
 def trellis() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
@@ -245,111 +233,77 @@ def shrunk(species: str) -> trimesh.Trimesh:
     return mesh.apply_scale(1 / mesh.extents.max())
 
 
-def faces_of(*parts: trimesh.Trimesh) -> int:
-    return sum(len(part.faces) for part in parts)
+def is_one(stated: Verdict) -> bool:
+    return bool(stated["trees"] == 1 and "several-trees" not in stated["warnings"])
 
 
-def one(stated: Verdict) -> bool:
-    return bool(stated["trees"] == 1 and not warned(stated, "several-trees"))
+def is_calm(stated: Verdict) -> bool:
+    return stated["warnings"] == []
+
+
+def warns(code: str) -> Callable[[Verdict], bool]:
+    return lambda stated: code in stated["warnings"]
+
+
+def stands(parts: Callable[[], tuple[trimesh.Trimesh, ...]]) -> Callable[[Verdict], bool]:
+    """All parts but the first stand still, and nothing else."""
+    return lambda stated: stated["still"] == sum(len(part.faces) for part in parts()[1:])
+
+
+def scene(parts: Callable[[], tuple[trimesh.Trimesh, ...]], *names: str) -> Kind:
+    """A plant, and parts that stand still."""
+    return Kind(lambda: exported(*parts(), names=names), stands(parts))
 
 
 def lying(mesh: Callable[[], trimesh.Trimesh], up: str, file_type: str) -> Kind:
     """What looks as if it lay, where it stands along the file's `up`."""
+    doubted = warns("orientation-uncertain")
     return Kind(
-        file_type=file_type,
-        content=lambda: exported(mesh(), up=up, kind=file_type),
-        is_right=lambda stated: stated["up"] == up or warned(stated, "orientation-uncertain"),
+        lambda: exported(mesh(), up=up, kind=file_type), lambda stated: stated["up"] == up or doubted(stated), file_type
     )
+
+
+def on_a_disc() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
+    return grown("maple"), trimesh.creation.cylinder(3, 0.1).apply_translation((0, 0, -0.05))
+
+
+def of_30_m() -> bytes:
+    return exported(grown("shrub").copy().apply_scale(30 / grown("shrub").extents[2]))
+
+
+def is_doubted_in_size_and_axis(stated: Verdict) -> bool:
+    upright = stated["up"] == "-Y" or "orientation-uncertain" in stated["warnings"]
+    return upright and "size-unknown" in stated["warnings"]
 
 
 KINDS = {
     "willow": Kind(
-        file_type="glb",
-        content=lambda: exported(grown("weeping", 1, base_size=0.08)),
-        is_right=lambda stated: one(stated) and stated["still"] == 0,
+        lambda: exported(grown("weeping", 1, base_size=0.08)), lambda stated: is_one(stated) and stated["still"] == 0
     ),
-    "willow to the ground": Kind(
-        file_type="glb", content=lambda: exported(grown("weeping", base_size=0.03)), is_right=one
-    ),
-    "beech": Kind(file_type="glb", content=lambda: exported(grown("spreading-broadleaf", hang=1.0)), is_right=one),
-    "bush": Kind(file_type="glb", content=lambda: exported(grown("shrub", hang=1.0)), is_right=one),
-    "three trees": Kind(file_type="glb", content=stand, is_right=lambda stated: stated["trees"] == 3),
-    "plant named NurbsPath": Kind(
-        file_type="glb",
-        content=lambda: exported(*potted(), names=("NurbsPath", "Cylinder.001")),
-        is_right=lambda stated: stated["still"] == faces_of(potted()[1]),
-    ),
-    "plant named Path in a Planter": Kind(
-        file_type="glb",
-        content=lambda: exported(*potted(), names=("Path.003", "Planter")),
-        is_right=lambda stated: stated["still"] == faces_of(potted()[1]),
-    ),
+    "willow to the ground": Kind(lambda: exported(grown("weeping", base_size=0.03)), is_one),
+    "beech": Kind(lambda: exported(grown("spreading-broadleaf", hang=1.0)), is_one),
+    "bush": Kind(lambda: exported(grown("shrub", hang=1.0)), is_one),
+    "three trees": Kind(stand, lambda stated: stated["trees"] == 3),
+    "plant named NurbsPath": scene(potted, "NurbsPath", "Cylinder.001"),
+    "plant named Path in a Planter": scene(potted, "Path.003", "Planter"),
     "log": lying(log, "+Y", "obj"),
     "bare log": lying(partial(log, branches=False), "+Z", "stl"),
     "stump": lying(stump, "+Y", "obj"),
-    "tree along +Z in a GLB": Kind(
-        file_type="glb",
-        content=lambda: exported(grown("round-broadleaf"), up="+Z"),
-        is_right=lambda stated: warned(stated, "orientation-uncertain"),
-    ),
-    "low-poly tree along +Z in a GLB": Kind(
-        file_type="glb",
-        content=lambda: exported(low_poly(), up="+Z"),
-        is_right=lambda stated: warned(stated, "orientation-uncertain"),
-    ),
-    "low-poly tree along +Y in a GLB": Kind(
-        file_type="glb", content=lambda: exported(low_poly()), is_right=lambda stated: stated["warnings"] == []
-    ),
-    "tree along +Y in a GLB": Kind(
-        file_type="glb",
-        content=lambda: exported(grown("round-broadleaf")),
-        is_right=lambda stated: stated["warnings"] == [],
-    ),
-    "fused points of photos": Kind(
-        file_type="ply",
-        content=photogrammetry,
-        is_right=lambda stated: (
-            warned(stated, "size-unknown") and (stated["up"] == "-Y" or warned(stated, "orientation-uncertain"))
-        ),
-    ),
+    "tree along +Z in a GLB": Kind(lambda: exported(grown("round-broadleaf"), up="+Z"), warns("orientation-uncertain")),
+    "low-poly tree along +Z in a GLB": Kind(lambda: exported(low_poly(), up="+Z"), warns("orientation-uncertain")),
+    "low-poly tree along +Y in a GLB": Kind(lambda: exported(low_poly()), is_calm),
+    "tree along +Y in a GLB": Kind(lambda: exported(grown("round-broadleaf")), is_calm),
+    "fused points of photos": Kind(photogrammetry, is_doubted_in_size_and_axis, "ply"),
     "splat under a sky": Kind(
-        file_type="ply",
-        content=under_a_dome,
-        is_right=lambda stated: 4.5 < stated["moving_height_m"] < 5.6 and stated["still"] > 30_000,
+        under_a_dome, lambda stated: 4.5 < stated["moving_height_m"] < 5.6 and stated["still"] > 30_000, "ply"
     ),
     "robot on a lawn": Kind(
-        file_type="ply",
-        content=robot_on_a_lawn,
-        is_right=lambda stated: warned(stated, "not-like-a-plant") and stated["still"] > 20_000,
+        robot_on_a_lawn, lambda stated: warns("not-like-a-plant")(stated) and stated["still"] > 20_000, "ply"
     ),
-    "mesh in a unit cube": Kind(
-        file_type="obj",
-        content=lambda: exported(shrunk("maple"), kind="obj"),
-        is_right=lambda stated: warned(stated, "size-doubtful"),
-    ),
-    "bush of 30 m": Kind(
-        file_type="glb",
-        content=lambda: exported(grown("shrub").copy().apply_scale(30 / grown("shrub").extents[2])),
-        is_right=lambda stated: warned(stated, "size-doubtful"),
-    ),
-    "trellis": Kind(
-        file_type="glb",
-        content=lambda: exported(*trellis()),
-        is_right=lambda stated: stated["still"] == faces_of(trellis()[1]),
-    ),
-    "pot on a table": Kind(
-        file_type="glb",
-        content=lambda: exported(*on_a_table()),
-        is_right=lambda stated: stated["still"] == faces_of(*on_a_table()[1:]),
-    ),
-    "pot on a stool": Kind(
-        file_type="glb",
-        content=lambda: exported(*on_a_stool()),
-        is_right=lambda stated: stated["still"] == faces_of(*on_a_stool()[1:]),
-    ),
-    "ground disc": Kind(
-        file_type="glb",
-        content=lambda: exported(grown("maple"), trimesh.creation.cylinder(3, 0.1).apply_translation((0, 0, -0.05))),
-        is_right=lambda stated: stated["still"] == faces_of(trimesh.creation.cylinder(3, 0.1)),
-    ),
+    "mesh in a unit cube": Kind(lambda: exported(shrunk("maple"), kind="obj"), warns("size-doubtful"), "obj"),
+    "bush of 30 m": Kind(of_30_m, warns("size-doubtful")),
+    "trellis": scene(trellis),
+    "pot on a table": scene(on_a_table),
+    "pot on a stool": scene(on_a_stool),
+    "ground disc": scene(on_a_disc),
 }

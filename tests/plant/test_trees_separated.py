@@ -10,23 +10,34 @@ from dynamictree.formats.description import describe_trees
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.plant.trees.of_mesh import dense_points, mesh_points, only_tree_of, with_trees
 from dynamictree.plant.trees.segment import segment_trees
-from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import tube
 from tests.plant.kinds import verdict
-from tests.plant.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
+from tests.plant.stand import HEIGHTS_M, PLACES_M, grown, on_ground, scattered, share_right, stand_of_five, tree
 
 
 def num_trees(mesh: TriangleMesh) -> int:
     return int(segment_trees(dense_points(mesh)[0]).max()) + 1
 
 
-def test_five_trees_in_a_mesh_are_separated_by_face() -> None:
+@pytest.fixture(scope="module")
+def five() -> tuple[TriangleMesh, np.ndarray]:
+    """Five trees with labels, and the tree of each face in truth."""
     mesh, truth = stand_of_five()
-    labelled = with_trees(mesh)
+    return with_trees(mesh), truth
+
+
+def test_five_trees_in_a_mesh_are_separated_and_numbered_from_left_to_right(
+    five: tuple[TriangleMesh, np.ndarray],
+) -> None:
+    labelled, truth = five
     assert labelled.face_tree.max() + 1 == 5
     assert share_right(labelled.face_tree.astype(np.int64), truth) >= 0.95
     assert [warning.code for warning in labelled.warnings] == ["several-trees"]
+    order = sorted(range(5), key=lambda number: PLACES_M[number])
+    for number, result in zip(order, describe_trees(*mesh_points(labelled)), strict=True):
+        np.testing.assert_allclose([result["x_m"], result["y_m"]], PLACES_M[number], atol=0.3)
+        assert result["height_m"] == pytest.approx(HEIGHTS_M[number], rel=0.05)
 
 
 def test_five_trees_in_a_scan_are_separated_by_point_and_the_ground_is_of_none() -> None:
@@ -52,18 +63,8 @@ def test_conifers_whose_boughs_begin_low_and_meet_are_separated() -> None:
     assert share_right(labels.astype(np.int64), np.repeat([0, 1], len(firs) // 2)) >= 0.95
 
 
-def test_trees_are_numbered_from_left_to_right_with_their_feet_and_heights() -> None:
-    mesh, _ = stand_of_five()
-    trees = describe_trees(*mesh_points(with_trees(mesh)))
-    order = sorted(range(5), key=lambda number: PLACES_M[number])
-    for number, result in zip(order, trees, strict=True):
-        np.testing.assert_allclose([result["x_m"], result["y_m"]], PLACES_M[number], atol=0.3)
-        assert result["height_m"] == pytest.approx(HEIGHTS_M[number], rel=0.05)
-
-
-def test_one_of_several_trees_is_cut_out_as_it_stands() -> None:
-    mesh, truth = stand_of_five()
-    labelled = with_trees(mesh)
+def test_one_of_several_trees_is_cut_out_as_it_stands(five: tuple[TriangleMesh, np.ndarray]) -> None:
+    labelled, truth = five
     leftmost = only_tree_of(labelled, 1)
     assert leftmost.face_tree is None
     assert leftmost.num_faces == pytest.approx((truth == 4).sum(), rel=0.05)
@@ -76,7 +77,7 @@ def test_one_of_several_trees_is_cut_out_as_it_stands() -> None:
 
 @pytest.mark.parametrize("name", SPECIES)
 def test_one_tree_of_any_species_stays_one(name: str) -> None:
-    mesh = grow_tree(SPECIES[name], np.random.default_rng([1, len(name)])).mesh
+    mesh = grown(name)
     assert num_trees(replace(mesh, look=replace(mesh.look, materials=(), face_material=None))) == 1
 
 
