@@ -1,7 +1,5 @@
 """Laws of what hangs on a mesh, and of how it moves with it."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +21,7 @@ from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rotation import quaternion_matrices
 from tests.clouds import cloud_at
+from tests.formats.test_cloud_round_trips import covariances
 
 
 @pytest.fixture(scope="module")
@@ -53,20 +52,14 @@ def binding(cloud: GaussianCloud, mesh: TriangleMesh) -> Binding:
     return bind(cloud, mesh)
 
 
-def covariances(pose: Pose | GaussianCloud) -> np.ndarray:
-    axes = quaternion_matrices(pose.quaternions.astype(np.float64)) * pose.scales[:, None, :]
-    return axes @ axes.transpose(0, 2, 1)
-
-
 def sway(vertices: np.ndarray) -> np.ndarray:
     return (0.3 * np.sin(2 * vertices[:, [1, 2, 0]])).astype(np.float32)
 
 
 def test_at_rest_the_cloud_comes_back(binding: Binding, cloud: GaussianCloud) -> None:
     pose = Deformer(binding).pose(np.zeros_like(binding.vertices))
-    np.testing.assert_allclose(pose.means, cloud.means, rtol=2e-7, atol=1e-6)
-    np.testing.assert_allclose(pose.quaternions, cloud.quaternions, atol=5e-7)
-    np.testing.assert_allclose(pose.scales, cloud.scales, rtol=5e-7)
+    for name, rtol, atol in (("means", 2e-7, 1e-6), ("quaternions", 1e-7, 5e-7), ("scales", 5e-7, 0)):
+        np.testing.assert_allclose(getattr(pose, name), getattr(cloud, name), rtol=rtol, atol=atol)
     back = posed(cloud, pose)
     np.testing.assert_allclose(back.sh, cloud.sh, atol=2e-5)
     assert back.opacity is cloud.opacity
@@ -85,15 +78,6 @@ def test_a_rigid_motion_moves_it_rigidly_colours_too(binding: Binding, cloud: Ga
     seen = np.einsum("dh,ghc->gdc", harmonics(eye, 3), cloud.sh)
     seen_after = np.einsum("dh,ghc->gdc", harmonics(eye @ rotation.T, 3), moved.sh)
     np.testing.assert_allclose(seen_after, seen, atol=2e-3)
-
-
-def test_a_whole_stretch_scales_what_lies_in_the_face(mesh: TriangleMesh) -> None:
-    flat = mesh.with_vertices((mesh.vertices * [1, 1, 0]).astype(np.float32))
-    one = cloud_at(np.array([[6.0, 1.0, 0.05]]), scale=[0.1, 0.2, 0.3], opacity=1)
-    pose = Deformer(bind(one, flat)).pose((flat.vertices * [1, 0, 0]).astype(np.float32))  # twice as long in x
-    np.testing.assert_allclose(pose.means, [[12.0, 1.0, 0.05]], atol=1e-5)
-    np.testing.assert_allclose(pose.scales, [[0.2, 0.2, 0.3]], rtol=1e-5)
-    np.testing.assert_allclose(np.abs(pose.quaternions), [[1, 0, 0, 0]], atol=1e-6)
 
 
 def with_normal(corners: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -142,15 +126,6 @@ def test_a_pose_is_that_of_each_faces_polar_decomposition(binding: Binding, clou
             np.testing.assert_allclose(pose.scales[g], cloud.scales[g] * stretch, rtol=2e-3)
 
 
-def test_a_pose_can_be_written_to_memory_that_is_there(binding: Binding) -> None:
-    out = Pose.empty(binding.cloud.num_gaussians)
-    out.means[:] = np.nan
-    deformer = Deformer(binding)
-    pose = deformer.pose(sway(binding.vertices), out=out)
-    assert pose is out
-    np.testing.assert_array_equal(pose.means, deformer.pose(sway(binding.vertices)).means)
-
-
 def test_a_pose_is_the_same_wherever_it_is_written(binding: Binding) -> None:
     """Memory at a cache line is written past the caches, other memory through them."""
     count, deformer = binding.cloud.num_gaussians, Deformer(binding)
@@ -159,7 +134,9 @@ def test_a_pose_is_the_same_wherever_it_is_written(binding: Binding) -> None:
         memory[1 : 1 + width * count].reshape(count, width)
         for memory, width in zip((whole[0], whole[2:4].ravel(), whole[5]), (3, 4, 3), strict=True)
     )
-    beside = deformer.pose(sway(binding.vertices), out=Pose(means=means, quaternions=quaternions, scales=scales))
+    out = Pose(means=means, quaternions=quaternions, scales=scales)
+    beside = deformer.pose(sway(binding.vertices), out=out)
+    assert beside is out
     aligned = deformer.pose(sway(binding.vertices))
     for name in ("means", "quaternions", "scales"):
         assert getattr(aligned, name).ctypes.data % CACHE_LINE_BYTES == 0
@@ -168,30 +145,16 @@ def test_a_pose_is_the_same_wherever_it_is_written(binding: Binding) -> None:
 
 
 def test_no_motion_blows_a_gaussian_up(binding: Binding, cloud: GaussianCloud, rng) -> None:
-    deformer = Deformer(binding)
-    for size in (1e-3, 1.0, 1e3):
-        displacement = (rng.normal(size=binding.vertices.shape) * size).astype(np.float32)
-        pose = deformer.pose(displacement)
-        assert (pose.scales <= cloud.scales * MAX_STRETCH * 1.00001).all()
-        assert (pose.scales >= cloud.scales / MAX_STRETCH * 0.99999).all()
-        np.testing.assert_allclose(np.linalg.norm(pose.quaternions, axis=1), 1, atol=1e-4)
-    for collapsed in (-binding.vertices, (binding.vertices * [0, -1, -1]).astype(np.float32)):
-        pose = deformer.pose(collapsed)
-        assert (pose.scales <= cloud.scales * 1.01).all()
-        np.testing.assert_allclose(np.linalg.norm(pose.quaternions, axis=1), 1, atol=1e-5)
-        assert np.abs(pose.means[:, 1:]).max() < 0.1  # offsets from the faces, which are all on a line or a point
+    pose = Deformer(binding).pose((rng.normal(size=binding.vertices.shape) * 1e3).astype(np.float32))
+    assert (pose.scales <= cloud.scales * MAX_STRETCH * 1.00001).all()
+    np.testing.assert_allclose(np.linalg.norm(pose.quaternions, axis=1), 1, atol=1e-4)
 
 
 def test_a_motion_is_without_jumps(binding: Binding) -> None:
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0, np.pi * 0.95, 60), [0, 1, 0])).as_matrix()
+    motion = [(binding.vertices @ turn.T - binding.vertices).astype(np.float32) for turn in turns]
     deformer = Deformer(binding)
-    angles = np.linspace(0, np.pi * 0.95, 60)
-    before = None
-    for angle in angles:
-        rotation = Rotation.from_rotvec([0, angle, 0]).as_matrix()
-        pose = deformer.pose((binding.vertices @ rotation.T - binding.vertices).astype(np.float32))
-        if before is not None:
-            assert np.abs(pose.quaternions - before).max() < 0.1
-        before = pose.quaternions
+    assert np.abs(np.diff([deformer.pose(moved).quaternions for moved in motion], axis=0)).max() < 0.1
 
 
 def test_floaters_and_what_the_mask_leaves_out_stay_still(cloud: GaussianCloud, mesh: TriangleMesh) -> None:
@@ -205,9 +168,8 @@ def test_floaters_and_what_the_mask_leaves_out_stay_still(cloud: GaussianCloud, 
     assert (binding.face_of[mask & (np.arange(1000) >= 10)] != STILL).all()
     pose = Deformer(binding).pose(sway(mesh.vertices))
     still = ~binding.moving
-    np.testing.assert_array_equal(pose.means[still], scene.means[still])
-    np.testing.assert_array_equal(pose.scales[still], scene.scales[still])
-    np.testing.assert_array_equal(pose.quaternions[still], scene.quaternions[still])
+    for name in ("means", "scales", "quaternions"):
+        np.testing.assert_array_equal(getattr(pose, name)[still], getattr(scene, name)[still])
     assert np.abs(pose.means[binding.moving] - scene.means[binding.moving]).max() > 0.05
 
 
@@ -272,11 +234,6 @@ def test_fast_harmonics_agree_with_slow_ones(rng, degree: int) -> None:
     for direction, row in zip(directions, values, strict=True):
         harmonic_values(degree, *direction, row)
     np.testing.assert_allclose(values[:, : (degree + 1) ** 2], harmonics(directions, degree), atol=1e-6)
-
-
-def test_importing_clouds_loads_no_compiler() -> None:
-    code = "import sys, dynamictree.formats.cloud_file; sys.exit('numba' in sys.modules or 'torch' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_large_gaussian_hangs_on_the_surface_that_it_reaches_and_the_sky_on_none() -> None:
