@@ -23,17 +23,10 @@ def two_balls() -> TriangleMesh:
     far, far_faces = _ball((-0.3, 0.5, 1.1), 0.9)
     needle = np.array([[-1.5, -0.9, 0.1], [1.5, -0.2, 2.0], [1.5, -0.2, 2.02]])
     vertices = np.concatenate([near, far, needle]).astype(np.float32)
-    faces = np.concatenate(
-        [near_faces, far_faces + len(near), np.arange(3)[None] + len(near) + len(far)], dtype=np.int32
-    )
-    colors = np.concatenate(
-        [
-            np.tile([220, 40, 30, 255], (len(near), 1)),
-            np.tile([30, 60, 200, 255], (len(far), 1)),
-            np.tile([240, 240, 240, 255], (3, 1)),
-        ]
-    ).astype(np.uint8)
-    return TriangleMesh(vertices=vertices, faces=faces, look=MeshLook(vertex_colors=colors))
+    all_faces = [near_faces, far_faces + len(near), np.arange(3)[None] + len(near) + len(far)]
+    colors = np.uint8([[220, 40, 30, 255], [30, 60, 200, 255], [240, 240, 240, 255]])
+    look = MeshLook(vertex_colors=colors.repeat([len(near), len(far), 3], axis=0))
+    return TriangleMesh(vertices=vertices, faces=np.concatenate(all_faces, dtype=np.int32), look=look)
 
 
 def facing_card(z: float = 0.0, *, y: float = 0.0, half_m: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -4,18 +4,9 @@ import numpy as np
 from PIL import Image
 
 from dynamictree.mesh import Material
-from dynamictree.render import amplitude_colors, draw_contact_sheet, sway_amplitude
+from dynamictree.render import amplitude_colors, sway_amplitude
 from dynamictree.render.contact_sheet import _bare
-from dynamictree.spectrum import from_motion, to_motion
-
-
-def swaying(mesh, amplitude_m: float) -> np.ndarray:
-    """Every vertex sways along x twice a loop, by its height."""
-    time = np.arange(100) / 100
-    height = mesh.vertices[:, 2] / mesh.vertices[:, 2].max()
-    motion = np.zeros((100, mesh.num_vertices, 3), np.float32)
-    motion[:, :, 0] = amplitude_m * np.sin(4 * np.pi * time)[:, None] * height
-    return from_motion(motion)
+from dynamictree.spectrum import to_motion
 
 
 def test_sway_is_the_root_mean_square_about_the_mean_place(rng):
@@ -37,18 +28,6 @@ def test_what_stands_still_is_grey():
     colors = amplitude_colors(np.float32([0.0, 0.5, 1.0]), np.array([True, False, False])).astype(int)
     assert np.ptp(colors[0, :3]) < 10
     assert (colors[1:] == amplitude_colors(np.float32([0.0, 0.5, 1.0]))[1:]).all()
-
-
-def test_a_sheet_has_every_part(two_balls):
-    sheet = draw_contact_sheet(two_balls, swaying(two_balls, 0.15))
-    assert sheet.dtype == np.uint8
-    assert sheet.shape[1] == 1280
-    still, sway, strip = sheet[40:800, :800], sheet[40:800, 800:], sheet[-220:]
-    for part in (still, sway, strip):
-        assert part.std() > 10
-    frames = strip.reshape(len(strip), 8, 160, 3)
-    assert np.abs(frames[:, 0].astype(int) - frames[:, 1]).max() > 60
-    assert np.abs(frames[:, 0].astype(int) - frames[:, 4]).max() < 40  # half a loop later: the same place
 
 
 def test_the_sway_in_colours_takes_a_texture_for_its_outline_alone():

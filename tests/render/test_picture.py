@@ -1,9 +1,7 @@
 from dataclasses import replace
-from io import BytesIO
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from dynamictree.color import linear_from_bytes, linear_to_srgb
 from dynamictree.errors import FormatError, InputError, MeshError
@@ -12,6 +10,7 @@ from dynamictree.render import Camera, Look, Renderer
 from dynamictree.render import shade as light
 from dynamictree.render.appearance import foliage_faces
 from dynamictree.render.camera import in_view
+from tests.formats.meshes import png_of
 from tests.render.conftest import facing_card
 from tests.render.test_raster import cast_rays
 
@@ -21,12 +20,6 @@ PLAIN = Look(width=64, height=64, ground=False, shadows=False)
 
 def render_mesh(mesh: TriangleMesh, camera: Camera | None = None, *, look: Look | None = None) -> np.ndarray:
     return Renderer(mesh, look).picture(camera=camera)
-
-
-def png_of(pixels: np.ndarray) -> bytes:
-    stream = BytesIO()
-    Image.fromarray(pixels).save(stream, format="PNG")
-    return stream.getvalue()
 
 
 def psnr_db(first: np.ndarray, second: np.ndarray) -> float:
@@ -78,44 +71,30 @@ def test_supersampling_is_the_mean_of_a_finer_picture(two_balls):
     assert psnr_db(coarse, mean) > 40
 
 
-def test_the_nearer_surface_hides_the_farther(two_balls):
-    picture = render_mesh(two_balls, Camera.orbit(two_balls.vertices, azimuth_deg=0.0), look=PLAIN).astype(int)
-    x, y, _ = Camera.orbit(two_balls.vertices, azimuth_deg=0.0).project(np.array([[0.2, -1.6, 1.2]]), 64, 64)[0]
-    red, _, blue = picture[int(y), int(x)]
-    assert red > 2 * blue
-    behind = render_mesh(two_balls, Camera.orbit(two_balls.vertices, azimuth_deg=180.0), look=PLAIN).astype(int)
-    x, y, _ = Camera.orbit(two_balls.vertices, azimuth_deg=180.0).project(np.array([[-0.3, 1.4, 1.2]]), 64, 64)[0]
-    red, _, blue = behind[int(y), int(x)]
-    assert blue > 2 * red
+def card(material: Material) -> TriangleMesh:
+    vertices, faces, uv = facing_card()
+    look = MeshLook(uv=uv, face_material=np.zeros(2, np.int32), materials=(material,))
+    return TriangleMesh(vertices=vertices, faces=faces, look=look)
 
 
 def test_a_card_is_cut_out_where_its_texture_is_clear():
-    vertices, faces, uv = facing_card()
     texture = np.zeros((16, 16, 4), np.uint8)
     texture[:, :8] = [0, 200, 0, 255]  # the left half is green, the right half clear
     leaf = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png_of(texture), alpha_cutoff=0.5)
-    card = TriangleMesh(
-        vertices=vertices, faces=faces, look=MeshLook(uv=uv, face_material=np.zeros(2, np.int32), materials=(leaf,))
-    )
-    behind = Renderer(card, PLAIN)
-    face = behind.buffers(FRONT).face
+    face = Renderer(card(leaf), PLAIN).buffers(FRONT).face
     left, right = face[32, 16:31], face[32, 33:48]
     assert (left >= 0).all()
     assert (right == -1).all()
-    opaque = Renderer(replace(card, look=replace(card.look, materials=(replace(leaf, alpha_cutoff=None),))), PLAIN)
+    opaque = Renderer(card(replace(leaf, alpha_cutoff=None)), PLAIN)
     assert (opaque.buffers(FRONT).face[32, 33:48] >= 0).all()
 
 
 def test_a_texture_lies_as_its_coordinates_say():
-    vertices, faces, uv = facing_card()
     texture = np.zeros((2, 2, 3), np.uint8)
     texture[0, 0], texture[0, 1], texture[1, 0], texture[1, 1] = [255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]
     texture = np.repeat(np.repeat(texture, 64, axis=0), 64, axis=1)
     material = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png_of(texture))
-    card = TriangleMesh(
-        vertices=vertices, faces=faces, look=MeshLook(uv=uv, face_material=np.zeros(2, np.int32), materials=(material,))
-    )
-    picture = Renderer(card, PLAIN).picture(camera=FRONT).astype(int)
+    picture = Renderer(card(material), PLAIN).picture(camera=FRONT).astype(int)
     above_left, above_right, below_left, below_right = picture[[24, 24, 40, 40], [24, 40, 24, 40]]
     assert above_left.argmax() == 0
     assert above_left[1] < 60
@@ -126,13 +105,9 @@ def test_a_texture_lies_as_its_coordinates_say():
 
 
 def test_both_sides_of_a_card_are_lit():
-    vertices, faces, _ = facing_card()
-    white = (Material(base_color=(1.0, 1.0, 1.0, 1.0)),)
-    front = TriangleMesh(
-        vertices=vertices, faces=faces, look=MeshLook(face_material=np.zeros(2, np.int32), materials=white)
-    )
-    back = replace(front, faces=np.ascontiguousarray(faces[:, ::-1]))
-    camera = Camera.orbit(vertices, azimuth_deg=17.0)
+    front = card(Material(base_color=(1.0, 1.0, 1.0, 1.0)))
+    back = replace(front, faces=np.ascontiguousarray(front.faces[:, ::-1]))
+    camera = Camera.orbit(front.vertices, azimuth_deg=17.0)
     pictures = [Renderer(mesh, PLAIN).picture(camera=camera).astype(int) for mesh in (front, back)]
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
 
@@ -176,15 +151,11 @@ def test_a_displacement_moves_what_is_seen(two_balls):
 def test_a_mesh_without_colours_gets_clay_for_wood_and_for_leaves(two_balls):
     bare = replace(two_balls, look=replace(two_balls.look, vertex_colors=None))
     leaves = foliage_faces(bare.faces, bare.num_vertices)
-    assert leaves[-1]
-    assert not leaves[:-1].any()
+    assert np.flatnonzero(leaves).tolist() == [len(leaves) - 1]
     red, green, blue = render_mesh(bare, look=PLAIN)[32, 32].astype(int)
     assert red > green > blue  # wood is brown
-
-
-def test_separate_triangles_alone_do_not_make_a_mesh_of_leaves(two_balls):
-    faces = np.arange(two_balls.num_faces * 3, dtype=np.int32).reshape(-1, 3)
-    assert not foliage_faces(faces, faces.size).any()
+    separate = np.arange(two_balls.num_faces * 3, dtype=np.int32).reshape(-1, 3)
+    assert not foliage_faces(separate, separate.size).any(), "separate triangles alone are no leaves"
 
 
 @pytest.mark.parametrize("size", [{"width": 0}, {"height": 5000}, {"supersampling": 9}])
@@ -246,20 +217,18 @@ def test_what_stands_still_is_drawn_in_grey_if_asked(two_balls: TriangleMesh, ki
         if kind == "texture":
             red = Material(texture_png=png_of(np.tile(np.uint8([220, 40, 30]), (4, 4, 1))))
         blue = Material(base_color=(0.02, 0.05, 0.6, 1.0))
-        mesh = replace(
-            mesh,
-            look=replace(mesh.look, vertex_colors=None, materials=(red, blue), face_material=(~still).astype(np.int32)),
-        )
+        of_face = (~still).astype(np.int32)
+        look = replace(mesh.look, vertex_colors=None, materials=(red, blue), face_material=of_face)
+        mesh = replace(mesh, look=look)
     plain = Renderer(mesh, PLAIN).picture().astype(int)
     grey = Renderer(mesh, replace(PLAIN, grey_still=True)).picture().astype(int)
     ball = Renderer(mesh, PLAIN).buffers().face
     inside = (ball >= 0) & (ball < count)
     assert inside.sum() > 300
-    for step in (-1, 1):  # its rim is mixed with what is behind
-        inside &= np.roll(inside, step, axis=0) & np.roll(inside, step, axis=1)
-    others = ~((ball >= 0) & (ball < count))
-    for step in (-1, 1):
-        others &= np.roll(others, step, axis=0) & np.roll(others, step, axis=1)
+    others = ~inside
+    for part in (inside, others):  # whose rims are mixed
+        for step in (-1, 1):
+            part &= np.roll(part, step, axis=0) & np.roll(part, step, axis=1)
     assert np.median(np.ptp(plain[inside], axis=1)) > 60
     assert np.median(np.ptp(grey[inside], axis=1)) < 25  # the light itself is warm
     assert (grey[others] == plain[others]).all()
