@@ -133,11 +133,8 @@ def test_glslang_compiles_the_hlsl(archive: zipfile.ZipFile, name: str, call: st
         pytest.skip("glslangValidator is not there: apt-get install glslang-tools")
     text = archive.read(name).decode()
     if name.endswith(".shader"):
-        text = (
-            text.partition("CGPROGRAM")[2]
-            .partition("ENDCG")[0]
-            .replace('#include "UnityCustomRenderTexture.cginc"', "")
-        )
+        text = text.partition("CGPROGRAM")[2].partition("ENDCG")[0]
+        text = text.replace('#include "UnityCustomRenderTexture.cginc"', "")
     elif "unreal" in name:
         code = text.partition("TreeWind tree;")
         inputs = {

@@ -3,8 +3,6 @@
 import io
 import json
 import zipfile
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pygltflib
@@ -16,30 +14,18 @@ from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree import method
 from dynamictree.export.levels import SHARES
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.write import RIG_SHARE, write_products
 from dynamictree.mesh import TriangleMesh, connected_parts
-from dynamictree.requests import ExportParams
 from dynamictree.spectrum import to_motion
-from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.export.conftest import NUM_FRAMES, Products, Sapling
 
-NUM_FRAMES = 32
 Written = tuple[TriangleMesh, np.ndarray, zipfile.ZipFile, Facts]
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> Written:
-    sample = make_sample(3, "sapling")
-    spectrum = replace(voxel_spectrum(sample, 64)[1], fps=7.68, num_frames=NUM_FRAMES)
-    facts: dict[str, Facts] = {}
-    folder: Path = tmp_path_factory.mktemp("lod")
-    options = ExportParams(formats=("lod",))
-    shares: list[float] = []
-    path = write_products(sample.mesh, spectrum, options, folder, shares.append, on_facts=facts.__setitem__)["lod"]
-    own = [share for share in shares if 0 < share < 1]
-    assert own == sorted(own)
-    assert (np.histogram(list(set(own)), [0, RIG_SHARE, 1])[0] > [7, 10]).all()
-    truth = to_motion(method.devoxelize(spectrum, sample.mesh), NUM_FRAMES)
-    return sample.mesh, truth, zipfile.ZipFile(path), facts["lod"]
+def written(sapling: Sapling, products: Products) -> Written:
+    mesh, spectrum = sapling
+    truth = to_motion(method.devoxelize(spectrum, mesh), NUM_FRAMES)
+    return mesh, truth, zipfile.ZipFile(products[0]["lod"]), products[1]["lod"]
 
 
 def positions(content: bytes) -> np.ndarray:
@@ -95,11 +81,8 @@ def test_leaves_that_stay_hang_where_they_hung(written: Written) -> None:
         remaining = np.unique(own[corners])
         stays = {place.tobytes(): number for number, place in enumerate(mesh.vertices)}
         for leaf_part in remaining:
-            at = [
-                stays[p.tobytes()]
-                for p in rest[np.unique(corners[own[corners[:, 0]] == leaf_part])]
-                if p.tobytes() in stays
-            ]
+            places = rest[np.unique(corners[own[corners[:, 0]] == leaf_part])]
+            at = [stays[place.tobytes()] for place in places if place.tobytes() in stays]
             assert len(at) >= 1
             assert len(np.unique(part[at])) == 1
 

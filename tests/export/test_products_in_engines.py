@@ -1,10 +1,8 @@
 """Every product of one spectrum, opened by a tool that is not ours, shows the spectrum's motion."""
 
-import io
 import json
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pygltflib
@@ -13,52 +11,24 @@ import trimesh
 from alembic3d import Abc, AbcGeom
 from pxr import Usd, UsdGeom
 from safetensors.numpy import load_file
-from scipy.spatial.transform import Rotation
 
 from benchmarks._played import played_morphs, played_skin, played_usd_skin, reported_facts, world_matrices, z_up
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
-from dynamictree.formats.gltf.writer import write_glb
-from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.alembic import write_motion_alembic
-from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.rig.rig import rig_of
 from dynamictree.rig.skin import skin_of
-from dynamictree.spectrum import SparseVoxelSpectrum, Wind
-from lab.dataset.sample import make_sample, voxel_spectrum
-from tests.formats.meshes import written
+from dynamictree.spectrum import Wind
+from tests.export.conftest import FPS, NUM_FRAMES, Products, Sapling
+from tests.formats.test_engine_files import problems_of
 from tests.js_tools import validated
 
-FPS, NUM_FRAMES = 7.68, 32  # of the same loop, with few frames
-FORMATS = tuple(name for name, product in PRODUCTS.items() if product.shows == "mesh")
-
 
 @pytest.fixture(scope="module")
-def tree() -> tuple[TriangleMesh, SparseVoxelSpectrum]:
-    sample = make_sample(3, "sapling")
-    return sample.mesh, replace(voxel_spectrum(sample, 64)[1], fps=FPS, num_frames=NUM_FRAMES)
-
-
-@pytest.fixture(scope="module")
-def truth(tree: tuple[TriangleMesh, SparseVoxelSpectrum]) -> np.ndarray:
-    return np.stack(list(method.move(tree[1], tree[0], flutter=0.0)))
-
-
-@pytest.fixture(scope="module")
-def products(
-    tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path_factory
-) -> tuple[dict[str, Path], dict[str, Facts]]:
-    facts: dict[str, Facts] = {}
-    options = ExportParams(formats=FORMATS, fps=FPS, joints=64, flutter=0.0)
-    folder = tmp_path_factory.mktemp("products")
-    paths = write_products(*tree, options, folder, on_facts=facts.__setitem__)
-    return paths, facts
-
-
-Products = tuple[dict[str, Path], dict[str, Facts]]
+def truth(sapling: Sapling) -> np.ndarray:
+    return np.stack(list(method.move(sapling[1], sapling[0], flutter=0.0)))
 
 
 def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -68,7 +38,9 @@ def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("name", "play"), [("glb", played_skin), ("glb-morph", played_morphs)])
-def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Products, tree, truth: np.ndarray) -> None:
+def test_what_is_not_exact_says_how_far_off_it_is(
+    name: str, play, products: Products, sapling, truth: np.ndarray
+) -> None:
     content, facts = products[0][name].read_bytes(), products[1][name]
     rms, most = errors_m(play(content), truth)
     assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
@@ -76,13 +48,11 @@ def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Pro
     assert facts["relative_error"] == pytest.approx(rms / np.sqrt((truth**2).sum(axis=2).mean()), rel=1e-3)
     assert reported_facts(content) == facts
     assert 0 < facts["relative_error"] < 0.35
-    assert sum(len(part.faces) for part in trimesh.load(products[0][name]).geometry.values()) == tree[0].num_faces
+    assert sum(len(part.faces) for part in trimesh.load(products[0][name]).geometry.values()) == sapling[0].num_faces
 
 
-def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
-    tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path
-) -> None:
-    mesh, spectrum = tree[0], replace(tree[1], wind=Wind(speed_m_s=8.0), fps=24.0, num_frames=100)
+def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(sapling: Sapling, tmp_path) -> None:
+    mesh, spectrum = sapling[0], replace(sapling[1], wind=Wind(speed_m_s=8.0), fps=24.0, num_frames=100)
     facts: dict[str, Facts] = {}
     options = ExportParams(formats=("motion", "glb-morph"), fps=24.0, flutter=1.0)
     paths = write_products(mesh, spectrum, options, tmp_path, on_facts=facts.__setitem__)
@@ -94,30 +64,25 @@ def test_leaves_flutter_frame_by_frame_and_morph_targets_say_that_theirs_do_not(
     assert facts["glb-morph"]["max_error_m"] == pytest.approx(apart, rel=0.05)
 
 
-def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
-    assert set(products[1]) == {"glb", "glb-morph", "usd-skinned", "lod", "rig"}
-
-
 def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
-    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
+    products: Products, sapling: Sapling, truth: np.ndarray
 ) -> None:
     path = products[0]["usd-skinned"]
     played, facts = played_usd_skin(path), products[1]["usd-skinned"]
     assert facts == products[1]["glb"]
+    assert set(products[1]) == {"glb", "glb-morph", "usd-skinned", "lod", "rig"}, "what is exact has nothing to tell"
     rms, most = errors_m(played, truth)
     assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
     assert facts["max_error_m"] == pytest.approx(most, rel=1e-3)
     np.testing.assert_allclose(played[-1], played[0], atol=1e-7)
     np.testing.assert_allclose(played, played_skin(products[0]["glb"].read_bytes()), atol=1e-5)
     stage = Usd.Stage.Open(str(path))
-    assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
-    assert stage.GetTimeCodesPerSecond() == FPS
+    assert problems_of(stage) == []
+    assert (UsdGeom.GetStageUpAxis(stage), stage.GetTimeCodesPerSecond()) == (UsdGeom.Tokens.z, FPS)
 
 
-def test_alembic_has_material_sets_and_seams(
-    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum]
-) -> None:
-    mesh, path = tree[0], products[0]["alembic"]
+def test_alembic_has_material_sets_and_seams(products: Products, sapling: Sapling) -> None:
+    mesh, path = sapling[0], products[0]["alembic"]
     schema = AbcGeom.IPolyMesh(Abc.IArchive(str(path)).getTop(), "tree").getSchema()
     assert schema.getTimeSampling().getSampleTime(1) == pytest.approx(1 / FPS)
     corners = np.array(memoryview(schema.getValue().getFaceIndices())).reshape(-1, 3)
@@ -138,10 +103,8 @@ def test_alembic_has_material_sets_and_seams(
     )
 
 
-def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(
-    tree: tuple[TriangleMesh, SparseVoxelSpectrum], products: Products
-) -> None:
-    mesh, rig = tree[0], rig_of(*tree)
+def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(sapling: Sapling, products: Products) -> None:
+    mesh, rig = sapling[0], rig_of(*sapling)
     all_joints = len(rig.skeleton)
     errors = [skin_of(rig, mesh.vertices, count)[1].relative_error for count in (8, 32, 128, all_joints)]
     assert errors[0] > errors[1] > 1.3 * errors[2] > 0
@@ -149,40 +112,12 @@ def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(
     assert products[1]["glb"]["num_joints"] <= 64
 
 
-def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(
-    tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray, tmp_path
-) -> None:
+def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(sapling: Sapling, truth: np.ndarray, tmp_path) -> None:
     """Keys in 16 bits are off by 0.03 mrad, which no child adds to: 2e-5 of the height, with floats 4e-6."""
-    path = write_products(*tree, ExportParams(formats=("glb",), flutter=0.0), tmp_path)["glb"]
-    assert errors_m(played_skin(path.read_bytes()), truth)[1] < 2e-5 * tree[0].height_m
-    rest = len(trimesh.Trimesh(tree[0].vertices, tree[0].faces, process=False).export(file_type="glb"))
+    path = write_products(*sapling, ExportParams(formats=("glb",), flutter=0.0), tmp_path)["glb"]
+    assert errors_m(played_skin(path.read_bytes()), truth)[1] < 2e-5 * sapling[0].height_m
+    rest = len(trimesh.Trimesh(sapling[0].vertices, sapling[0].faces, process=False).export(file_type="glb"))
     assert path.stat().st_size < 1.3 * rest + 1e6
-
-
-def test_a_skin_stays_in_the_document_of_its_source(tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path) -> None:
-    """Nodes that turn, shrink and move the mesh, and a material of which we read a part."""
-    content = written(write_glb, replace(tree[0], look=MeshLook(materials=(Material(name="bark"),))))
-    document = pygltflib.GLTF2().load_from_bytes(content)
-    turned = Rotation.from_euler("y", 30, degrees=True).as_quat().tolist()
-    document.nodes = [
-        pygltflib.Node(name="above", children=[1], translation=[3, 0, 1], rotation=turned, scale=[0.5, 0.5, 0.5]),
-        pygltflib.Node(name="oak", mesh=0, translation=[0, 0.2, 0]),
-    ]
-    document.materials[0].extensions = {"KHR_materials_sheen": {"sheenRoughnessFactor": 0.3}}
-    document.extensionsUsed = ["KHR_materials_sheen"]
-    mesh = read_mesh(io.BytesIO(b"".join(document.save_to_bytes())), file_type="glb")
-    grid = method.voxelize(mesh, resolution=64).grid
-    coefficients = np.zeros((len(grid), 3, 3), np.complex64)
-    coefficients[:, 1, 0] = coefficients[:, 2, 1] = 0.05 * (grid.centres_m[:, 2] / grid.centres_m[:, 2].max()) ** 2
-    spectrum = SparseVoxelSpectrum(grid=grid, coefficients=coefficients, fps=FPS, num_frames=NUM_FRAMES)
-    path = write_products(mesh, spectrum, ExportParams(formats=("glb",)), tmp_path)["glb"]
-    content = path.read_bytes()
-    truth = np.stack(list(method.move(spectrum, mesh)))
-    assert np.linalg.norm(truth, axis=2).max() > 0.05
-    assert errors_m(played_skin(content), truth)[1] < 5e-5 * mesh.height_m
-    again = pygltflib.GLTF2().load_from_bytes(content)
-    assert again.materials[0].extensions == document.materials[0].extensions
-    assert [node.name for node in again.nodes[:2]] == ["above", "oak"]
 
 
 def test_a_rig_has_wind_groups_for_its_joints(products: Products, truth: np.ndarray) -> None:
@@ -202,10 +137,8 @@ def test_a_rig_has_wind_groups_for_its_joints(products: Products, truth: np.ndar
     assert groups[0]["Influence"] < groups[1]["Influence"]  # a trunk bends less than what it bears
 
 
-def test_capsules_lie_in_the_wood_and_follow_it(
-    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
-) -> None:
-    archive, mesh = zipfile.ZipFile(products[0]["rig"]), tree[0]
+def test_capsules_lie_in_the_wood_and_follow_it(products: Products, sapling: Sapling, truth: np.ndarray) -> None:
+    archive, mesh = zipfile.ZipFile(products[0]["rig"]), sapling[0]
     wood = np.unique(mesh.faces[mesh.look.face_material == 0])
     rig = pygltflib.GLTF2().load_from_bytes(archive.read("tree-rig.glb"))
     world, inside = world_matrices(rig), np.zeros(len(wood), bool)
