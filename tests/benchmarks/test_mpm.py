@@ -15,8 +15,8 @@ def cloud(rng, count=3000):
 def test_a_free_fall_is_the_analytic_one(rng):
     particles = mpm.particles_at(cloud(rng), filled=0.3)
     begin = particles.position.copy()
-    mpm.advance(particles, num_substeps=400, gravity=GRAVITY)
-    seconds = 400 * mpm.DT_S
+    mpm.advance(particles, num_substeps=100, gravity=GRAVITY)
+    seconds = 100 * mpm.DT_S
     fallen = particles.position - begin
     # the method's own sum: speed is updated before place
     np.testing.assert_allclose(fallen[:, 2], GRAVITY * seconds * (seconds + mpm.DT_S) / 2, rtol=2e-3)
@@ -37,23 +37,3 @@ def test_momentum_and_angular_momentum_stay_without_forces(rng):
     mpm.advance(particles, num_substeps=100)
     np.testing.assert_allclose(particles.velocity.mean(axis=0), before, atol=2e-4)
     assert angular() == pytest.approx(spin, rel=0.05)
-
-
-def test_what_is_stretched_springs_back(rng):
-    particles = mpm.particles_at(cloud(rng), filled=0.3)
-    particles.deformation[:, 2, 2] = 1.02
-    mpm.advance(particles, num_substeps=20)
-    middle = particles.position[:, 2].mean()
-    upper = particles.position[:, 2] > middle + 0.1
-    assert particles.velocity[upper, 2].mean() < 0
-
-
-def test_the_fixed_floor_does_not_move(rng):
-    particles = mpm.particles_at(cloud(rng), filled=0.5)
-    floor = float(particles.position[:, 2].min()) + 0.12
-    foot = particles.position[:, 2] < floor - 2.5 * mpm.SIZE / mpm.GRID
-    particles.velocity[~foot, 0] = 0.5
-    begin = particles.position[foot].copy()
-    mpm.advance(particles, num_substeps=50, floor=floor)
-    assert foot.any()
-    np.testing.assert_allclose(particles.position[foot], begin, atol=1e-6)

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PIL import Image
 
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.reconstruct.input_cameras import find_input_cameras
 from dynamictree.render.appearance import appearance_of
+from tests.formats.meshes import gltf_bytes, triangle_gltf, zipped
 from tests.fuzz.readers import READERS
 
 MOST_MIB = 400
@@ -34,12 +34,10 @@ def many_images() -> bytes:
 
 def many_instances() -> bytes:
     """EXT_mesh_gpu_instancing with twelve million places, in an accessor without a buffer: all zero."""
-    root = _triangle()
+    root, binary = triangle_gltf(extensionsUsed=["EXT_mesh_gpu_instancing"])
     root["accessors"].append({"componentType": 5126, "type": "VEC3", "count": 12_000_000})
-    places = {"attributes": {"TRANSLATION": len(root["accessors"]) - 1}}
-    root["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": places}
-    root["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
-    return _glb(root, _CORNERS)
+    root["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}
+    return gltf_bytes(root, binary)
 
 
 def spz_of_zeros() -> bytes:
@@ -66,13 +64,7 @@ def sog_of_one_colour() -> bytes:
     meta["means"] |= {"mins": [0, 0, 0], "maxs": [1, 1, 1]}
     meta["shN"] |= {"bands": 3, "count": 64}
     files = {name: picture.getvalue() for group in names.values() for name in group} | {"p": palette.getvalue()}
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, content in (
-            files | {"meta.json": json.dumps(meta | {"version": 2, "count": count}).encode()}
-        ).items():
-            archive.writestr(name, content)
-    return stream.getvalue()
+    return zipped(files | {"meta.json": json.dumps(meta | {"version": 2, "count": count}).encode()}, zipfile.ZIP_STORED)
 
 
 def cameras_of_nothing() -> bytes:
@@ -90,16 +82,15 @@ def deep_json() -> bytes:
 
 def sparse_accessor() -> bytes:
     """A glTF mesh of 200 million vertices, all zero but one: `sparse` without a buffer."""
-    root = _triangle()
+    root, binary = triangle_gltf(meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}])
     root["accessors"][0] = {"componentType": 5126, "type": "VEC3", "count": 200_000_000}
-    return _glb(root, _CORNERS)
+    return gltf_bytes(root, binary)
 
 
 def nested_nodes() -> bytes:
     """Thirty nodes that each name the next one twice: a billion copies of one triangle."""
-    root = _triangle()
-    root["nodes"] = [{"children": [number + 1, number + 1]} for number in range(30)] + [{"mesh": 0}]
-    return _glb(root, _CORNERS)
+    nodes = [{"children": [number + 1, number + 1]} for number in range(30)] + [{"mesh": 0}]
+    return gltf_bytes(*triangle_gltf(nodes=nodes))
 
 
 def photo_of_one_colour() -> bytes:
@@ -128,14 +119,12 @@ def zip_of_zeros() -> bytes:
 
 def zip_of_cameras() -> bytes:
     """The same as an upload, beside photos."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        archive.writestr("transforms.json", cameras_of_nothing())
-        for number in range(8):
-            picture = io.BytesIO()
-            Image.effect_noise((640, 480), 60).save(picture, "JPEG", quality=95)
-            archive.writestr(f"{number}.jpg", picture.getvalue())
-    return content.getvalue()
+    files = {"transforms.json": cameras_of_nothing()}
+    for number in range(8):
+        picture = io.BytesIO()
+        Image.effect_noise((640, 480), 60).save(picture, "JPEG", quality=95)
+        files[f"{number}.jpg"] = picture.getvalue()
+    return zipped(files)
 
 
 def _cameras(content: bytes) -> object:
@@ -164,24 +153,10 @@ BOMBS: dict[str, tuple[Callable[[], bytes], Callable[[bytes], object], str]] = {
 }
 """How a bomb is made, what reads it, and what should come of it."""
 
-_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
-
-
-def _triangle() -> dict:
-    return {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
-        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": len(_CORNERS)}],
-        "buffers": [{}],
-    }
-
 
 def _textured(*, num_images: int, num_materials: int, side_px: int) -> bytes:
-    root, binary = _triangle(), bytearray(_CORNERS)
-    root["images"], root["textures"], root["materials"] = [], [], []
+    root, corners = triangle_gltf(images=[], textures=[], materials=[])
+    binary = bytearray(corners + b"\0\0")
     for number in range(num_images):
         picture = io.BytesIO()
         Image.new("L", (side_px, side_px), number).save(picture, "PNG", compress_level=9)
@@ -194,13 +169,4 @@ def _textured(*, num_images: int, num_materials: int, side_px: int) -> bytes:
         root["materials"].append({"pbrMetallicRoughness": {"baseColorTexture": texture}, "name": str(number)})
     primitive = root["meshes"][0]["primitives"][0]
     root["meshes"][0]["primitives"] = [primitive | {"material": number} for number in range(num_materials)]
-    return _glb(root, bytes(binary))
-
-
-def _glb(root: dict, binary: bytes) -> bytes:
-    root["buffers"][0]["byteLength"] = len(binary)
-    text = json.dumps(root).encode()
-    text += b" " * (-len(text) % 4)
-    binary += bytes(-len(binary) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    return gltf_bytes(root | {"buffers": [{"byteLength": len(binary)}]}, bytes(binary))

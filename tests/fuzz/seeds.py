@@ -4,9 +4,10 @@ import gzip
 import io
 import json
 import zlib
+from dataclasses import replace
 
-import laspy
 import numpy as np
+import trimesh
 import zstandard
 from PIL import Image
 
@@ -23,28 +24,35 @@ from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import write_voxels
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.spectrum import SparseVoxelSpectrum
-from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.voxelize import SurfaceVoxels
-from tests.clouds import cloud_at
 from tests.formats.ksplat_bytes import ksplat_bytes
 from tests.formats.meshes import gltf_bytes, image_bytes, named_collada, triangle_gltf, trunk_and_crown, written, zipped
+from tests.formats.test_cloud_round_trips import make_cloud
+from tests.formats.test_point_clouds import las_of
+from tests.formats.test_point_text import pcd
+from tests.formats.test_tensor_files import small_spectrum, small_voxels
 
 
 def tree() -> TriangleMesh:
     return trunk_and_crown(np.random.default_rng(1))
 
 
-def cloud(degree: int, count: int = 40) -> GaussianCloud:
-    rng = np.random.default_rng(degree)
-    turned = rng.normal(size=(count, 4))
-    return cloud_at(
-        rng.normal(size=(count, 3)),
-        turned=turned,
-        scale=rng.uniform(0.01, 0.2, (count, 3)),
-        opacity=rng.uniform(0.1, 0.9, count),
-        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)),
-    )
+def cloud(degree: int) -> GaussianCloud:
+    return make_cloud(np.random.default_rng(degree), 40, degree=degree)
+
+
+def points(columns: int = 3) -> np.ndarray:
+    return np.random.default_rng(4).uniform(0, 5, (60, columns))
+
+
+def las(*, packed: bool) -> bytes:
+    colors = np.random.default_rng(3).integers(0, 256, (60, 3))
+    return las_of(points(), colors, packed=packed).getvalue()
+
+
+def stl(kind: str) -> bytes:
+    mesh = tree()
+    content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=kind)
+    return content.encode() if isinstance(content, str) else content
 
 
 def ascii_ply() -> bytes:
@@ -55,62 +63,8 @@ def ascii_ply() -> bytes:
     return (head + body).encode()
 
 
-def stl(*, ascii_text: bool) -> bytes:
-    mesh = tree()
-    corners = mesh.vertices[mesh.faces].astype("<f4")
-    if ascii_text:
-        lines = ["solid tree"]
-        for triangle in corners.tolist():
-            lines += ["facet normal 0 0 1", "outer loop"]
-            lines += ["vertex {:.6g} {:.6g} {:.6g}".format(*corner) for corner in triangle]
-            lines += ["endloop", "endfacet"]
-        return "\n".join([*lines, "endsolid tree", ""]).encode()
-    row = np.zeros(len(corners), np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]))
-    row["v"] = corners
-    return bytes(80) + len(row).to_bytes(4, "little") + row.tobytes()
-
-
-def las(*, packed: bool) -> bytes:
-    points = np.random.default_rng(3).uniform(0, 5, (60, 3))
-    header = laspy.LasHeader(point_format=3, version="1.2")
-    header.offsets, header.scales = np.zeros(3), np.full(3, 0.001)
-    scan = laspy.LasData(header)
-    scan.x, scan.y, scan.z = points.T
-    scan.red, scan.green, scan.blue = (points * 10_000).astype(np.uint16).T
-    stream = io.BytesIO()
-    scan.write(stream, do_compress=packed)
-    return stream.getvalue()
-
-
-def pcd(*, packed: bool) -> bytes:
-    points = np.random.default_rng(5).uniform(0, 5, (60, 3)).astype("<f4")
-    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 60\nHEIGHT 1\n"
-    head += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 60\nDATA "
-    if packed:
-        return head.encode() + b"binary\n" + points.tobytes()
-    return (head + "ascii\n" + "".join("{:.4f} {:.4f} {:.4f}\n".format(*row) for row in points.tolist())).encode()
-
-
 def xyz(separator: str = " ") -> bytes:
-    points = np.random.default_rng(4).uniform(0, 5, (60, 6))
-    return "\n".join(separator.join(f"{value:.3f}" for value in row) for row in points).encode()
-
-
-def grid() -> VoxelGrid:
-    coords = np.argwhere(np.random.default_rng(5).random((6, 6, 6)) < 0.4).astype(np.int32)
-    return VoxelGrid.from_coords(coords, origin_m=(-1.0, 0.0, 0.25), voxel_size_m=0.1, resolution=32)
-
-
-def spectrum() -> bytes:
-    voxels, rng = grid(), np.random.default_rng(6)
-    parts = 0.1 * rng.normal(size=(len(voxels), 16, 3, 2)).astype(np.float32)
-    return written(write_spectrum, SparseVoxelSpectrum(grid=voxels, coefficients=parts.view(np.complex64)[..., 0]))
-
-
-def voxels() -> bytes:
-    inside = grid()
-    normals = np.tile(np.array([0, 0, 1], np.float32), (len(inside), 1))
-    return written(write_voxels, SurfaceVoxels(grid=inside, normals=normals))
+    return "\n".join(separator.join(f"{value:.3f}" for value in row) for row in points(6)).encode()
 
 
 def photo(kind: str, mode: str = "RGB", seed: int = 7) -> bytes:
@@ -164,7 +118,7 @@ def seeds() -> dict[str, list[bytes]]:
         "obj": [written(write_obj, mesh), b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 2\nf 1 2 3\nf 1//1 2//1 4//1\n"],
         "ply-mesh": [written(write_ply, mesh), ascii_ply()],
         "ply-splat": [written(write_gaussian_ply, cloud(degree)) for degree in (0, 3)],
-        "stl": [stl(ascii_text=True), stl(ascii_text=False)],
+        "stl": [stl("stl_ascii"), stl("stl")],
         "glb": [written(write_glb, mesh), gltf_bytes(*triangle_gltf())],
         "dae": [named_collada()],
         "gltf-zip": [gltf_zip()],
@@ -174,11 +128,11 @@ def seeds() -> dict[str, list[bytes]]:
         "sog": [written(write_sog, cloud(0)), written(write_sog, cloud(3))],
         "ksplat": [ksplat_bytes(cloud(degree), level) for degree, level in ((0, 0), (2, 1), (1, 2))],
         "las": [las(packed=False), las(packed=True)],
-        "pcd": [pcd(packed=False), pcd(packed=True)],
+        "pcd": [pcd("ascii"), pcd("binary")],
         "xyz": [xyz(), xyz(", "), b"x y z\n" + xyz("\t")],
         "khr-glb": [written(write_gltf_gaussian, cloud(1))],
-        "spectrum": [spectrum()],
-        "voxels": [voxels()],
+        "spectrum": [written(write_spectrum, small_spectrum(np.random.default_rng(5)))],
+        "voxels": [written(write_voxels, replace(small_voxels(np.random.default_rng(5)), moments=None))],
         "mesh-bundle": [written(write_bundle, mesh)],
         "jpeg": [photo("JPEG"), photo("JPEG", "L")],
         "png": [photo("PNG"), photo("PNG", "P")],

@@ -1,4 +1,4 @@
-"""A slice of `make fuzz`: twelve broken files of every format are read or refused, and nothing else happens."""
+"""A slice of `make fuzz`: five broken files of every format are read or refused, and nothing else happens."""
 
 import os
 
@@ -15,8 +15,8 @@ GOOD = seeds()
 @pytest.mark.parametrize("kind", GOOD)
 def test_a_good_file_is_read_and_a_broken_one_refused(kind: str) -> None:
     for sample in GOOD[kind]:
-        assert attempt(READERS[kind], sample).verdict == "read"
-    outcomes = [attempt(READERS[kind], case(kind, index, 1, GOOD)) for index in range(12)]
+        READERS[kind](sample)  # in this process: what is imported when it is used, no fork has to import again
+    outcomes = [attempt(READERS[kind], case(kind, index, 1, GOOD)) for index in range(5)]
     assert [outcome.detail for outcome in outcomes if outcome.faulty] == []
 
 
