@@ -22,15 +22,15 @@ Products = tuple[dict[str, Path], dict[str, Facts]]
 
 @pytest.fixture(scope="module")
 def recall(tmp_path_factory) -> Recall:
-    """Keeps the rig of a module's one motion."""
+    """Stores the rig of a module's one motion."""
     path: Path = tmp_path_factory.mktemp("rig") / "rig"
 
-    def kept(result: Result, make: Callable[[Path], None]) -> Path:
+    def stored(result: Result, make: Callable[[Path], None]) -> Path:
         if not path.exists():
             make(path)
         return path
 
-    return kept
+    return stored
 
 
 @pytest.fixture(scope="session")
