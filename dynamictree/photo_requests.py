@@ -11,7 +11,7 @@ from dynamictree.request_model import Box, Finite, Request, Share
 MIN_PHOTOS, MAX_PHOTOS = 8, 300
 """Least and largest number of photos of one reconstruction."""
 PHOTOS_OF_VIDEO = 40
-"""Default number of frames of a film: one per 9° of a circle, so that neighbours match; matching takes minutes."""
+"""Default number of frames of a film, one per 9° of a circle: neighbours match, and all pairs take minutes to match."""
 
 
 Quality = Literal["draft", "standard", "high"]

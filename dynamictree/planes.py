@@ -11,7 +11,7 @@ Points = Float64[np.ndarray, "_ 3"]
 Direction = Float64[np.ndarray, " 3"]
 
 NEIGHBOURS = 12
-"""Number of neighbours from whose spread a point's normal is estimated."""
+"""Number of neighbours from whose spread a point's normal is estimated; fewer points have no normals."""
 _FLAT = 0.25  # largest ratio of the standard deviations across and along a flat surface
 _ALONG = 0.85  # cosine between a plane's normal and a point's
 
@@ -59,7 +59,7 @@ def planes_of_triples(points: Points, trials: int, rng: np.random.Generator) -> 
 
 
 def support(above: Float64[np.ndarray, " P"], thickness: float) -> float:
-    """Score a plane as ground: the number of points on it minus twice the number below it."""
+    """Score a plane as ground, which has nothing below: number of points on it minus twice the number below."""
     return float((np.abs(above) < thickness).sum() - 2 * (above < -thickness).sum())
 
 

@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 
 def write_stored_zip(stream: BinaryIO | BytesIO, files: Iterable[tuple[str, Sequence[bytes]]]) -> None:
-    """Write an archive to a seekable stream; `files` yields the name and the content, in parts, of each file."""
+    """Write an archive to a seekable stream; `files` yields name and content, in parts, and is consumed lazily."""
     with zipfile.ZipFile(stream, "w") as archive:
         for name, parts in files:  # `ZipInfo` dates every file 1980-01-01
             with archive.open(zipfile.ZipInfo(name), "w", force_zip64=True) as entry:

@@ -41,7 +41,7 @@ class _Statements:
     normals: list[bytes] = field(default_factory=list)
     faces: list[bytes] = field(default_factory=list)  # corners as "v/vt/vn ", 0 for a missing number
     face_sizes: list[int] = field(default_factory=list)
-    above: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # count of v, vt, vn before each relative face
+    above: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # counts of v, vt, vn before a relative face
     face_materials: list[int] = field(default_factory=list)
     material_names: dict[str, int] = field(default_factory=dict)
     face_parts: list[int] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""Vector quantization: a codebook of 256 numbers for all values, and a palette of rows for all rows."""
+"""Quantisation: a codebook of 256 numbers for all values, and a palette of rows for all rows."""
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8

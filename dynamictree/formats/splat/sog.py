@@ -137,7 +137,7 @@ def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
-    """Return an uncompressed archive without dates, and without zip64 records, which PlayCanvas' readers reject."""
+    """Return an uncompressed archive without dates or zip64 records, which PlayCanvas' readers do not support."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, part in files.items():

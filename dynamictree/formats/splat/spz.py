@@ -188,7 +188,7 @@ def _first_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 
 
 
 def _smallest_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
-    """Unpack quaternions: 2 bits name the largest of x, y, z, w; 10 bits (sign, magnitude) store each other one."""
+    """Unpack quaternions: 2 bits name the largest of x, y, z, w; 10 (sign, magnitude) store each other, last lowest."""
     bits = packed.view("<u4").astype(np.uint32)
     stored = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1)
     magnitude = (stored & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))

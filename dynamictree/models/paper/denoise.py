@@ -19,7 +19,7 @@ def denoise(
     condition: Float32[Tensor, "V D"],
     inputs: PaperInputs,
 ) -> Float32[Tensor, "V J 6"]:
-    """Return the clean spectra that the network predicts for one tree at a step of the linear schedule."""
+    """Return the network's clean spectra of one tree at a step of the linear schedule, of at most the data's size."""
     predicted = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, inputs)
     return at_most_unit_size(predicted_clean(noisy, predicted, linear_schedule().alpha_bar[step]))
 

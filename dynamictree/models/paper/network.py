@@ -46,7 +46,7 @@ class PaperPreset:
 
 
 def paper_preset(width: int = 128, resolution: int = 128) -> PaperPreset:
-    """Return the paper's network, or one of its proportions with `width` channels at the U-Net's first level."""
+    """Return the preset of the paper's network, or of one in its proportions with `width` base channels."""
     narrow, middle = max(8, width // 4), max(8, width // 2)
     unet = UNetShape(base=width, embedding=4 * width)
     return PaperPreset(resolution=resolution, encoder_base=narrow, encoder_widths=(narrow, middle, width), unet=unet)
