@@ -6,12 +6,10 @@ from pathlib import Path
 import pytest
 
 from jobs.database.tables import metadata
-from jobs.errors import StorageAwayError
 from jobs.lifecycle import attempts
 from jobs.records import AssetPart, AssetRecord, Claim, JobRecord, OutputFile
 from jobs.states import JobType, stages_of
 from jobs.storage.assets import add_asset
-from jobs.storage.upload_parts import FolderParts
 from jobs.store import Store
 from tests.rows import asset_row, job_row
 from tests.servers import postgres
@@ -25,13 +23,6 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
-
-
-class PartsAway(FolderParts):
-    """A storage that deletes nothing now."""
-
-    def delete(self, upload_id: str) -> None:
-        raise StorageAwayError("away")
 
 
 @pytest.fixture

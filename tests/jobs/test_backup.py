@@ -15,7 +15,7 @@ from jobs.clients.webhooks import add_endpoint
 from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError, NotFoundError
 from jobs.lifecycle.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
-from jobs.lifecycle.maintenance import hold_lease, living
+from jobs.lifecycle.maintenance import hold_lease
 from jobs.records import AssetPart, Claim, JobRecord, OutputFile
 from jobs.storage.artifacts import FolderArtifacts
 from jobs.storage.assets import add_asset, read_asset
@@ -147,20 +147,6 @@ def test_a_backup_is_of_one_moment_while_others_write(store: Store, artifacts: F
         assert read.blobs
         assert (read.missing, read.different) == ((), ())
         other.close()
-
-
-def test_a_backup_has_its_lease_while_it_copies(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
-    fill(store, artifacts, tmp_path / "sent", "ann")
-    seen = []
-
-    class Looking(FolderArtifacts):
-        def read(self, digest: str, **given: int):  # type: ignore[no-untyped-def]
-            seen.append(bool(living(store, BACKUP_LEASE)))
-            return super().read(digest, **given)
-
-    back_up(store, Looking(artifacts.root), tmp_path / "backup")
-    assert seen == [True, True]
-    assert living(store, BACKUP_LEASE) == []
 
 
 def test_one_backup_runs_at_a_time(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:

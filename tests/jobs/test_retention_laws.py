@@ -1,10 +1,8 @@
 """Assets, cached stages, artifacts and bytes: who shares them, and how long they stay."""
 
-from functools import partial
-
 import pytest
 
-from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
+from jobs.errors import ConflictError, GoneError, StorageAwayError
 from jobs.lifecycle import attempts, maintenance
 from jobs.records import AssetPart, AssetRecord, OutputFile
 from jobs.settings import Settings
@@ -39,33 +37,6 @@ def test_an_asset_in_use_is_not_deleted(store: Store, asset: AssetRecord) -> Non
         read_asset(store, asset.id)
     with pytest.raises(GoneError):
         add_job(store, asset)
-
-
-def test_what_was_never_there_is_not_found(store: Store) -> None:
-    for read in (partial(read_asset, store), store.job, store.artifact, store.cancel, partial(delete_asset, store)):
-        with pytest.raises(NotFoundError):
-            read("01ARZ3NDEKTSV4RRFFQ69G5FAV")
-
-
-def test_the_next_job_reads_what_a_stage_made(store: Store, asset: AssetRecord, clock: Clock) -> None:
-    assert attempts.cached_stage(store, "k" * 64) is None
-    lease = claim(store, add_job(store, asset).id)
-    attempts.start_stage(store, lease, "voxelize")
-    publish(store, lease)
-    publish_again = claim(store, add_job(store, asset).id)
-    publish(store, publish_again)
-    assert attempts.cached_stage(store, "k" * 64) == (FILE,)
-    assert store.job(lease.job.id).stages[0].state == "succeeded"
-
-
-def test_an_artifact_expires(store: Store, asset: AssetRecord, clock: Clock) -> None:
-    lease = claim(store, add_job(store, asset).id)
-    publish(store, lease)
-    artifact = store.artifacts_of(lease.job.id)[0]
-    assert store.artifact(artifact.id) == artifact
-    clock.now += 101
-    with pytest.raises(GoneError):
-        store.artifact(artifact.id)
 
 
 def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, clock: Clock) -> None:

@@ -20,13 +20,6 @@ def test_settings_are_frozen_and_closed() -> None:
         read_settings(leese_s=5)
 
 
-def test_urls_default_to_the_state_folder(tmp_path: Path) -> None:
-    settings = Settings(state_dir=tmp_path)
-    assert settings.resolved_database_url == f"sqlite:///{tmp_path / 'jobs.sqlite'}"
-    assert settings.broker_url == f"redis+socket://{tmp_path / 'redis' / 'redis.sock'}?virtual_host=0"
-    assert Settings(redis_url="redis://host:6379/1").broker_url == "redis://host:6379/1"
-
-
 def test_a_socket_path_stays_below_the_systems_limit(tmp_path: Path) -> None:
     deep = Settings(state_dir=tmp_path / ("x" * 120))
     assert len(str(deep.redis_socket)) <= 100
