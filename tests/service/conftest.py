@@ -3,6 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
 from jobs.lifecycle.attempts import claim, publish_stage, start_stage
@@ -21,9 +22,23 @@ def settings(tmp_path: Path) -> Settings:
     return Settings(state_dir=tmp_path / "state", parser_cpu_s=60, hosts=("testserver",))
 
 
+_APPS: dict[str, FastAPI] = {}
+
+
+def app_of(settings: Settings) -> FastAPI:
+    """The application, with no memory; one for all tests whose settings differ in their folder alone.
+
+    To build it takes longer than to start it.
+    """
+    key = settings.model_dump_json(exclude={"state_dir"})
+    app = _APPS[key] = _APPS.get(key) or create_app(settings)
+    app.state.settings, app.middleware_stack = settings, None
+    return app
+
+
 @pytest.fixture
 def client(settings: Settings) -> Iterator[TestClient]:
-    with TestClient(create_app(settings), "http://localhost", raise_server_exceptions=False) as opened:
+    with TestClient(app_of(settings), "http://localhost", raise_server_exceptions=False) as opened:
         yield opened
 
 

@@ -18,7 +18,7 @@ from service.http import authentication, slots
 from service.http.rate_limit import WRONG_KEYS_PER_MIN
 from service.routes import job_events
 from service.services import Services
-from tests.service.conftest import hold, publish
+from tests.service.conftest import app_of, hold, publish
 from tests.service.test_assets import OBJ, send
 from tests.service.tus import TUS
 
@@ -29,9 +29,8 @@ TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark
 def app_services(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TestClient, Services]]:
     monkeypatch.setattr(authentication, "REMEMBERED_S", 0.2)
     closed = settings.model_copy(update={"keys": "required", "max_json_bytes": 4096})
-    app = create_app(closed)
-    with TestClient(app, "http://trees.example", raise_server_exceptions=False) as client:
-        yield client, app.state.services
+    with TestClient(app_of(closed), "http://trees.example", raise_server_exceptions=False) as client:
+        yield client, client.app.state.services  # type: ignore[attr-defined]
 
 
 def keyed(

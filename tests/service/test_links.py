@@ -13,11 +13,10 @@ from jobs.lifecycle.attempts import succeed
 from jobs.records import AssetPart, KeyRecord
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
-from service.app import create_app
 from service.http import authentication
 from service.services import Services
 from tests.rows import asset_row
-from tests.service.conftest import hold, publish
+from tests.service.conftest import app_of, hold, publish
 
 Opened = tuple[TestClient, KeyRecord, dict[str, str], str]
 
@@ -26,7 +25,7 @@ Opened = tuple[TestClient, KeyRecord, dict[str, str], str]
 def opened(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
     """A client, a key that may only read, its header, and the path of an artifact."""
     monkeypatch.setattr(authentication, "REMEMBERED_S", 0.2)
-    with TestClient(create_app(settings.model_copy(update={"keys": "required"})), "http://localhost") as client:
+    with TestClient(app_of(settings.model_copy(update={"keys": "required"})), "http://localhost") as client:
         services: Services = client.app.state.services  # type: ignore[attr-defined]
         _, owners = create_key(services.store, name="w", owner="ann")
         record, key = create_key(services.store, name="r", owner="ann", scopes=("read",))
