@@ -242,9 +242,9 @@ def api(folder: Path, environment: Mapping[str, str]) -> tuple[Server, str]:
     return server, url
 
 
-def worker(folder: Path, environment: Mapping[str, str], name: str = "one", *, base: str = "cpu") -> Server:
+def worker(folder: Path, environment: Mapping[str, str], name: str = "one") -> Server:
     command = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
-    command += ["-Q", ",".join(queues_of(base)), "-n", f"{name}@%h", "--without-gossip", "--without-mingle"]
+    command += ["-Q", ",".join(queues_of("cpu")), "-n", f"{name}@%h", "--without-gossip", "--without-mingle"]
     threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "DYNAMICTREE_WORKER_THREADS": "1"}
     return Server(
         name=f"worker {name}",

@@ -2,11 +2,8 @@
 
 import threading
 import time
-from contextlib import ExitStack
-from pathlib import Path
 
 import anyio
-import httpx
 import pytest
 from fastapi.testclient import TestClient
 
@@ -20,10 +17,8 @@ from jobs.storage.assets import add_asset
 from service.app import create_app
 from service.job_durations import JobDurations
 from service.services import Services
-from tests import servers
 from tests.line import answering
 from tests.rows import asset_row, job_row
-from tests.servers import wait_for
 from tests.service.conftest import change_services, hold
 from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import claimed, create
@@ -54,14 +49,6 @@ def test_a_poll_with_an_etag_may_wait_for_the_next_change(client, asset, service
     assert (changed.status_code, changed.json()["progress"]) == (200, 0.5)
     same = client.get(url, headers={"Prefer": "wait=0", "If-None-Match": changed.headers["ETag"]})
     assert same.status_code == 304
-
-
-def test_a_priority_is_a_queue(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    queues = {
-        priority: services.store.job(str(create(client, asset, priority=priority)["id"])).queue
-        for priority in ("high", "normal", "low")
-    }
-    assert queues == {"high": "cpu-high", "normal": "cpu", "low": "cpu-low"}
 
 
 def test_the_time_left_comes_from_what_jobs_took_here(client, asset, services) -> None:
@@ -155,21 +142,20 @@ FILES = {"/tree.obj": PLAIN_OBJ, "/no.obj": b"hello", "/large.obj": bytes(5000)}
     ],
 )
 def test_an_address_becomes_an_asset(settings: Settings, path: str, promised: str | None, code: str | None) -> None:
-    with ExitStack() as stack:
-        status, body = 200 if path in FILES else 404, FILES.get(path, b"")
-        line = stack.enter_context(answering(lambda _, handler: handler.reply(status, body)))
+    status, body = 200 if path in FILES else 404, FILES.get(path, b"")
+    with answering(lambda _, handler: handler.reply(status, body)) as line:
         hosts = (line.url.removeprefix("http://"),)
         app = create_app(settings.model_copy(update={"outbound_hosts": hosts, "max_upload_bytes": 4000}))
-        client = stack.enter_context(TestClient(app, "http://localhost"))
-        sent = client.post("/v1/assets", json={"url": f"{line.url}{path}", "sha256": promised, "unit_m": 2})
-        assert (sent.status_code, sent.json()["state"]) == (202, "fetching")
-        upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
-        if code is None:
-            asset = client.get(f"/v1/assets/{upload['asset_id']}").json()
-            assert (asset["summary"]["extent_m"], asset["parts"][0]["name"]) == ([2.0, 2.0, 4.0], "tree.obj")
-        else:
-            assert (upload["state"], upload["error"]["code"]) == ("failed", code)
-        assert left_behind(app.state.services) == []
+        with TestClient(app, "http://localhost") as client:
+            sent = client.post("/v1/assets", json={"url": f"{line.url}{path}", "sha256": promised, "unit_m": 2})
+            assert (sent.status_code, sent.json()["state"]) == (202, "fetching")
+            upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
+            if code is None:
+                asset = client.get(f"/v1/assets/{upload['asset_id']}").json()
+                assert (asset["summary"]["extent_m"], asset["parts"][0]["name"]) == ([2.0, 2.0, 4.0], "tree.obj")
+            else:
+                assert (upload["state"], upload["error"]["code"]) == ("failed", code)
+            assert left_behind(app.state.services) == []
 
 
 def test_an_address_inside_is_not_fetched(client: TestClient) -> None:
@@ -207,26 +193,6 @@ def test_a_job_goes_to_the_workers_that_it_needs(client: TestClient, asset: Asse
     assert queues() == ["gpu", "gpu"]
     assert hold_lease(services.store, worker_lease("cpu", "one"), owner="one", lease_s=60)
     assert queues() == ["gpu", "cpu"]
-
-
-@pytest.mark.slow
-def test_a_worker_of_the_queue_gpu_gets_jobs(tmp_path: Path) -> None:
-    queue, redis_url = servers.valkey(tmp_path)
-    environment = {"DYNAMICTREE_STATE_DIR": str(tmp_path / "state"), "DYNAMICTREE_REDIS_URL": redis_url}
-    front, url = servers.api(tmp_path, environment)
-    works = servers.worker(tmp_path, environment | {"DYNAMICTREE_QUEUE": "gpu"}, base="gpu")
-    parts = (queue, front, works, servers.housekeeper(tmp_path, environment))
-    try:
-        for part in parts:
-            part.start()
-        with httpx.Client(base_url=url, timeout=60) as http:
-            wait_for(lambda: http.get("/readyz").json()["workers"] == "ok")
-            asset_id = http.post("/v1/assets", files={"file": ("tree.obj", PLAIN_OBJ)}).json()["id"]
-            job = http.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset_id}).json()
-            wait_for(lambda: http.get(f"/v1/jobs/{job['id']}").json()["state"] == "succeeded")
-    finally:
-        for part in reversed(parts):
-            part.stop()
 
 
 def test_a_client_names_its_jobs_and_finds_them_again(client: TestClient, asset: AssetRecord) -> None:

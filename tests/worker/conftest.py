@@ -1,6 +1,5 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,31 @@ from jobs.records import AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
 from jobs.states import JobType, stages_of
 from jobs.storage.assets import add_asset
+from tests.formats.meshes import written
 from tests.rows import asset_row, job_row, stored_part
 from worker.cancellation import Watch
 from worker.runtime import Runtime, close_runtime, open_runtime
 
 
+class NoHeartbeat:
+    """Renews nothing: the lease outlasts the test."""
+
+    def __init__(self, *_: object) -> None:
+        self.wait = self.hold = self.drop = self.leave = lambda *_: None
+
+
 @pytest.fixture
-def runtime(tmp_path: Path) -> Iterator[Runtime]:
-    settings = Settings(state_dir=tmp_path / "state", lease_s=3, heartbeat_s=0.2, progress_interval_s=0)
-    opened = open_runtime(settings)
+def beats() -> None:
+    """For tests that need the heartbeat, whose process takes a second to start."""
+
+
+@pytest.fixture
+def runtime(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Runtime]:
+    beats = "beats" in request.fixturenames
+    if not beats:
+        monkeypatch.setattr("worker.runtime.Heartbeat", NoHeartbeat)
+    times = {"lease_s": 3 if beats else 120, "heartbeat_s": 0.2, "progress_interval_s": 0}
+    opened = open_runtime(Settings(state_dir=tmp_path / "state", **times))
     yield opened
     close_runtime(opened)
 
@@ -35,10 +50,7 @@ def wedge(height_m: float = 2.0) -> TriangleMesh:
 
 @pytest.fixture
 def asset(runtime: Runtime, tmp_path: Path) -> AssetRecord:
-    packed = BytesIO()
-    write_bundle(wedge(), packed)
-    path = tmp_path / "mesh.safetensors"
-    path.write_bytes(packed.getvalue())
+    (path := tmp_path / "mesh.safetensors").write_bytes(written(write_bundle, wedge()))
     row = asset_row(stored_part(runtime.artifacts, path), now=runtime.store.clock())
     return add_asset(runtime.store, row)[0]
 

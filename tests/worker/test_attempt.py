@@ -16,7 +16,7 @@ import pytest
 import sqlalchemy as sa
 from celery.exceptions import SoftTimeLimitExceeded
 
-from dynamictree.errors import Cancelled, CheckpointError, MeshError
+from dynamictree.errors import Cancelled, MeshError
 from dynamictree.export import stored_rig
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
@@ -34,9 +34,9 @@ from jobs.storage.assets import read_asset
 from jobs.storage.erasure import _forget_cached
 from jobs.storage.intermediates import RESULT_SOURCES
 from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM, VOXELS
-from tests.servers import wait_for
+from tests.formats.meshes import written
 from tests.worker.conftest import add_job, hold, watch
-from worker.attempt import PARAMS, model_sha256, run_stages, stage_key
+from worker.attempt import PARAMS, run_stages, stage_key
 from worker.cancellation import HandedBack
 from worker.runtime import Runtime
 from worker.tasks import end_attempt, metered
@@ -68,7 +68,7 @@ def give_spectrum(runtime: Runtime, job: JobRecord, tmp_path: Path) -> Claim:
     lease = hold(runtime, job)
     stages: tuple[tuple[JobType, str, bytes], ...] = (
         ("voxelize", VOXELS, content(runtime, voxels_job.id, VOXELS)),
-        ("diffuse", SPECTRUM, packed(SparseVoxelSpectrum(grid=grid, coefficients=coefficients))),
+        ("diffuse", SPECTRUM, written(write_spectrum, SparseVoxelSpectrum(grid=grid, coefficients=coefficients))),
     )
     for stage, name, result in stages:
         path = tmp_path / name
@@ -80,22 +80,6 @@ def give_spectrum(runtime: Runtime, job: JobRecord, tmp_path: Path) -> Claim:
         publish_stage(runtime.store, lease, stage, (file,), key=digest, cached=False, retention_s=100)
     hand_back(runtime.store, lease)
     return hold(runtime, job, attempt=2)
-
-
-def packed(spectrum: SparseVoxelSpectrum) -> bytes:
-    stream = BytesIO()
-    write_spectrum(spectrum, stream)
-    return stream.getvalue()
-
-
-def test_a_voxelize_job_makes_a_voxel_file(runtime: Runtime, asset: AssetRecord) -> None:
-    job = add_job(runtime, asset)
-    run(runtime, hold(runtime, job))
-    voxels = read_voxels(BytesIO(content(runtime, job.id, VOXELS)))
-    assert voxels.grid.resolution == 32
-    assert (voxels.source.sha256, voxels.source.up_axis) == (asset.parts[0].sha256, "+Z")
-    assert runtime.store.job(job.id).state == JobState.SUCCEEDED
-    assert list(runtime.settings.scratch_dir.iterdir()) == []
 
 
 def test_the_same_stage_runs_once(runtime: Runtime, asset: AssetRecord) -> None:
@@ -206,6 +190,7 @@ def test_what_attempts_took_is_added_to_job_and_month(runtime: Runtime, asset: A
         assert 0.2 <= spent < 5
 
 
+@pytest.mark.usefixtures("beats")
 def test_the_heartbeat_outlasts_a_kernel_that_stops_all_threads(runtime: Runtime, asset: AssetRecord) -> None:
     lease = hold(runtime, add_job(runtime, asset))
     with watch(runtime, lease) as watching:
@@ -272,18 +257,7 @@ def test_a_key_changes_with_what_decides_the_stage(runtime: Runtime, asset: Asse
     assert len(owners | {key}) == 3  # `cached: true` would tell one owner of another's bytes
 
 
-def test_a_model_that_is_not_there_is_named() -> None:
-    with pytest.raises(CheckpointError, match="no-such"):
-        model_sha256("no-such")
-
-
-def test_a_worker_says_that_it_is_there(runtime: Runtime) -> None:
-    there = wait_for(lambda: living(runtime.store, "worker:"), "the worker")
-    assert there == [worker_lease("cpu", runtime.owner)]
-    runtime.heartbeat.leave()
-    assert living(runtime.store, "worker:") == []
-
-
+@pytest.mark.usefixtures("beats")
 def test_many_may_wait_for_the_first_beat(runtime: Runtime) -> None:
     threads = [threading.Thread(target=runtime.heartbeat.wait, daemon=True) for _ in range(4)]
     for thread in threads:
@@ -293,6 +267,7 @@ def test_many_may_wait_for_the_first_beat(runtime: Runtime) -> None:
     assert not any(thread.is_alive() for thread in threads)
 
 
+@pytest.mark.usefixtures("beats")
 def test_a_heartbeat_that_died_starts_again(runtime, asset, caplog) -> None:
     lease = hold(runtime, add_job(runtime, asset))
     with watch(runtime, lease):
@@ -304,6 +279,7 @@ def test_a_heartbeat_that_died_starts_again(runtime, asset, caplog) -> None:
     assert runtime.heartbeat.pid != first
 
 
+@pytest.mark.usefixtures("beats")
 def test_a_heartbeat_that_dies_before_its_first_beat_starts_again(runtime: Runtime) -> None:
     first = runtime.heartbeat.pid
     waiting = threading.Thread(target=runtime.heartbeat.wait, daemon=True)
@@ -314,6 +290,8 @@ def test_a_heartbeat_that_dies_before_its_first_beat_starts_again(runtime: Runti
     assert not waiting.is_alive()
     assert runtime.heartbeat.pid != first
     assert living(runtime.store, "worker:") == [worker_lease("cpu", runtime.owner)]
+    runtime.heartbeat.leave()
+    assert living(runtime.store, "worker:") == []
 
 
 def test_every_parameter_of_a_job_is_part_of_the_key_of_a_stage() -> None:

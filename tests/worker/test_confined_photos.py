@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,8 @@ import psutil
 import pytest
 from PIL import Image
 
-from dynamictree.errors import Cancelled, FormatError, ReconstructionError
 from dynamictree.reconstruct.photos import list_photos, read_photos
-from jobs.records import AssetPart
-from tests.rows import asset_row, job_row
 from worker.confined_reading import CHILD, read_confined
-from worker.stages import StageInput, reconstruct
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
 
@@ -72,50 +67,3 @@ def test_the_child_is_confined_and_reads_what_the_library_reads(photos, tmp_path
     for camera, same in zip(given or (), expected[0] or (), strict=True):
         assert vars(camera) | {"world_to_camera": 0} == vars(same) | {"world_to_camera": 0}
         np.testing.assert_array_equal(camera.world_to_camera, same.world_to_camera)
-
-
-def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened, open_image = [], PIL.Image.open
-
-    def opening(path: Path, **options: object) -> Image.Image:
-        opened.append(Path(path))
-        return open_image(path, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(PIL.Image, "open", opening)
-
-    def recall(name: str, make: Callable[[Path], None]) -> Path:
-        make(tmp_path / name)
-        return tmp_path / name
-
-    row = asset_row(AssetPart(name="a", sha256="a" * 64, bytes=1), now=0.0)
-    given = StageInput(
-        job=job_row(row, "reconstruct", now=0.0),
-        folder=tmp_path,
-        resume_dir=tmp_path / "resume",
-        files={},
-        source_sha256="",
-        photos=tuple(photos),
-        recall=recall,
-        publish=lambda path: None,
-        report=lambda share, worked_s=None: None,
-    )
-    given.resume_dir.mkdir()
-    with pytest.raises(ReconstructionError):  # noise has nothing in common
-        reconstruct(given)
-    assert not [path for path in opened if path.is_relative_to(photos[0].parent)]
-
-
-def test_a_damaged_photo_is_named(photos: list[Path], tmp_path: Path) -> None:
-    photos[2].write_bytes(photos[2].read_bytes()[:2000])
-    with pytest.raises(FormatError, match=r"2\.png cannot be decoded"):
-        read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", lambda *_: None)
-
-
-def test_a_cancelled_job_ends_the_child(photos: list[Path], tmp_path: Path) -> None:
-    def cancel(done: int, _: int) -> None:
-        if done == 2:
-            raise Cancelled("asked to stop")
-
-    with pytest.raises(Cancelled):
-        read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", cancel)
-    assert not (tmp_path / "out" / "0007.jpg").exists()

@@ -1,8 +1,6 @@
 """Webhooks, sent by the real courier to a real server, their signatures checked by Standard Webhooks' own library."""
 
 import asyncio
-import base64
-import hmac
 import json
 import threading
 import time
@@ -89,8 +87,6 @@ class Scene:
 
 @pytest.fixture
 def scene(tmp_path: Path, receiver: Receiver) -> Iterator[Scene]:
-    import time
-
     now = [time.time()]  # the library refuses what is five minutes off
     store = Store.open(f"sqlite:///{tmp_path / 'jobs.sqlite'}", clock=lambda: now[0])
     settings = Settings(
@@ -106,10 +102,6 @@ def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiv
     assert scene.round() == 1
     headers, body = receiver.came[0]
     hook = Webhook(endpoint.secret).verify(body, headers)
-    key = base64.b64decode(endpoint.secret.removeprefix("whsec_"))
-    signed = b".".join((headers["webhook-id"].encode(), headers["webhook-timestamp"].encode(), body))
-    digest = hmac.digest(key, signed, "sha256")  # as the specification words it, without the library
-    assert headers["webhook-signature"] == "v1," + base64.b64encode(digest).decode()
     assert (hook["type"], hook["data"]["id"], hook["data"]["state"]) == ("job.succeeded", job_id, "succeeded")
     with pytest.raises(WebhookVerificationError):
         Webhook(endpoint.secret).verify(body.replace(b"succeeded", b"failed"), headers)

@@ -61,15 +61,6 @@ def test_a_full_disk_recovers_without_an_operator(small_disk: Path) -> None:
     store.close()
 
 
-def test_a_stage_stops_before_it_takes_the_rest_of_the_disk(small_disk: Path) -> None:
-    settings = Settings(state_dir=small_disk, min_free_bytes=32 * MIB)
-    settings.scratch_dir.mkdir(parents=True)
-    require_free_disk(settings)
-    (small_disk / "product").write_bytes(bytes(56 * MIB))
-    with pytest.raises(StorageFullError, match="33,554,432 in reserve"):
-        require_free_disk(settings)
-
-
 def test_a_volume_is_full_at_its_own_size(tmp_path: Path) -> None:
     """The disk below it has more; half-received uploads that are linked twice count once."""
     settings = Settings(state_dir=tmp_path, min_free_bytes=8 * MIB, state_size_bytes=16 * MIB)

@@ -13,10 +13,10 @@ from dynamictree.export.table import PRODUCTS
 from dynamictree.formats.gltf.meshopt import compress
 from dynamictree.formats.gltf.writer import GlbWriter, add_mesh
 from dynamictree.formats.splat.sog import write_sog
-from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Format
 from service.app import create_app
 from tests.formats.ksplat_bytes import ksplat_bytes
+from tests.formats.meshes import trunk_and_crown, written
 from tests.service.test_assets import send, zipped
 from tests.service.test_clouds import post_cloud
 from tests.worker.test_attempt import give_spectrum, run
@@ -34,20 +34,12 @@ def sog_files() -> Files:
 
 
 def packed_glb() -> bytes:
-    """A pipe of 200 vertices with meshopt's extension."""
-    row, turn = np.divmod(np.arange(200), 10)
-    angle = turn * np.pi / 5
-    vertices = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), row / 10], axis=1).astype(np.float32)
-    below = np.arange(190)
-    beside = below - turn[:190] + (turn[:190] + 1) % 10
-    faces = np.concatenate([np.stack([below, beside, below + 10], 1), np.stack([beside, beside + 10, below + 10], 1)])
+    """A tree with meshopt's extension."""
     writer = GlbWriter()
-    add_mesh(writer, TriangleMesh(vertices=vertices, faces=faces.astype(np.int32)))
+    add_mesh(writer, trunk_and_crown(np.random.default_rng(0)))
     writer.append("nodes", {"mesh": 0})
     compress(writer)
-    stream = io.BytesIO()
-    writer.finish(stream)
-    return stream.getvalue()
+    return written(writer.finish)
 
 
 @pytest.fixture
@@ -56,7 +48,7 @@ def client(runtime: Runtime) -> Iterator[TestClient]:
         yield opened
 
 
-def test_sog_comes_as_its_files_or_as_a_folder_in_a_zip(client: TestClient) -> None:
+def test_sog_comes_as_its_files_or_as_a_folder_in_a_zip_and_ksplat_as_one_file(client: TestClient) -> None:
     files = sog_files()
     folder = (("scan.zip", zipped(*((f"scan/{name}", content) for name, content in files))),)
     sent = [send(client, *upload) for upload in (files, folder)]
@@ -64,11 +56,11 @@ def test_sog_comes_as_its_files_or_as_a_folder_in_a_zip(client: TestClient) -> N
     one, other = (response.json() for response in sent)
     assert (one["kind"], one["summary"]["num_gaussians"]) == ("cloud", 400)
     assert other["summary"] == one["summary"]
+    assert send(client, ("tree.ksplat", ksplat_bytes(post_cloud(), 1))).json()["kind"] == "cloud"
 
 
 JOBS: dict[str, tuple[tuple[str, bytes], Format, bytes]] = {
     "SOG": (("tree.sog", zipped(*sog_files())), "usd-splat", b"PXR-USDC"),
-    "ksplat": (("tree.ksplat", ksplat_bytes(post_cloud(), 1)), "html-splat", b"<!doctype html>"),
     "meshopt": (("tree.glb", packed_glb()), "glb", b"EXT_meshopt_compression"),
 }
 

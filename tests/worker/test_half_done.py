@@ -1,7 +1,5 @@
 """Half-done work on photos outlasts its job: the next job on them goes on there."""
 
-import json
-import os
 import threading
 import time
 from collections.abc import Iterator
@@ -13,16 +11,11 @@ import pytest
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, InputError
-from dynamictree.photo_requests import LearningParams
-from dynamictree.reconstruct.options import options_of
-from dynamictree.reconstruct.progress import expected_seconds
-from dynamictree.reconstruct.splat_state import SplatState
 from jobs.records import AssetRecord, JobRecord
 from jobs.states import JobState, JobType, stages_of
 from jobs.storage.assets import add_asset
 from tests.formats.films import write_film
 from tests.reconstruct.conftest import Orbit, orbit  # noqa: F401
-from tests.reconstruct.test_input_cameras import write_transforms
 from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
 from worker.attempt import Attempt, run_stages
@@ -33,14 +26,6 @@ from worker.tasks import end_attempt
 
 FRAMES = 8
 FILM = {"video_frames": FRAMES}
-STEPS = 100
-
-
-def at_step(step: int) -> float:
-    """Progress of a job on the orbit's photos at a step of the splat."""
-    expected_s = expected_seconds(14, options_of(LearningParams(splat_steps=STEPS)))
-    before = sum(expected_s[stage] for stage in ("photos", "cameras", "depth"))
-    return 0.95 * (before + expected_s["splat"] * step / STEPS) / sum(expected_s.values())
 
 
 class Limited(Watch):
@@ -95,43 +80,6 @@ def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRec
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
     ended(runtime, reconstruct_job(runtime, film, video_frames=9), 0.02)
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
-    runtime: Runtime,
-    orbit: Orbit,  # noqa: F811
-    tmp_path: Path,
-) -> None:
-    photos = tmp_path / "images"
-    photos.mkdir()
-    paths = [Path(os.link(path, photos / path.name) or photos / path.name) for path in orbit.photos]
-    asset = add_photos(runtime, [*paths, write_transforms(tmp_path / "cameras", orbit)])
-    job = ended(runtime, reconstruct_job(runtime, asset, splat_steps=STEPS), at_step(STEPS // 4))
-    assert {artifact.name for artifact in runtime.store.artifacts_of(job.id)} == {"cameras.json", "draft.splat"}
-    work = half_done_folder(runtime.settings, job)
-    steps = SplatState.load(work / "splat.npz").step
-    assert 0 < steps < STEPS
-    searched_s = json.loads((work / "times.json").read_text())["seconds"]["cameras"]
-    again = reconstruct_job(runtime, asset, splat_steps=STEPS, height_m=1.2)
-    shares: list[float] = []
-
-    class Listening(Watch):
-        def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:
-            super().report(stage, progress, worked_s)
-            shares.append(progress)
-
-    with Listening(runtime, hold(runtime, again), stopping=lambda: False) as watching:
-        run_stages(runtime, watching)
-    artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(again.id)}
-    assert {"cameras.json", "splat.ply", "mesh.ply", "report.json"} <= artifacts.keys()
-    assert "draft.splat" not in artifacts
-    report = json.loads(b"".join(runtime.artifacts.read(artifacts["report.json"].sha256)))
-    assert report["splat_steps"] == 100
-    assert report["seconds"]["cameras"] == pytest.approx(searched_s, abs=1)  # of both attempts; once sought
-    assert not [share for share in shares if at_step(1) < share < at_step(steps) - 1e-9]  # no step is learned twice
-    assert list(runtime.settings.scratch_dir.iterdir()) == []
 
 
 def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, unread: AssetRecord, tmp_path: Path) -> None:

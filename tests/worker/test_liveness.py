@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.lifecycle.attempts import claim
-from jobs.lifecycle.maintenance import WORKER_LEASES, living, reap
+from jobs.lifecycle.maintenance import WORKER_LEASES, living, reap, worker_lease
 from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
@@ -65,7 +65,7 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
     asset = add_asset(store, make_asset(store.clock()))[0]
     job = add_job(store, asset)
     assert claim(store, job.id, 1, owner="w", lease_s=3) is not None
-    first = {"database_url": str(store.engine.url), "owner": "w", "queue": "cpu", "lease_s": 3, "heartbeat_s": 0.2}
+    first = {"database_url": str(store.engine.url), "owner": "w", "queue": "gpu", "lease_s": 3, "heartbeat_s": 0.2}
     lines = [(json.dumps(line) + "\n").encode() for line in (first, {"job_id": job.id, "attempt": 1})]
     parent = "import subprocess, sys\n"
     parent += "child = subprocess.Popen([sys.executable, '-m', 'worker.heartbeat'], stdin=-1, stdout=-1)\n"
@@ -73,7 +73,7 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
     parent += f"child.stdin.write({lines[1]!r}); child.stdin.flush(); child.wait()"
     worker_process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.DEVNULL)
     try:
-        wait_for(lambda: living(store, WORKER_LEASES))
+        assert wait_for(lambda: living(store, WORKER_LEASES)) == [worker_lease("gpu", "w")]
         begun = store.clock()
         wait_for(lambda: lease_end(store) > begun + 2 * 3)  # renewed for longer than it lasts
         assert reap(store, max_lost_attempts=2) == []

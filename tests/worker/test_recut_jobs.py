@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 import safetensors.numpy
 from PIL import Image
@@ -36,6 +37,19 @@ def photos(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     for number, path in enumerate(paths):
         Image.effect_noise((400, 300), 10 + number).convert("RGB").save(path)
     return add_photos(runtime, paths)
+
+
+def test_a_job_decodes_no_photo_itself(runtime: Runtime, photos: AssetRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened, open_image = [], PIL.Image.open
+
+    def opening(path: Path, **options: object) -> Image.Image:
+        opened.append(Path(path).suffix)
+        return open_image(path, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(PIL.Image, "open", opening)
+    with pytest.raises(ReconstructionError):  # noise has nothing in common
+        run(runtime, hold(runtime, reconstruct_job(runtime, photos)))
+    assert ".png" not in opened  # the child writes JPEG
 
 
 def remember(
