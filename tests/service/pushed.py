@@ -1,7 +1,7 @@
 """A grown tree that the service knows, and how it is pushed: fixtures of the tests of interaction."""
 
-import io
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,27 +10,37 @@ from fastapi.testclient import TestClient
 
 from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from jobs.lifecycle.attempts import succeed
 from jobs.settings import Settings
+from jobs.states import stages_of
 from jobs.storage.assets import add_asset
 from lab.dataset.sample import make_sample, voxel_spectrum
 from service.app import create_app
 from service.services import Services
+from tests.formats.meshes import written
 from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish
 
 ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 
 
+@cache  # for all modules
+def _grown_with_spectrum():
+    sample = make_sample(4, "columnar", wind=Wind(speed_m_s=5.5, direction_deg=40.0))
+    return sample, voxel_spectrum(sample, 32)[1]
+
+
 @pytest.fixture(scope="module")
 def grown():
-    return make_sample(4, "columnar", wind=Wind(speed_m_s=5.5, direction_deg=40.0))
+    return _grown_with_spectrum()[0]
 
 
 @pytest.fixture(scope="module")
-def spectrum(grown) -> SparseVoxelSpectrum:
-    return voxel_spectrum(grown, 32)[1]
+def spectrum() -> SparseVoxelSpectrum:
+    return _grown_with_spectrum()[1]
 
 
 @pytest.fixture(scope="module")
@@ -46,22 +56,29 @@ def spectrum_id(client: TestClient, grown, spectrum: SparseVoxelSpectrum, tmp_pa
     return served_id(client, grown.mesh, spectrum, tmp_path_factory.mktemp("tree"))
 
 
-def served_id(client: TestClient, mesh, spectrum: SparseVoxelSpectrum, folder: Path, asset_id: str = ASSET_ID) -> str:
-    """The id of a spectrum that a job of the service has had as its result."""
+def served_id(
+    client: TestClient,
+    mesh: TriangleMesh,
+    spectrum: SparseVoxelSpectrum,
+    folder: Path,
+    asset_id: str = ASSET_ID,
+    sent: Capture | None = None,
+    **params: object,
+) -> str:
+    """The id of a spectrum that a job of the service has had as its result, of a mesh or of a cloud that was sent."""
     services: Services = client.app.state.services  # type: ignore[attr-defined]
-    bundle = folder / "mesh.safetensors"
-    with bundle.open("wb") as stream:
-        write_bundle(mesh, stream)
-    part = stored_part(services.artifacts, bundle)
-    now = services.store.clock()
-    row = asset_row(part, now=now, id=asset_id, fingerprint=asset_id, expires_at=now + 5000)
-    job = job_row(add_asset(services.store, row)[0], now=now)
-    services.store.add_job(job, stages=("voxelize", "diffuse"))
+    bundle, now = folder / "mesh.safetensors", services.store.clock()
+    bundle.write_bytes(written(write_bundle, sent or mesh))
+    part, kind = stored_part(services.artifacts, bundle), "cloud" if sent else "mesh"
+    row = asset_row(part, now=now, id=asset_id, fingerprint=asset_id, expires_at=now + 5000, kind=kind)
+    job = job_row(add_asset(services.store, row)[0], now=now, params=params)
+    services.store.add_job(job, stages=stages_of("diffuse", row.kind))
     lease = hold(services, job.id)
+    if sent:
+        publish(services, lease, "reconstruct", "mesh.safetensors", written(write_bundle, mesh))
     publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
-    file = io.BytesIO()
-    write_spectrum(spectrum, file, dtype="float32")
-    publish(services, lease, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    file = written(write_spectrum, spectrum, dtype="float32")
+    publish(services, lease, "diffuse", "tree.spectrum.safetensors", file)
     succeed(services.store, lease)
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
 

@@ -1,7 +1,6 @@
 """Splats, scans and scenes of several trees as assets, and what a job on them may ask for."""
 
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,10 +17,10 @@ from dynamictree.mesh import joined
 from dynamictree.plant.capture import Capture, carrying_mesh
 from dynamictree.source import Source
 from jobs.records import AssetRecord
-from jobs.states import stages_of
 from jobs.storage.assets import read_asset
 from service.routes import surface
 from service.services import Services
+from tests.formats.meshes import written
 from tests.plant.stand import tree
 from tests.service.test_assets import left_behind, photo, send, zipped
 
@@ -40,18 +39,12 @@ def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
     )
 
 
-def packed(write, thing: object) -> bytes:
-    stream = BytesIO()
-    write(thing, stream)
-    return stream.getvalue()
-
-
 def ply_of(cloud: GaussianCloud) -> bytes:
-    return packed(write_gaussian_ply, cloud)
+    return written(write_gaussian_ply, cloud)
 
 
 def splat_of(cloud: GaussianCloud) -> bytes:
-    return packed(write_splat, cloud)
+    return written(write_splat, cloud)
 
 
 def mask_of(values: np.ndarray) -> bytes:
@@ -84,7 +77,7 @@ def test_mask_and_mesh_come_with_a_splat(client: TestClient, services: Services)
     mesh = carrying_mesh(Capture(cloud=cloud))
     turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)))
     mask = np.arange(400) < 300
-    files = (("mesh.obj", packed(write_obj, turned)), ("tree.splat", splat_of(cloud)), ("mask.npy", mask_of(mask)))
+    files = (("mesh.obj", written(write_obj, turned)), ("tree.splat", splat_of(cloud)), ("mask.npy", mask_of(mask)))
     for sent in (files, (("all.zip", zipped(*files)),)):
         asset = send(client, *sent).json()
         assert (asset["kind"], asset["summary"]["num_movable"]) == ("cloud", 300)
@@ -115,23 +108,14 @@ def with_values(**values: float) -> bytes:
 
 BAD_CLOUDS = {
     "properties missing": ("a.ply", HEADER % 1 + FLOATS + b"end_header\n" + bytes(20), 415, "f_dc_1, f_dc_2"),
-    "shorter than it says": ("a.ply", ply_of(post_cloud())[:-100], 415, "bytes"),
     "fifty million": ("a.ply", ply_of(post_cloud()).replace(b"vertex 400", b"vertex 50000000"), 422, "at most 5,000"),
-    "a count beyond the file": ("a.ply", ply_of(post_cloud()).replace(b"vertex 400", b"vertex 4000000"), 415, "bytes"),
     "not finite": ("a.ply", with_values(means=np.nan), 422, "not finite"),
     "nothing visible": ("a.ply", with_values(opacity=0.0), 422, "nothing is visible"),
-    "zeros": ("a.splat", bytes(64), 422, "nothing is visible"),
-    "half a record": ("a.splat", splat_of(post_cloud())[:-5], 415, "32"),
     "SOG": ("tree.sog", zipped(("meta.json", b"{}")), 415, "version 1"),
-    "one place": ("scan.txt", b"0.1 0.2 0.3\n" * 50, 422, "at one place"),
-    "no numbers": ("scan.xyz", b"1 2 3\n1 2 x\n", 415, "numbers"),
-    "no LAS": ("scan.las", b"LASF" + bytes(300), 415, "LAS"),
-    "no SPZ": ("tree.spz", b"\x1f\x8b" + bytes(50), 415, ""),
-    "empty": ("a.ply", ply_of(post_cloud()).replace(b"vertex 400", b"vertex 0"), 415, ""),
 }
 
 
-@pytest.mark.parametrize("what", ["properties missing", "fifty million", "not finite", "nothing visible", "SOG"])
+@pytest.mark.parametrize("what", BAD_CLOUDS)
 def test_a_bad_cloud_is_refused_and_nothing_stays(client: TestClient, services: Services, what: str) -> None:
     name, content, status, message = BAD_CLOUDS[what]
     response = send(client, (name, content))
@@ -158,7 +142,7 @@ def cloud_id(client: TestClient) -> str:
 def test_a_job_on_a_cloud_makes_its_mesh_first(client: TestClient, cloud_id: str) -> None:
     body = {"type": "animate", "asset_id": cloud_id, "params": {"box_m": [[-1, -1, 0], [1, 1, 2]]}}
     job = client.post("/v1/jobs", json=body).json()
-    assert [stage["name"] for stage in job["stages"]] == list(stages_of("animate", "cloud"))
+    assert [stage["name"] for stage in job["stages"]] == ["reconstruct", "voxelize", "diffuse", "animate"]
     assert job["params"]["formats"] == ["splat", "png"]
     assert job["params"]["box_m"] == [[-1, -1, 0], [1, 1, 2]]
     assert client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": cloud_id}).status_code == 202
@@ -199,16 +183,10 @@ def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, mon
     assert "fewer frames" in refused.json()["detail"]
 
 
-def test_every_sample_cloud_is_taken(client: TestClient, samples: Path) -> None:
-    for path in (*sorted((samples / "splat").iterdir()), *sorted((samples / "scan").iterdir())):
-        response = send(client, (path.name, path.read_bytes()))
-        assert (response.status_code, response.json()["kind"]) == (201, "cloud"), response.text
-
-
 def test_an_asset_lists_its_trees_and_a_job_takes_one(client: TestClient) -> None:
     one = tree(6.0, num_cards=60)
     two = joined([one, one.with_vertices(one.vertices + np.float32([5, 0, 0]))])
-    asset = send(client, ("two.ply", packed(write_ply, two))).json()
+    asset = send(client, ("two.ply", written(write_ply, two))).json()
     assert [entry["tree"] for entry in asset["summary"]["trees"]] == [1, 2]
     assert [entry["code"] for entry in asset["summary"]["warnings"]] == ["several-trees"]
     assert client.get(f"/v1/assets/{asset['id']}").json()["summary"]["trees"] == asset["summary"]["trees"]

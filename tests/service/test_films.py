@@ -5,14 +5,12 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from dynamictree.formats import film
 from dynamictree.formats.film import film_facts
 from jobs.storage.assets import read_asset
 from service.services import Services
 from service.uploads import intake
 from tests.formats.films import DEVICE, PLACES, write_film
 from tests.service.test_assets import send as send_files
-from tests.service.tus import append, begin
 
 
 def send(client: TestClient, *paths: Path) -> object:
@@ -50,17 +48,6 @@ def test_a_film_becomes_an_asset_of_photos_without_sound_and_place(client, servi
     assert send(client, path).json()["id"] == asset["id"]
 
 
-def test_a_film_in_pieces_is_the_same_asset(client: TestClient, walk: Path) -> None:
-    content = walk.read_bytes()
-    upload = begin(client, len(content), filename="walk.mp4")
-    append(client, upload, 0, content[:10_000])
-    append(client, upload, 10_000, content[10_000:])
-    asset = client.post("/v1/assets", json={"upload_ids": [upload.rpartition("/")[2]]})
-    assert asset.status_code == 201, asset.text
-    assert asset.json()["kind"] == "photos"
-    assert send(client, walk).json()["id"] == asset.json()["id"]
-
-
 def test_a_film_is_checked(client: TestClient, walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (more := tmp_path / "more.mp4").write_bytes(walk.read_bytes())
     assert "by itself" in send(client, walk, more).json()["detail"]
@@ -79,14 +66,6 @@ def test_a_film_is_checked(client: TestClient, walk: Path, tmp_path: Path, monke
         assert (refused["code"], reason in refused["detail"]) == ("invalid-input", True), refused
     monkeypatch.setattr(intake, "MAX_FILM_BYTES", 1000)
     assert send(client, walk).json()["code"] == "payload-too-large"
-
-
-def test_limits_tell_what_films_and_pushes_are_taken(client: TestClient) -> None:
-    limits = client.get("/v1/limits").json()
-    assert limits["film_formats"] == ["mp4", "mov", "m4v"]
-    assert (limits["max_film_s"], limits["max_film_pixels"]) == (film.MAX_FILM_S, film.MAX_FILM_PIXELS)
-    assert (limits["max_forces"], limits["max_force_groups"]) == (32, 64)
-    assert limits["max_displacement_bytes"] == 128 * 1024**2
 
 
 def test_a_film_with_fewer_frames_than_wanted_photos_makes_no_job(client: TestClient, tmp_path: Path) -> None:

@@ -2,24 +2,16 @@
 
 # ruff: noqa: F811
 
-from io import BytesIO
-
 import numpy as np
 import pytest
 from safetensors.numpy import load
 
-from dynamictree.formats.tensors.bundle import write_bundle
-from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.plant.capture import Capture
-from jobs.lifecycle.attempts import succeed
-from jobs.storage.assets import add_asset, delete_asset, read_asset
-from service.services import Services
-from tests.rows import asset_row, job_row, stored_part
-from tests.service.conftest import hold, publish
-from tests.service.pushed import client, grown, poke, post, spectrum  # noqa: F401
+from jobs.storage.assets import delete_asset, read_asset
+from tests.service.pushed import client, grown, poke, post, served_id, spectrum  # noqa: F401
 
 
 @pytest.fixture(scope="module")
@@ -31,25 +23,8 @@ def capture(grown) -> Capture:
 
 @pytest.fixture(scope="module")
 def cloud_spectrum(grown, capture, spectrum, client, tmp_path_factory) -> str:
-    services: Services = client.app.state.services  # type: ignore[attr-defined]
-    path = tmp_path_factory.mktemp("cloud") / "cloud.safetensors"
-    with path.open("wb") as stream:
-        write_bundle(capture, stream)
-    part = stored_part(services.artifacts, path)
-    asset = asset_row(part, now=services.store.clock(), kind="cloud")
-    top = float(capture.cloud.means[:, 2].max())
-    params = {"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]}
-    job = job_row(add_asset(services.store, asset)[0], now=services.store.clock(), params=params)
-    services.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
-    lease = hold(services, job.id)
-    mesh, file = BytesIO(), BytesIO()
-    write_bundle(grown.mesh, mesh)
-    write_spectrum(spectrum, file, dtype="float32")
-    publish(services, lease, "reconstruct", "mesh.safetensors", mesh.getvalue())
-    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
-    publish(services, lease, "diffuse", "tree.spectrum.safetensors", file.getvalue())
-    succeed(services.store, lease)
-    return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
+    box_m = [[-50, -50, -50], [50, 50, float(capture.cloud.means[:, 2].max()) - 0.5]]
+    return served_id(client, grown.mesh, spectrum, tmp_path_factory.mktemp("cloud"), sent=capture, box_m=box_m)
 
 
 @pytest.mark.parametrize("warp", [False, True])

@@ -3,7 +3,6 @@
 # ruff: noqa: F811
 
 import asyncio
-import threading
 import time
 from functools import partial
 from unittest.mock import AsyncMock
@@ -55,22 +54,31 @@ def pull(vector: list[float], voxel: int = 40) -> dict:
     return {"type": "force", "force": {"kind": "drag", "at": {"voxel": voxel}, "force_n": vector}}
 
 
-def coordinates(frame: dict, group: int = 0) -> np.ndarray:
-    return np.array(frame["groups"][group]["q"]) @ [1, 1j]
+def coordinates(frame: dict) -> np.ndarray:
+    return np.array(frame["groups"][0]["q"]) @ [1, 1j]
 
 
-def test_frames_are_those_of_the_library(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
+@pytest.mark.parametrize(
+    ("kind", "vector", "Force", "falloff_m"),
+    [("drag", "force_n", Drag, 1.0), ("impulse", "impulse_n_s", Impulse, None)],
+)
+def test_frames_are_those_of_the_library(client, spectrum_id, spectrum, kind, vector, Force, falloff_m) -> None:
+    where = {"locality": "none"} if falloff_m is None else {"falloff_m": falloff_m}
     with client.websocket_connect(URL) as socket:
-        reply = opened(socket, spectrum_id, rate_hz=50, mass_kg=80.0, falloff_m=1.0, damping_ratio=0.1)
-        socket.send_json(pull([0.0, 20.0, 0.0]))
+        reply = opened(socket, spectrum_id, rate_hz=50, mass_kg=80.0, damping_ratio=0.1, **where)
+        force = {"kind": kind, "at": {"voxel": 40}, vector: [0.0, 20.0, 0.0]}
+        socket.send_json({"type": "force", "force": force})
         taken = frames(socket, 12)
     system = modal_system(spectrum, mass_kg=80.0, damping_ratio=0.1)
     assert reply["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
-    drag = Drag(at=contact_at_voxel(spectrum.grid, 40), force_n=(0.0, 20.0, 0.0))
-    expected = respond(system, group_forces([drag], falloff_m=1.0), dt_s=1 / 50, num_frames=2000).q[:, 0]
+    groups = group_forces(
+        [Force(at=contact_at_voxel(spectrum.grid, 40), **{vector: (0.0, 20.0, 0.0)})], falloff_m=falloff_m
+    )
+    expected = respond(system, groups, dt_s=1 / 50, num_frames=2000).q[:, 0]
+    place = None if falloff_m is None else {"seed_voxel": 40, "falloff_m": falloff_m}
     for frame in taken:
         np.testing.assert_allclose(coordinates(frame)[1:], expected[frame["frame"]], rtol=1e-9)
-        assert frame["groups"][0]["locality"] == {"seed_voxel": 40, "falloff_m": 1.0}
+        assert frame["groups"][0]["locality"] == place
     assert [frame["frame"] for frame in taken] == sorted({frame["frame"] for frame in taken})
 
 
@@ -93,19 +101,6 @@ def test_a_frame_after_the_close_of_another_task_is_no_error() -> None:
             await interact_stream._send(socket, {"type": "frame"})
 
     asyncio.run(close_then_send())
-
-
-def test_a_knock_is_one(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict) -> None:
-    with client.websocket_connect(URL) as socket:
-        opened(socket, spectrum_id, locality="none")
-        socket.send_json({"type": "force", "force": poke})
-        taken = frames(socket, 5)
-    at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
-    groups = group_forces([Impulse(at=at, impulse_n_s=tuple(poke["impulse_n_s"]))], falloff_m=None)
-    expected = respond(modal_system(spectrum), groups, dt_s=1 / 60, num_frames=2000).q[:, 0]
-    for frame in taken:
-        np.testing.assert_allclose(coordinates(frame)[1:], expected[frame["frame"]], rtol=1e-9)
-        assert frame["groups"][0]["locality"] is None
 
 
 def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(client, spectrum_id, monkeypatch) -> None:
@@ -223,23 +218,6 @@ def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, mon
         replies = (socket.receive_json() for _ in range(10))  # how many frames come before depends on the machine
         problem = next(reply for reply in replies if reply["type"] == "problem")
         assert problem["code"] == "validation-failed"
-
-
-def test_only_the_event_loop_changes_a_session(client, spectrum_id, monkeypatch) -> None:
-    threads = {}
-    for name in ("push", "tick"):
-        method = getattr(interact_session.Session, name)
-
-        def recorded(self, *args, name=name, method=method):
-            threads.setdefault(name, set()).add(threading.get_ident())
-            return method(self, *args)
-
-        monkeypatch.setattr(interact_session.Session, name, recorded)
-    with client.websocket_connect(URL) as socket:
-        opened(socket, spectrum_id)
-        socket.send_json(pull([1.0, 0.0, 0.0]))
-        frames(socket, 3)
-    assert threads["push"] == threads["tick"]
 
 
 @pytest.mark.parametrize(

