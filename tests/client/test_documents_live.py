@@ -18,6 +18,7 @@ from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from lab.dataset.sample import make_sample, voxel_spectrum
 from recipes import batch
+from tests.formats.meshes import written
 from tests.reconstruct.conftest import photographed
 
 ROOT = Path(__file__).parents[2]
@@ -40,13 +41,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reader")
     sample = make_sample(3, "sapling")
     mesh = sample.mesh
-    with (folder / "tree.spectrum.safetensors").open("wb") as stream:
-        write_spectrum(voxel_spectrum(sample, 64)[1], stream)
+    (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 64)[1]))
     for name in ("tree.glb", "oak.glb"):
-        with (folder / name).open("wb") as stream:
-            write_glb(mesh, stream)
-    with (folder / "plant.ply").open("wb") as stream:
-        write_gaussian_ply(splats_of_mesh(mesh, at_least=20_000, rng=np.random.default_rng(0)).cloud, stream)
+        (folder / name).write_bytes(written(write_glb, mesh))
+    cloud = splats_of_mesh(mesh, at_least=20_000, rng=np.random.default_rng(0)).cloud
+    (folder / "plant.ply").write_bytes(written(write_gaussian_ply, cloud))
     (folder / "photos").mkdir()
     photographed(folder / "photos")
     return folder
@@ -100,8 +99,7 @@ def test_a_batch_goes_on_where_it_stopped_and_names_what_failed(url, tmp_path, c
     trees = tmp_path / "trees"
     trees.mkdir()
     for seed in (3, 4, 5):
-        with (trees / f"tree-{seed}.glb").open("wb") as stream:
-            write_glb(make_sample(seed, "sapling").mesh, stream)
+        (trees / f"tree-{seed}.glb").write_bytes(written(write_glb, make_sample(seed, "sapling").mesh))
     arguments = [str(trees), "-o", str(tmp_path / "out"), "--url", url, "--num-steps", "1"]
     assert batch.main(arguments) == 0
     first = (tmp_path / "out" / "tree-4" / "tree.glb").read_bytes()

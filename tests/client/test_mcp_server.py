@@ -10,9 +10,6 @@ import httpx
 import pytest
 from mcp import Client, StdioServerParameters
 
-from dynamictree.formats.gltf.writer import write_glb
-from lab.dataset.sample import make_sample
-
 TOOLS = {"upload", "animate", "wait_for_job", "download", "interact", "cancel", "list_recent_jobs", "download_link"}
 
 
@@ -52,9 +49,8 @@ def test_the_tools_are_listed_and_files_elsewhere_are_refused(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_model_uploads_animates_waits_downloads_and_pushes(url: str, tmp_path: Path) -> None:
-    with (tmp_path / "tree.glb").open("wb") as stream:
-        write_glb(make_sample(3, "sapling").mesh, stream)
+def test_a_model_uploads_animates_waits_downloads_and_pushes(url: str, tree: Path, tmp_path: Path) -> None:
+    (tmp_path / "tree.glb").write_bytes(tree.read_bytes())
 
     async def talk() -> None:
         async with Client(_program(url, tmp_path)) as client:

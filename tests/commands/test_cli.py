@@ -97,12 +97,3 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, name, content, 
 )
 def test_a_value_out_of_range_is_one_line_that_names_the_option(run: Run, arguments: list[str], message: str) -> None:
     assert_refused(run("animate", "no-such.obj", "-o", "no-such-folder", *arguments), message)
-
-
-def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(run, triangle, tmp_path) -> None:
-    answer = run("animate", triangle, "-o", tmp_path / "out", "--frames", "90", "--num-steps", "1")
-    assert_refused(answer, "100 frames make a loop", tmp_path / "out", at_once=False)
-
-
-def test_a_missing_file_is_named(run: Run, tmp_path: Path) -> None:
-    assert_refused(run("info", tmp_path / "none.obj"), "none.obj")

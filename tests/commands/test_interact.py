@@ -14,16 +14,15 @@ from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.requests import Reading
 from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.commands.conftest import assert_refused
+from tests.formats.meshes import written
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tree")
     sample = make_sample(4, "columnar")
-    with (folder / "tree.spectrum.safetensors").open("wb") as stream:
-        write_spectrum(voxel_spectrum(sample, 32)[1], stream)
-    with (folder / "tree.obj").open("wb") as stream:
-        write_obj(sample.mesh, stream)
+    (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 32)[1]))
+    (folder / "tree.obj").write_bytes(written(write_obj, sample.mesh))
     return folder
 
 

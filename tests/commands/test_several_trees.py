@@ -10,6 +10,7 @@ from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.mesh import joined
 from tests.commands.conftest import Run, assert_refused
+from tests.formats.meshes import written
 from tests.plant.stand import tree
 
 
@@ -18,8 +19,7 @@ def path(tmp_path: Path) -> Path:
     """A file of three trees in a row."""
     one = tree(6.0, num_cards=60)
     scene = joined([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
-    with (path := tmp_path / "three.ply").open("wb") as stream:
-        write_ply(scene, stream)
+    (path := tmp_path / "three.ply").write_bytes(written(write_ply, scene))
     return path
 
 
@@ -38,7 +38,7 @@ def test_one_tree_is_taken_and_a_part_of_it_stands_still(path: Path, tmp_path: P
     still = ("--still-box", "-20,-20,3,20,20,9")
 
     def voxels(*options: object) -> np.ndarray:
-        assert run("voxelize", path, "-o", tmp_path / "one", "--tree", 2, *options).returncode == 0
+        assert run("voxelize", path, "-o", tmp_path / "one", "--tree", 2, "--resolution", 64, *options).returncode == 0
         with (tmp_path / "one").open("rb") as stream:
             return read_voxels(stream).grid.centres_m
 

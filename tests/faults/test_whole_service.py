@@ -35,19 +35,6 @@ def test_a_killed_worker_loses_no_job(service: Service, killed: str, seed: int) 
     service.whole_artifacts(url)
 
 
-@pytest.mark.slow
-def test_a_killed_redis_loses_no_job(service: Service) -> None:
-    asset_id = service.upload("tree.obj", bumpy_sphere(30, seed=2))
-    server = next(c for c in psutil.Process(service.process.pid).children() if "valkey" in c.name())
-    urls = [service.create(type="voxelize", asset_id=asset_id, params={"resolution": r}) for r in (32, 64)]
-    server.kill()
-    urls.append(service.create(type="voxelize", asset_id=asset_id, params={"resolution": 128}))
-    for url in urls:
-        assert service.finish(url)["state"] == "succeeded"
-        service.whole_artifacts(url)
-    wait_for(lambda: service.client.get("/readyz").status_code == 200, "readiness")
-
-
 def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
     assert set(service.client.get("/readyz").json().values()) == {"ready", "ok"}
     asset_id = service.upload("tree.obj", bumpy_sphere(20, width=0.2))

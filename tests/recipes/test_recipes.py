@@ -5,7 +5,7 @@ import os
 import re
 import subprocess
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from dynamictree.spectrum import iter_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
 from recipes import blender_import, forest, gallery
 from recipes.forest_glb import TravellingGusts, plant_forest
+from tests.formats.meshes import written
 
 COUNT = 9
 ROOT = Path(__file__).parents[2]
@@ -37,16 +38,25 @@ def planted(tmp_path_factory: pytest.TempPathFactory) -> pygltflib.GLTF2:
 
 def forest_of(folder: Path, seed: int) -> pygltflib.GLTF2:
     sample = make_sample(seed, "sapling")
-    with (folder / "tree.glb").open("wb") as stream:
-        write_glb(sample.mesh, stream)
-    with (folder / "tree.spectrum.safetensors").open("wb") as stream:
-        write_spectrum(voxel_spectrum(sample, 64)[1], stream)
-    output = folder / "forest.glb"
-    inputs = [str(folder / "tree.glb"), str(folder / "tree.spectrum.safetensors")]
-    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT)])
+    (folder / "tree.glb").write_bytes(written(write_glb, sample.mesh))
+    (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 64)[1]))
+    output = planted_as(folder / "forest.glb")
     document = pygltflib.GLTF2().load(str(output))
     document.path = output
     return document
+
+
+def planted_as(output: Path, *options: str) -> Path:
+    """The forest of the tree in the same folder."""
+    inputs = [str(output.with_name(name)) for name in ("tree.glb", "tree.spectrum.safetensors")]
+    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), *options])
+    return output
+
+
+def require_same_places(placed: np.ndarray, planted: pygltflib.GLTF2) -> None:
+    """Places, +Z up, and sizes are those of the trees of which each has its own motion."""
+    there = np.array([[*z_up(np.array([node.translation]))[0], node.scale[0]] for node in planted.nodes])
+    np.testing.assert_allclose(placed[placed[:, 0].argsort()], there[there[:, 0].argsort()], atol=1e-5)
 
 
 def motions(document: pygltflib.GLTF2) -> np.ndarray:
@@ -107,17 +117,13 @@ def test_trees_share_one_mesh_and_stand_apart(planted: pygltflib.GLTF2) -> None:
 
 def test_a_forest_as_usd_has_instances_of_few_motions(planted: pygltflib.GLTF2) -> None:
     folder = planted.path.parent
-    inputs = [str(folder / "tree.glb"), str(folder / "tree.spectrum.safetensors")]
-    output = folder / "forest.usdz"
-    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), "--motions", "3"])
-    stage = Usd.Stage.Open(str(output))
+    stage = Usd.Stage.Open(str(planted_as(folder / "forest.usdz", "--motions", "3")))
     instancer = UsdGeom.PointInstancer(stage.GetDefaultPrim())
     motions = [stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
     assert len(motions) == 3
     assert sorted(np.bincount(instancer.GetProtoIndicesAttr().Get()).tolist()) == [3, 3, 3]
     placed = np.column_stack([instancer.GetPositionsAttr().Get(), np.array(instancer.GetScalesAttr().Get())[:, 0]])
-    there = np.array([[*z_up(np.array([node.translation]))[0], node.scale[0]] for node in planted.nodes])
-    np.testing.assert_allclose(placed[placed[:, 0].argsort()], there[there[:, 0].argsort()], atol=1e-5)
+    require_same_places(placed, planted)
     sample = make_sample(3, "sapling")
     with (folder / "tree.spectrum.safetensors").open("rb") as stream:
         coefficients = method.devoxelize(read_spectrum(stream), load_mesh(folder / "tree.glb"))
@@ -138,11 +144,6 @@ def test_a_forest_as_usd_has_instances_of_few_motions(planted: pygltflib.GLTF2) 
     assert boxes[1][2] > 1.2 * np.ptp(sample.mesh.vertices[:, 2]) * 0.8
 
 
-def test_a_forest_without_trees_is_refused() -> None:
-    with pytest.raises(InputError, match="0 trees"):
-        plant_forest(np.random.default_rng(0), 0, num_frequencies=16, spacing_m=1.0)
-
-
 def test_blenders_timeline_shows_every_key_once(planted: pygltflib.GLTF2) -> None:
     duration_s, num_keys = blender_import.loop_of(planted.path)
     assert (duration_s, num_keys) == (pytest.approx(100 / 24), 101)
@@ -152,9 +153,7 @@ def test_blenders_timeline_shows_every_key_once(planted: pygltflib.GLTF2) -> Non
 def test_blenders_camera_sees_the_whole_tree() -> None:
     low, high = (-2.0, -3.0, 0.0), (2.0, 1.0, 10.0)
     place, aim = (np.array(point) for point in blender_import.viewpoint(low, high))
-    corners = np.array(
-        [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    )
+    corners = np.array(list(product(*zip(low, high, strict=True))))
     forward = (aim - place) / np.linalg.norm(aim - place)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
@@ -197,8 +196,7 @@ def test_blender_plays_the_motion_that_the_file_tells(way: str, tmp_path: Path) 
         pytest.skip("BLENDER_PYTHON names no Python with bpy, Blender as a module")
     mesh, frames = make_sample(3, "sapling").mesh, (0, 10, 37, 99)
     parts = np.random.default_rng(0).normal(0, 0.01, (mesh.num_vertices, 16, 6)).astype(np.float32)
-    with (tmp_path / "tree.glb").open("wb") as stream:
-        write_motion_glb(mesh, parts.view(np.complex64), stream)
+    (tmp_path / "tree.glb").write_bytes(written(write_motion_glb, mesh, parts.view(np.complex64)))
     command = [os.environ["BLENDER_PYTHON"], "-c", PLAY, "tree.glb", "places.npy", way, *map(str, frames)]
     subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True, timeout=300)
     moved = np.load(tmp_path / "places.npy").reshape(len(frames), -1, 3) - mesh.vertices
@@ -207,11 +205,10 @@ def test_blender_plays_the_motion_that_the_file_tells(way: str, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_the_gallery_shows_each_file_or_why_it_was_refused(tmp_path: Path) -> None:
+def test_the_gallery_shows_each_file_or_why_it_was_refused(tree: Path, tmp_path: Path) -> None:
     trees = tmp_path / "trees"
     trees.mkdir()
-    with (trees / "sapling.glb").open("wb") as stream:
-        write_glb(make_sample(3, "sapling").mesh, stream)
+    (trees / "sapling.glb").write_bytes(tree.read_bytes())
     (trees / "empty.obj").write_text("")
     (trees / "readme.txt").write_text("not a tree")
     assert gallery.main([str(trees), "-o", str(tmp_path / "out"), "--options", "--num-steps 1 --side-px 64"]) == 0
@@ -240,18 +237,14 @@ def test_a_gust_reaches_a_tree_as_late_as_its_way_is_long(rng: np.random.Generat
 
 def test_instanced_trees_share_motions_and_stand_where_the_others_do(planted: pygltflib.GLTF2) -> None:
     folder = planted.path.parent
-    inputs = [str(folder / "tree.glb"), str(folder / "tree.spectrum.safetensors")]
-    output = folder / "instanced.glb"
-    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), "--motions", "3"])
+    output = planted_as(folder / "instanced.glb", "--motions", "3")
     document = pygltflib.GLTF2().load(str(output))
     assert document.extensionsRequired == ["EXT_mesh_gpu_instancing"]
     assert len(document.nodes) == len(document.animations[0].channels) == 3
     named = [node.extensions["EXT_mesh_gpu_instancing"]["attributes"] for node in document.nodes]
     places = np.concatenate([accessor(document, one["TRANSLATION"]) for one in named])
     sizes = np.concatenate([accessor(document, one["SCALE"]) for one in named])
-    placed = np.column_stack([places, sizes[:, 0]])
-    there = np.array([[*node.translation, node.scale[0]] for node in planted.nodes])
-    np.testing.assert_allclose(placed[placed[:, 0].argsort()], there[there[:, 0].argsort()], atol=1e-5)
+    require_same_places(np.column_stack([z_up(places), sizes[:, 0]]), planted)
     with (folder / "tree.spectrum.safetensors").open("rb") as stream:
         wind = read_spectrum(stream).wind
     angle = np.deg2rad(wind.direction_deg if wind else 0.0)
@@ -264,4 +257,4 @@ def test_instanced_trees_share_motions_and_stand_where_the_others_do(planted: py
         mesh.num_vertices == COUNT * accessor(document, document.meshes[0].primitives[0].attributes.POSITION).shape[0]
     )
     with pytest.raises(InputError, match="10 motions are asked for; 1 to 9"):
-        forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), "--motions", "10"])
+        planted_as(output, "--motions", "10")
