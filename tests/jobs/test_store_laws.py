@@ -7,7 +7,7 @@ import pytest
 
 from jobs.errors import FencedError
 from jobs.lifecycle import attempts, maintenance
-from jobs.lifecycle.rows import move
+from jobs.lifecycle.rows import end, move
 from jobs.records import AssetRecord, Claim, ClientKey
 from jobs.states import TRANSITIONS, JobState
 from jobs.storage.assets import delete_asset
@@ -141,6 +141,13 @@ def test_one_process_holds_a_lease(store: Store, clock: Clock) -> None:
 
 def place_of(store: Store, job_id: str) -> int | None:
     return store.standing_of([store.job(job_id)])[job_id][0]
+
+
+def test_a_final_state_is_written_once(store: Store, asset: AssetRecord) -> None:
+    lease = claim(store, add_job(store, asset).id)
+    attempts.succeed(store, lease)
+    with store.writing() as connection:
+        assert not end(connection, lease.job.id, JobState.FAILED, now=1.0)
 
 
 def test_owners_take_turns(store: Store, asset: AssetRecord, clock: Clock) -> None:
