@@ -179,8 +179,8 @@ def test_the_best_accepted_type_is_given(client, spectrum_id, poke, accept, give
 def test_a_force_that_is_none_is_refused(client, spectrum_id, poke, change, words) -> None:
     body = json.dumps({"spectrum_id": spectrum_id, "forces": [poke | change]}).replace("Infinity", "1e400")
     response = client.post("/v1/interact", content=body, headers={"Content-Type": "application/json"})
-    known_by_the_tree = words in ("outside of the tree", "does not exist")
-    assert words in refusal(response, 422, "invalid-input" if known_by_the_tree else "validation-failed")["detail"]
+    of_this_tree = words in ("outside of the tree", "does not exist")
+    assert words in refusal(response, 422, "invalid-input" if of_this_tree else "validation-failed")["detail"]
 
 
 AT_REST = {"locality": None, "q": [[0, 0]] * 16, "q_dot": [[0, 0]] * 16}
