@@ -60,6 +60,7 @@ def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
 @pytest.mark.parametrize("degree", [0, 2, 3])
 def test_the_archive_holds_the_frames_where_the_capture_lay(splat: AnimatedSplat, degree: int) -> None:
     binding = lighter(splat.binding, sh_degree=degree)
+    np.testing.assert_array_equal(binding.cloud.sh, splat.binding.cloud.sh[:, : (degree + 1) ** 2])
     with archive_of(iter_splat_files(binding, frames_of(splat), first_number=7)) as archive:
         assert archive.testzip() is None
         assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(7, 11)]

@@ -89,6 +89,7 @@ def test_textures_become_webp_where_that_is_smaller(tmp_path, compression: str) 
     plain = written(tree_of(PICTURES), tmp_path)["glb"]
     packed = written(tree_of(PICTURES), tmp_path, glb_textures="webp", glb_compression=compression)["glb"]
     assert len(packed) < len(plain)
+    assert read(packed, "glb").look.materials[0].texture_png is not None
     root = document_of(packed).root
     assert WEBP in root["extensionsUsed"]
     assert WEBP in root["extensionsRequired"]

@@ -45,7 +45,10 @@ def test_a_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is_seen():
         vertices=np.array([[-9, -9, 0], [9, -9, 0], [0, 30, 0]], np.float32), faces=np.array([[0, 1, 2]], np.int32)
     )
     camera = Camera.look_at(np.array([0.0, 0, 1.5]), np.array([0.0, 5, 0.5]), vertical_fov_deg=60.0)
-    buffers = Renderer(floor, Look(width=SIZE, height=SIZE)).buffers(camera)
+    renderer = Renderer(floor, Look(width=SIZE, height=SIZE))
+    beyond = Camera.look_at(np.array([0.0, 40, 1.5]), np.array([0.0, 50, 1.0]))
+    assert (renderer.buffers(beyond).face == -1).all(), "all of it is behind the camera"
+    buffers = renderer.buffers(camera)
     depth, _ = cast_rays(floor, camera, SIZE)
     assert 0.4 < np.isfinite(depth).mean() < 0.95
     assert (np.isfinite(buffers.depth_m) == np.isfinite(depth)).all()
