@@ -108,19 +108,16 @@ def test_an_obj_that_breaks_the_rules_is_refused(content: bytes, message: str) -
         read(content, "obj")
 
 
-def test_a_damaged_texture_is_refused(rng) -> None:
+def test_a_texture_that_is_damaged_or_has_too_many_pixels_is_refused(rng, monkeypatch) -> None:
     stream = io.BytesIO()
     companions = write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
     texture = image_bytes(size=(64, 64))
     for changed, message in (({"tree_1.png": b"no image"}, "no image of"), ({"tree_1.png": texture[:60]}, "damaged")):
         with pytest.raises(FormatError, match=message):
             read(stream.getvalue(), "obj", companions=companions | changed)
-
-
-def test_a_texture_of_too_many_pixels_is_refused(rng, monkeypatch) -> None:
     monkeypatch.setattr("dynamictree.formats.texture.MAX_PIXELS", 15)
     with pytest.raises(FormatError, match="4 x 4 pixels"):
-        read(mesh_bytes(trunk_and_crown(rng), "glb"), "glb")
+        read(stream.getvalue(), "obj", companions=companions)
 
 
 def test_an_obj_with_too_many_texture_seams_is_refused(monkeypatch) -> None:
