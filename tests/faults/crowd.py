@@ -6,18 +6,17 @@ stands still, or read nothing of a large answer. What is measured is how the pol
 
 import argparse
 import asyncio
-import json
+import shutil
 import sys
-import tempfile
 import time
 from collections import Counter
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import psutil
 
 from tests import servers
+from tests.faults.drill import parse, tell
 
 HEAD = "GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n"
 SLOW_BODY = (
@@ -97,29 +96,21 @@ def main() -> None:
     parser.add_argument("--slow", type=int, default=100, help="slow clients of each kind")
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--every", type=float, default=10, help="seconds between two polls of one client")
-    given = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="crowd-") as scratch:
-        folder = Path(scratch)
-        settings = {"DYNAMICTREE_STATE_DIR": str(folder / "state"), "DYNAMICTREE_UPLOAD_IDLE_S": "10"}
-        front, url = servers.api(folder, settings)
-        front.start()
-        assert front.process is not None
-        process = psutil.Process(front.process.pid)
-        time.sleep(5)
-        before = process.memory_full_info().uss / 2**20
-        seen = asyncio.run(
-            crowd(
-                int(url.rsplit(":", 1)[1]),
-                pollers=given.pollers,
-                slow=given.slow,
-                seconds=given.seconds,
-                every_s=given.every,
-            )
-        )
-        after = process.memory_full_info().uss / 2**20
-        report = {"pollers": given.pollers, "slow": 2 * given.slow, "seconds": given.seconds, **seen}
-        sys.stdout.write(json.dumps(report | {"api_mib": [round(before, 1), round(after, 1)]}) + "\n")
-        front.stop()
+    given, folder = parse(parser, prefix="crowd-")
+    settings = {"DYNAMICTREE_STATE_DIR": str(folder / "state"), "DYNAMICTREE_UPLOAD_IDLE_S": "10"}
+    front, url = servers.api(folder, settings)
+    front.start()
+    assert front.process is not None
+    process = psutil.Process(front.process.pid)
+    time.sleep(5)
+    before = process.memory_full_info().uss / 2**20
+    port, numbers = int(url.rsplit(":", 1)[1]), {"pollers": given.pollers, "slow": given.slow, "seconds": given.seconds}
+    seen = asyncio.run(crowd(port, **numbers, every_s=given.every))
+    after = process.memory_full_info().uss / 2**20
+    tell(numbers | {"slow": 2 * given.slow} | seen | {"api_mib": [round(before, 1), round(after, 1)]})
+    front.stop()
+    if given.keep is None:
+        shutil.rmtree(folder)
     answers = seen["answers"]
     assert isinstance(answers, dict)
     if set(answers) - {"404", "slow heads ended by the server", "slow bodies answered 408"}:

@@ -49,17 +49,14 @@ ENDED = {"succeeded", "failed", "canceled"}
 PARAMS = {"num_steps": 3, "formats": ["motion", "ply"]}
 
 
+ROLES = {"valkey": "redis", "uvicorn": "api", "worker.parse": "parser"}
+ROLES |= {f"worker.{name}": name for name in ("heartbeat", "housekeeper")}
+
+
 def role(process: psutil.Process) -> str:
     """What a process of the service does, by its command."""
     words = " ".join(process.cmdline())
-    if "valkey" in words:
-        return "redis"
-    for name, sign in (
-        ("api", "uvicorn"),
-        ("heartbeat", "worker.heartbeat"),
-        ("housekeeper", "worker.housekeeper"),
-        ("parser", "worker.parse"),
-    ):
+    for sign, name in ROLES.items():
         if sign in words:
             return name
     if "celery" in words:
@@ -119,8 +116,6 @@ class Scales:
                 "mib": round(float(np.median(mib[late])), 1),
                 "mib_quiet_first": round(float(quiet[0]), 1),
                 "mib_quiet_last": round(float(quiet[-1]), 1),
-                "mib_first": round(float(mib[late][0]), 1),
-                "mib_last": round(float(mib[late][-1]), 1),
                 "slope_mib_per_h": round(float(slope), 2),
                 "files": max(self.files[name]),
                 "samples": int(late.sum()),
