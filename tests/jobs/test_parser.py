@@ -18,7 +18,7 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 def test_a_fault_of_ours_is_reported_as_one_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     settings = Settings(state_dir=tmp_path)
-    request = _request(settings, tmp_path / "absent")
+    request = request_of(settings, tmp_path / "absent")
     answer = asyncio.run(parse(request, settings))
     assert (answer.code, answer.message) == ("internal-error", "The cause was logged.")
     assert "FileNotFoundError" in caplog.text
@@ -33,7 +33,7 @@ def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: 
     tree.write_text(OBJ)
     monkeypatch.chdir(tmp_path)
     settings = Settings(state_dir=tmp_path)
-    request = _request(settings, tree)
+    request = request_of(settings, tree)
     answer = asyncio.run(parse(request, settings))
     assert answer.kind == "mesh", answer
     assert not (tmp_path / "executed").exists()
@@ -41,7 +41,7 @@ def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: 
 
 def test_a_reader_that_waits_for_ever_is_ended(tmp_path: Path) -> None:
     settings = Settings(state_dir=tmp_path, parser_cpu_s=1)
-    answer = asyncio.run(parse(_request(settings, _pipe(tmp_path / "a")), settings))
+    answer = asyncio.run(parse(request_of(settings, _pipe(tmp_path / "a")), settings))
     assert answer.code == "input-too-costly"
     wait_for(lambda: not _readers())
 
@@ -51,9 +51,9 @@ def test_an_upload_is_answered_while_another_is_read(tmp_path: Path) -> None:
     first, second = _pipe(tmp_path / "a"), _pipe(tmp_path / "b")
 
     async def both() -> None:
-        quick = asyncio.create_task(parse(_request(settings, first), settings))
+        quick = asyncio.create_task(parse(request_of(settings, first), settings))
         await asyncio.to_thread(wait_for, lambda: len(_readers()) == 1)
-        slow = asyncio.create_task(parse(_request(settings, second), settings))  # forked while the first is read
+        slow = asyncio.create_task(parse(request_of(settings, second), settings))  # forked while the first is read
         await asyncio.to_thread(wait_for, lambda: len(_readers()) == 2)
         await asyncio.to_thread(lambda: first.open("wb").close())
         assert (await quick).code == "internal-error"  # a pipe cannot be read twice
@@ -70,7 +70,7 @@ def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
     tree.write_text(OBJ)
     for place in ("before", "after"):
         (tmp_path / place).mkdir()
-        request = _request(settings, tree).model_copy(update={"prepared": tmp_path / place / "prepared"})
+        request = request_of(settings, tree).model_copy(update={"prepared": tmp_path / place / "prepared"})
         assert asyncio.run(parse(request, settings)).kind == "mesh"
         [server] = _servers()
         server.kill()
@@ -85,10 +85,10 @@ def test_an_upload_that_no_process_can_read_may_be_sent_again(tmp_path, monkeypa
     wait_for(lambda: not _servers())
     with monkeypatch.context() as broken:
         broken.setattr(sys, "executable", str(tmp_path / "absent"))
-        answer = asyncio.run(parse(_request(settings, tree), settings))
+        answer = asyncio.run(parse(request_of(settings, tree), settings))
     assert (answer.code, KINDS["overloaded"].status) == ("overloaded", 503)
     assert "No such file" in caplog.text
-    assert asyncio.run(parse(_request(settings, tree), settings)).kind == "mesh"
+    assert asyncio.run(parse(request_of(settings, tree), settings)).kind == "mesh"
 
 
 def test_what_the_kernel_does_not_confine_is_logged_once(tmp_path, monkeypatch, caplog) -> None:
@@ -98,13 +98,13 @@ def test_what_the_kernel_does_not_confine_is_logged_once(tmp_path, monkeypatch, 
     monkeypatch.setattr("jobs.storage.parser_process._content", answered)
     settings = Settings(state_dir=tmp_path)
     for _ in range(2):
-        assert asyncio.run(parse(_request(settings, tmp_path), settings)).kind == "mesh"
+        assert asyncio.run(parse(request_of(settings, tmp_path), settings)).kind == "mesh"
     assert caplog.text.count("uploads are read without landlock") == 1
 
 
 def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:
     settings = Settings(state_dir=tmp_path, parser_cpu_s=10)
-    request = _request(settings, _pipe(tmp_path / "a"))
+    request = request_of(settings, _pipe(tmp_path / "a"))
 
     async def cut_off() -> None:
         reading = asyncio.create_task(parse(request, settings))
@@ -118,10 +118,10 @@ def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:
     wait_for(lambda: not _readers())
 
 
-def _request(settings: Settings, tree: Path) -> ParseRequest:
+def request_of(settings: Settings, tree: Path, name: str = "tree.obj") -> ParseRequest:
     return ParseRequest(
         kind="mesh",
-        names=("tree.obj",),
+        names=(name,),
         paths=(tree,),
         prepared=tree.parent / "prepared",
         memory_bytes=settings.parser_memory_bytes,

@@ -1,14 +1,14 @@
 """Compare-and-set, the fence, the lease: laws that make delivery at least once and publication exactly once."""
 
 import itertools
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from jobs.errors import FencedError
 from jobs.lifecycle import attempts, maintenance
 from jobs.lifecycle.rows import end, move
-from jobs.records import AssetRecord, Claim, ClientKey
+from jobs.records import AssetRecord, ClientKey
 from jobs.states import TRANSITIONS, JobState
 from jobs.storage.assets import delete_asset
 from jobs.storage.uploads import add_upload, claim_uploads
@@ -35,18 +35,10 @@ def test_every_transition_that_is_not_drawn_is_refused(store: Store, asset: Asse
 
 def test_one_of_many_claims_wins(store: Store, asset: AssetRecord) -> None:
     job = add_job(store, asset)
-    won: list[Claim | None] = []
-
-    def take(number: int) -> None:
-        won.append(attempts.claim(store, job.id, 1, owner=f"worker-{number}", lease_s=60))
-
-    threads = [threading.Thread(target=take, args=(number,)) for number in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(won) == 8
-    assert sum(claimed is not None for claimed in won) == 1
+    owners = (f"worker-{number}" for number in range(8))
+    with ThreadPoolExecutor(8) as pool:
+        won = list(pool.map(lambda owner: attempts.claim(store, job.id, 1, owner=owner, lease_s=60), owners))
+    assert (len(won), sum(claimed is not None for claimed in won)) == (8, 1)
 
 
 def test_a_stale_attempt_publishes_nothing(store: Store, asset: AssetRecord, clock: Clock) -> None:

@@ -1,5 +1,6 @@
 """Splats, scans and scenes of several trees as assets, and what a job on them may ask for."""
 
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -20,6 +21,7 @@ from jobs.records import AssetRecord
 from jobs.storage.assets import read_asset
 from service.routes import surface
 from service.services import Services
+from tests.clouds import cloud_at
 from tests.formats.meshes import written
 from tests.plant.stand import tree
 from tests.service.test_assets import left_behind, photo, send, zipped
@@ -29,14 +31,9 @@ def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
     """A hollow post, one metre high, as a trained splat has it: −Y up."""
     rng = np.random.default_rng(3)
     angle = rng.random(count) * 2 * np.pi
-    return GaussianCloud(
-        means=np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), rng.random(count)], axis=1).astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        scales=np.full((count, 3), 0.03, np.float32),
-        opacity=np.full(count, 0.9, np.float32),
-        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
-        source=Source(up_axis="-Y"),
-    )
+    means = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), rng.random(count)], axis=1)
+    cloud = cloud_at(means, scale=0.03, sh=rng.normal(size=(count, (degree + 1) ** 2, 3)))
+    return replace(cloud, source=Source(up_axis="-Y"))
 
 
 def ply_of(cloud: GaussianCloud) -> bytes:

@@ -1,6 +1,7 @@
 """A disk that runs full: the housekeeper writes its lease again, retention frees space, and the reserve comes back."""
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -25,14 +26,11 @@ MIB = 1024**2
 
 
 def _fill(path: Path) -> None:
-    with path.open("wb", buffering=0) as stream:
-        try:
-            while stream.write(bytes(MIB)) == MIB:
-                pass
-            while stream.write(bytes(1)):
-                pass
-        except OSError:
-            return
+    with suppress(OSError), path.open("wb", buffering=0) as stream:
+        while stream.write(bytes(MIB)) == MIB:
+            pass
+        while stream.write(bytes(1)):
+            pass
 
 
 def _write_leases(store: Store, number: int) -> None:

@@ -4,10 +4,11 @@ import asyncio
 from pathlib import Path
 
 from jobs.storage.assets import add_asset
-from jobs.storage.parser_process import ParseRequest, parse
+from jobs.storage.parser_process import parse
 from tests.formats import artists
 from tests.formats.artists import document_of
 from tests.formats.looks import looks
+from tests.jobs.test_parser import request_of
 from tests.rows import asset_row, stored_part
 from tests.worker.test_attempt import content, run, with_spectrum
 from worker.runtime import Runtime
@@ -17,14 +18,7 @@ def test_a_job_s_glb_differs_from_the_upload_by_its_motion_only(runtime: Runtime
     folder = tmp_path / "upload"
     folder.mkdir()
     (folder / "tree.glb").write_bytes(artists.wooded().glb())
-    request = ParseRequest(
-        kind="mesh",
-        names=("tree.glb",),
-        paths=(folder / "tree.glb",),
-        prepared=folder / "prepared",
-        memory_bytes=runtime.settings.parser_memory_bytes,
-        cpu_s=runtime.settings.parser_cpu_s,
-    )
+    request = request_of(runtime.settings, folder / "tree.glb", "tree.glb")
     answer = asyncio.run(parse(request, runtime.settings))
     assert answer.code is None, answer
     row = asset_row(stored_part(runtime.artifacts, folder / "prepared"), now=runtime.store.clock())
