@@ -31,7 +31,7 @@ def system(spectrum: SparseVoxelSpectrum) -> ModalSystem:
     return modal_system(spectrum, mass_kg=20.0, damping_ratio=0.05)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def forked():
     tree, _, parts = rigged_fork(fineness=3)
     return tree, parts

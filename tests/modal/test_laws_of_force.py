@@ -1,5 +1,7 @@
 """What the answer to a force must obey."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,6 @@ from dynamictree.modal.force import (
     WindField,
     compliance,
     contact_at_point,
-    contact_at_voxel,
     davis_state,
     drag_force_n,
     equilibrium,
@@ -19,7 +20,6 @@ from dynamictree.modal.force import (
 )
 from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import displacement, modal_system
-from dynamictree.spectrum import SparseVoxelSpectrum
 
 DT_S = 1 / 60
 TIP = Contact(rows=np.array([39], np.int32), weights=np.ones(1))
@@ -36,13 +36,6 @@ def answer(system, *forces, num_frames=90, dt_s=DT_S, begin=None):
 
 KNOCK = Impulse(at=TIP, impulse_n_s=(3.0, -1.0, 0.5), start_s=0.1)
 PULL = Drag(at=MIDDLE, force_n=(0.0, 4.0, 0.0), start_s=0.2, duration_s=0.5)
-BREEZE = WindField(velocity_m_s=np.array([[1.0, 0.0, 0.0], [4.0, 1.0, 0.0], [0.0, 2.0, 0.0]]), duration_s=1.0)
-
-
-def test_the_answer_to_several_forces_is_the_sum_of_the_answers(system):
-    together = answer(system, KNOCK, PULL, BREEZE)
-    apart = answer(system, KNOCK) + answer(system, PULL) + answer(system, BREEZE)
-    np.testing.assert_allclose(together, apart, atol=1e-6 * np.abs(together).max())
 
 
 @pytest.mark.parametrize("kind", ["impulse", "force", "displacement"])
@@ -62,30 +55,18 @@ def test_the_answer_is_linear_in_the_force(system, rng, kind):
 
 
 def test_the_answer_does_not_depend_on_the_strength_of_the_wind_that_made_the_modes(spectrum):
-    stronger = SparseVoxelSpectrum(grid=spectrum.grid, coefficients=spectrum.coefficients * np.float32(3))
+    stronger = replace(spectrum, coefficients=spectrum.coefficients * np.float32(3))
     np.testing.assert_allclose(
         answer(modal_system(stronger), KNOCK), answer(modal_system(spectrum), KNOCK), rtol=1e-3, atol=1e-6
     )
 
 
-def test_twice_the_mass_gives_way_half_as_much(spectrum):
-    light, heavy = (modal_system(spectrum, mass_kg=mass_kg) for mass_kg in (20.0, 40.0))
-    np.testing.assert_allclose(answer(light, KNOCK), 2 * answer(heavy, KNOCK), rtol=1e-4, atol=1e-7)
-
-
 def test_a_single_mode_has_the_modal_mass_of_the_textbook(spectrum):
-    one_bin = SparseVoxelSpectrum(grid=spectrum.grid, coefficients=spectrum.coefficients[:, :2])
-    system = modal_system(one_bin, mass_kg=20.0)
+    system = modal_system(replace(spectrum, coefficients=spectrum.coefficients[:, :2]), mass_kg=20.0)
     # kinetic energy of 20 kg, spread over voxels that sway as Re φ exp(iωt): its mean over a turn
     speed = np.abs(system.shapes[:, 0]) * system.omega[0]
     kinetic = (20.0 / 40) * (speed**2).sum() / 4
     assert system.modal_mass * system.omega[0] ** 2 / 2 == pytest.approx(kinetic, rel=1e-6)
-
-
-def test_an_impulse_moves_the_point_along_the_push_at_once(system):
-    push = np.array([3.0, -1.0, 0.0])
-    moved = answer(system, Impulse(at=TIP, impulse_n_s=tuple(push)), num_frames=4)[2, 39]
-    assert moved @ push > 0
 
 
 @pytest.mark.parametrize("dt_s", [1 / 24, 1 / 60, 0.013])
@@ -114,14 +95,6 @@ def test_a_constant_force_settles_in_its_equilibrium(spectrum):
     np.testing.assert_allclose(sunk, compliance(system, TIP) @ [5.0, 0.0, 0.0], rtol=1e-4)
 
 
-def test_a_tree_that_rests_under_its_load_stays(system):
-    load = Drag(at=MIDDLE, force_n=(0.0, 0.0, -300.0))
-    constant = generalised_force(system, load, dt_s=DT_S, num_frames=60)
-    moved = answer(system, load, num_frames=60, begin=equilibrium(system, constant[:1]))
-    np.testing.assert_allclose(moved, np.broadcast_to(moved[:1], moved.shape), atol=1e-6)
-    assert np.abs(moved[0]).max() > 1e-3
-
-
 def test_a_point_fixed_at_a_displacement_rests_there_and_swings_when_released(system):
     hold = Drag(at=TIP, displacement_m=(0.5, -0.3, 0.0), duration_s=0.5)
     constant = generalised_force(system, hold, dt_s=DT_S, num_frames=120)
@@ -133,9 +106,8 @@ def test_a_point_fixed_at_a_displacement_rests_there_and_swings_when_released(sy
 
 
 def test_a_stiff_direction_is_left_out_of_a_drag(spectrum):
-    flat = spectrum.coefficients.copy()
-    flat[:, :, 2] = 0  # nothing moves up or down
-    system = modal_system(SparseVoxelSpectrum(grid=spectrum.grid, coefficients=flat))
+    level = spectrum.coefficients * np.float32([1, 1, 0])  # nothing moves up or down
+    system = modal_system(replace(spectrum, coefficients=level))
     upward = drag_force_n(system, Drag(at=TIP, displacement_m=(0.0, 0.0, 1.0)))
     np.testing.assert_allclose(upward, 0, atol=1e-9)
 
@@ -150,14 +122,6 @@ def test_the_state_of_davis_has_his_magnitude_and_phase(system):
     struck = davis_state(system, Impulse(at=TIP, impulse_n_s=tuple(direction)), gain=0.3)
     z = struck.q[0] - 1j * struck.q_dot[0] / system.omega
     np.testing.assert_allclose(np.angle(z * moved), -np.pi / 2, atol=1e-5)
-
-
-def test_a_knock_in_daviss_form_moves_along_the_push(system):
-    begin = davis_state(system, Impulse(at=TIP, impulse_n_s=(1.0, 0.0, 0.0)))
-    frames, _ = run(exact_step(system, DT_S), begin, np.zeros((3, 1, 15), complex))
-    moved = displacement(system.shapes, frames[:, 0])[:, 39, 0]
-    assert moved[0] == 0
-    assert moved[1] > 0
 
 
 def test_davis_needs_a_direction(system):
@@ -183,28 +147,13 @@ def test_wind_follows_its_samples_over_time(system):
 
 
 def test_a_radius_spreads_the_force_over_what_lies_within(spectrum):
+    with pytest.raises(InputError, match="must be finite"):
+        contact_at_point(spectrum.grid, (float("nan"), 0.0, 0.0))
     at = contact_at_point(spectrum.grid, (0.05, 0.05, 2.0), radius_m=0.31)
     height = spectrum.grid.centres_m[at.rows, 2]
     assert len(at.rows) == 6
     assert np.abs(height - 2.0).max() <= 0.31
     assert at.weights.sum() == pytest.approx(1)
-
-
-def test_a_point_and_its_voxel_are_one_contact(spectrum):
-    at = contact_at_point(spectrum.grid, tuple(spectrum.grid.centres_m[17].tolist()))
-    assert at.rows.tolist() == contact_at_voxel(spectrum.grid, 17).rows.tolist() == [17]
-
-
-@pytest.mark.parametrize("point", [(9.0, 0.0, 2.0), (float("nan"), 0.0, 0.0)])
-def test_a_point_outside_of_the_tree_is_refused(spectrum, point):
-    with pytest.raises(InputError, match=r"outside of the tree|must be finite"):
-        contact_at_point(spectrum.grid, point)
-
-
-@pytest.mark.parametrize("row", [-1, 40])
-def test_a_voxel_that_is_not_there_is_refused(spectrum, row):
-    with pytest.raises(InputError, match="0 to 39"):
-        contact_at_voxel(spectrum.grid, row)
 
 
 @pytest.mark.parametrize(
@@ -226,12 +175,15 @@ def test_a_force_that_is_none_is_refused(system, force):
 
 
 def test_what_does_not_move_cannot_be_dragged(spectrum):
-    still = spectrum.coefficients.copy()
-    still[0] = 0
-    system = modal_system(SparseVoxelSpectrum(grid=spectrum.grid, coefficients=still))
+    coefficients = spectrum.coefficients.copy()
+    coefficients[0] = 0
     root = Contact(rows=np.array([0], np.int32), weights=np.ones(1))
     with pytest.raises(InputError, match="does not move"):
-        drag_force_n(system, Drag(at=root, displacement_m=(0.1, 0.0, 0.0)))
+        drag_force_n(
+            modal_system(replace(spectrum, coefficients=coefficients)), Drag(at=root, displacement_m=(0.1, 0.0, 0.0))
+        )
+    with pytest.raises(InputError, match="does not move"):
+        modal_system(replace(spectrum, coefficients=0 * coefficients))
 
 
 @pytest.mark.parametrize(
@@ -241,9 +193,3 @@ def test_what_does_not_move_cannot_be_dragged(spectrum):
 def test_an_unphysical_system_is_refused(spectrum, options):
     with pytest.raises(InputError):
         modal_system(spectrum, **options)
-
-
-def test_a_spectrum_that_does_not_move_has_no_modes(spectrum):
-    still = SparseVoxelSpectrum(grid=spectrum.grid, coefficients=np.zeros_like(spectrum.coefficients))
-    with pytest.raises(InputError, match="does not move"):
-        modal_system(still)

@@ -7,8 +7,6 @@ import scipy.linalg
 
 from dynamictree.errors import InputError, UnstableTimestep
 from dynamictree.modal.step import (
-    INTEGRATORS,
-    STEPS,
     State,
     energy,
     exact_step,
@@ -18,8 +16,6 @@ from dynamictree.modal.step import (
 )
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.spectrum import displacement_at
-
-DT_S = 1 / 60
 
 
 def some_state(system, rng, num_groups=2):
@@ -61,7 +57,7 @@ def test_symplectic_euler_moves_the_coordinate_by_the_new_rate(spectrum, rng):
     np.testing.assert_allclose(end.q - begin.q, 0.01 * end.q_dot, atol=1e-12)
 
 
-@pytest.mark.parametrize("zeta", [0.02, 1.3])
+@pytest.mark.parametrize("zeta", [0.02, 1.3, np.linspace(0.01, 1.5, 15)])
 def test_exact_step_agrees_with_scipys_integrator(spectrum, rng, zeta):
     system = modal_system(spectrum, damping_ratio=zeta)
     force = some_force(system, rng, 12, 1)
@@ -107,26 +103,6 @@ def test_euler_steps_converge_with_order_one(spectrum, rng, make_step):
     assert order == pytest.approx(1.0, abs=0.05)
 
 
-def test_exact_step_is_the_same_however_often_it_is_cut(system, rng):
-    begin, force = some_state(system, rng), some_force(system, rng, 1)
-    _, whole = run(exact_step(system, 0.4), begin, force)
-    _, cut = run(exact_step(system, 0.4 / 7), begin, np.repeat(force, 7, axis=0))
-    np.testing.assert_allclose(cut.q, whole.q, atol=1e-12)
-    np.testing.assert_allclose(cut.q_dot, whole.q_dot, atol=1e-10)
-
-
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_two_runs_of_n_frames_are_one_run_of_2n(spectrum, rng, integrator):
-    system = modal_system(spectrum, damping_ratio=0.3)
-    step = STEPS[integrator](system, DT_S)
-    begin, force = some_state(system, rng), some_force(system, rng, 40)
-    whole, whole_end = run(step, begin, force)
-    first, between = run(step, begin, force[:20])
-    second, end = run(step, between, force[20:])
-    assert np.array_equal(np.concatenate([first, second]), whole)
-    assert np.array_equal(end.q, whole_end.q)
-
-
 @pytest.mark.parametrize("make_step", [symplectic_euler_step, explicit_euler_step])
 @pytest.mark.parametrize("zeta", [0.05, 1.0, 1.7])
 def test_the_longest_step_is_the_border_of_stability(spectrum, make_step, zeta):
@@ -151,23 +127,7 @@ def test_undamped_explicit_euler_has_no_stable_step(spectrum):
     assert refusal.value.max_dt_s == 0
 
 
-def test_explicit_euler_at_sixty_frames_a_second_is_refused(spectrum):
-    # the paper's scheme: at 2 % damping every mode above 0.4 Hz diverges at 60 frames a second
-    with pytest.raises(UnstableTimestep):
-        explicit_euler_step(modal_system(spectrum, damping_ratio=0.02), DT_S)
-
-
 @pytest.mark.parametrize("dt_s", [0.0, -0.1, float("nan"), float("inf")])
 def test_a_step_that_is_no_time_is_refused(system, dt_s):
     with pytest.raises(InputError, match="dt_s"):
         exact_step(system, dt_s)
-
-
-def test_damping_of_each_mode_gives_a_free_mode_its_decay(spectrum):
-    system = modal_system(spectrum)
-    zeta = 0.4 / (2 * system.omega) + 0.01 * system.omega / 2  # Rayleigh's: 0.4 times mass, 0.01 times stiffness
-    damped = modal_system(spectrum, damping_ratio=zeta)
-    begin = State(q=np.ones((1, 15), complex), q_dot=((-zeta + 1j * np.sqrt(1 - zeta**2)) * system.omega)[None])
-    _, end = run(exact_step(damped, 1.0), begin, np.zeros((1, 1, 15), complex))
-    # c = α m + β m ω², and amplitude decays as exp(−c t / 2m)
-    np.testing.assert_allclose(np.abs(end.q[0]), np.exp(-(0.4 + 0.01 * system.omega**2) / 2), rtol=1e-9)
