@@ -2,11 +2,12 @@ import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from dynamictree.errors import InputError
-from dynamictree.files import opened, published
+from dynamictree.files import opened, published, replacing
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path) -> None:
@@ -58,3 +59,10 @@ def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_
         assert sorted((tmp_path / "out").glob(".partial-*")) == sorted([first, second])
         (first / "whole").write_bytes(b"y")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["whole"]
+
+
+def test_a_full_disk_leaves_the_earlier_file(tmp_path) -> None:
+    (tmp_path / "splat.npz").write_bytes(b"earlier")
+    with pytest.raises(OSError, match="No space left"), replacing(tmp_path / "splat.npz"):
+        Path("/dev/full").write_bytes(b"later")
+    assert [each.read_bytes() for each in tmp_path.iterdir()] == [b"earlier"]

@@ -1,7 +1,7 @@
 """Photos of a thing whose shape and cameras are known: taken by the project's own renderer."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,13 @@ import pytest
 from PIL import Image
 from scipy.ndimage import zoom
 
-from dynamictree.mesh import Material, MeshLook, TriangleMesh
+from dynamictree.mesh import Material, MeshLook, TriangleMesh, joined
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Camera, Look, Renderer
 
 WIDTH, HEIGHT = 400, 300
 POT_M = 0.55
+SQUARE = np.int32([[0, 1, 2], [0, 2, 3]])
 
 
 def sparse_model(views: Sequence[View] = (), points: Any = (), seen: Any = (), colors: Any = None) -> SparseModel:
@@ -49,44 +50,32 @@ def patterned_png(rng: np.random.Generator, tint: tuple[int, int, int], side: in
     return stream.getvalue()
 
 
-def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> tuple[TriangleMesh, TriangleMesh]:
-    """A bulging column with a flat top, 1.2 m high, alone and with 6 m of ground; its lower half blue if potted."""
+def textured(points: np.ndarray, faces: np.ndarray, uv: np.ndarray, png: bytes) -> TriangleMesh:
+    look = MeshLook(
+        uv=uv.astype(np.float32),
+        face_material=np.zeros(len(faces), np.int32),
+        materials=(Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png),),
+    )
+    return TriangleMesh(vertices=points.astype(np.float32), faces=faces.astype(np.int32), look=look)
+
+
+def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> list[TriangleMesh]:
+    """A bulging column with a flat top, 1.2 m high, and 6 m of ground; its lower half is blue and a part if potted."""
     turn, level = np.meshgrid(np.linspace(0, 1, 97), np.linspace(0, 1, 41), indexing="ij")
     radius = (0.42 + 0.06 * np.sin(6 * np.pi * turn) - 0.12 * level) * np.minimum(1, 6 * (1 - level) ** 0.5)
     angle = 2 * np.pi * turn
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), 1.2 * level], axis=2).reshape(-1, 3)
     index = np.arange(97 * 41).reshape(97, 41)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3).astype(np.int32)
-    bark = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (230, 190, 140)))
-    lawn = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (170, 210, 150), side=1024))
-    stump = TriangleMesh(
-        vertices=points.astype(np.float32),
-        faces=faces,
-        look=MeshLook(
-            uv=np.stack([turn, 1 - 0.5 * level], axis=2).reshape(-1, 2).astype(np.float32),
-            face_material=np.zeros(len(faces), np.int32),
-            materials=(bark, lawn),
-        ),
-    )
-    if potted:
-        glaze = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (110, 140, 235)))
-        low = points[faces].mean(axis=1)[:, 2] < POT_M
-        stump = replace(
-            stump, look=replace(stump.look, face_material=2 * low.astype(np.int32), materials=(bark, lawn, glaze))
-        )
-    corners = 3 * np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    ground = np.int32([[0, 1, 2], [0, 2, 3]]) + len(points)
-    both = TriangleMesh(
-        vertices=np.concatenate([stump.vertices, corners]),
-        faces=np.concatenate([faces, ground]),
-        look=MeshLook(
-            uv=np.concatenate([stump.look.uv, np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])]),
-            face_material=np.concatenate([stump.look.face_material, np.ones(2, np.int32)]),
-            materials=stump.look.materials,
-        ),
-    )
-    return stump, both
+    faces = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3)
+    uv = np.stack([turn, 1 - 0.5 * level], axis=2).reshape(-1, 2)
+    bark, lawn = patterned_png(rng, (230, 190, 140)), patterned_png(rng, (170, 210, 150), side=1024)
+    corners = 3 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    ground = textured(corners, SQUARE, np.array([[0, 1], [1, 1], [1, 0], [0, 0]]), lawn)
+    if not potted:
+        return [textured(points, faces, uv, bark), ground]
+    low, glaze = points[faces].mean(axis=1)[:, 2] < POT_M, patterned_png(rng, (110, 140, 235))
+    return [textured(points, faces[~low], uv, bark), textured(points, faces[low], uv, glaze), ground]
 
 
 @pytest.fixture(scope="session")
@@ -96,8 +85,8 @@ def orbit(tmp_path_factory) -> Orbit:
 
 def photographed(folder: Path, *, potted: bool = False) -> Orbit:
     """Fourteen photos from around and a little above."""
-    stump, scene = stump_and_ground(np.random.default_rng(5), potted=potted)
-    renderer = Renderer(scene, Look(width=WIDTH, height=HEIGHT, ground=False))
+    parts = stump_and_ground(np.random.default_rng(5), potted=potted)
+    renderer = Renderer(joined(parts), Look(width=WIDTH, height=HEIGHT, ground=False))
     cameras, photos = [], []
     for number in range(14):
         turn = np.radians(number * 360 / 14)
@@ -107,4 +96,4 @@ def photographed(folder: Path, *, potted: bool = False) -> Orbit:
         Image.fromarray(renderer.picture(camera=camera)).save(path, quality=95)
         cameras.append(camera)
         photos.append(path)
-    return Orbit(stump=stump, cameras=tuple(cameras), photos=tuple(photos))
+    return Orbit(stump=joined(parts[:-1]), cameras=tuple(cameras), photos=tuple(photos))

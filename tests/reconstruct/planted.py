@@ -36,13 +36,11 @@ class Planted:
     def plant(self) -> np.ndarray:
         return self.owner == 0
 
-    def masks(self, own: np.ndarray) -> list[np.ndarray]:
-        """Where the chosen Gaussians are seen, from the cameras held out."""
-        return [mask_of(self.scene, own, view) for view in self.held_out]
-
     def iou(self, own: np.ndarray) -> float:
-        """Of all masks together, against the true plant's."""
-        true, chosen = np.array(self.masks(self.plant)), np.array(self.masks(own))
+        """Of where the chosen Gaussians are seen from the cameras held out, against where the plant is."""
+        true, chosen = (
+            np.array([mask_of(self.scene, one, view) for view in self.held_out]) for one in (self.plant, own)
+        )
         return float((true & chosen).sum() / (true | chosen).sum())
 
 

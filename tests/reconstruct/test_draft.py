@@ -52,11 +52,8 @@ def test_the_points_that_photos_share_are_shown_upright_and_without_the_backgrou
     points = np.concatenate([stem, rng.normal(loc=(8, 0, 0), size=(500, 3))])
     draft.show_points(sparse_model(points=points))
     assert np.allclose(np.sort(published[0].means[:, 2]), np.sort(stem[:, 2]), atol=1e-5)
-
-
-def test_two_points_are_no_draft(draft, published):
-    draft.show_points(sparse_model(points=np.zeros((2, 3))))
-    assert published == []
+    draft.show_points(sparse_model(points=np.zeros((2, 3))))  # two are no draft
+    assert len(published) == 1
 
 
 def test_what_is_faint_before_learning_is_shown_and_what_was_learned_stays_as_it_is(draft, published, rng, monkeypatch):

@@ -54,9 +54,8 @@ class Recorder:
     ) -> list[Path]:
         on_work()
         self.wanted.append(wanted)
-        frames = (
-            FRAMES if isinstance(wanted, int) else [part.first + row for part in wanted for row in range(part.count)]
-        )
+        parts = [Stretch(frame, frame, 1) for frame in FRAMES] if isinstance(wanted, int) else wanted
+        frames = [part.first + row for part in parts for row in range(part.count)]
         folder.mkdir()
         paths = [folder / frame_name(frame) for frame in frames]
         for path in paths:
@@ -119,18 +118,11 @@ def test_a_walk_that_was_registered_all_around_needs_no_more(photos: FilmPhotos,
     assert film.wanted == [len(FRAMES)]
 
 
-def test_a_walk_of_half_a_circle_has_nothing_to_fill_its_gap_with(photos: FilmPhotos) -> None:
-    photos.first()
-    for path in photos.folder.iterdir():
-        if frame_of(path.name) > 155:
-            path.unlink()
-    half = [frame for frame in FRAMES if frame < 155]
-    assert stretches_to_fill(half, {frame: 360 * frame / 310 for frame in half}) == []
-
-
-def test_a_fast_walk_is_sampled_more_closely_and_neighbours_are_not_asked_for() -> None:
+def test_a_fast_walk_is_sampled_more_closely_and_neither_neighbours_nor_what_was_not_walked_are_asked_for() -> None:
     assert stretches_to_fill([0, 20, 40], {0: 350.0, 20: 35.0, 40: 50.0}) == [Stretch(1, 20, 4)]
     assert stretches_to_fill([0, 1, 2], {0: 0.0}) == []
+    half = [frame for frame in FRAMES if frame < 155]
+    assert stretches_to_fill(half, {frame: 360 * frame / 310 for frame in half}) == []
 
 
 @pytest.fixture
@@ -157,7 +149,8 @@ def grey(path: Path) -> np.ndarray:
 
 
 def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(sharp_film: Path, tmp_path) -> None:
-    photos = write_sharp_frames(sharp_film, tmp_path / "photos", NUM_CHOSEN)
+    photos, again = (write_sharp_frames(sharp_film, tmp_path / name, NUM_CHOSEN) for name in ("first", "again"))
+    assert [path.read_bytes() for path in photos] == [path.read_bytes() for path in again]
     pictures = [grey(path) for path in photos]
     levels = np.array([picture.mean() for picture in pictures])
     numbers = np.round(levels - levels[0]).astype(int)
@@ -166,11 +159,6 @@ def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(s
     assert np.all(np.abs(np.diff(numbers) - SHARP_EVERY * np.round(np.diff(numbers) / SHARP_EVERY)) <= 1)
     assert np.all(np.diff(numbers) >= SHARP_EVERY - 1)
     assert numbers[-1] > 0.7 * NUM_FRAMES
-
-
-def test_a_film_gives_the_same_photos_again(sharp_film: Path, tmp_path) -> None:
-    first, again = (write_sharp_frames(sharp_film, tmp_path / name, NUM_CHOSEN) for name in ("first", "again"))
-    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in again]
 
 
 def test_each_stretch_gives_one_frame_and_no_two_are_neighbours(rng) -> None:

@@ -1,6 +1,7 @@
 """Cameras that come with the photos, in every format, are the cameras that took them."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -110,10 +111,6 @@ def test_frames_without_photos_are_left_out_and_each_camera_keeps_its_lens(tmp_p
     assert [camera.params[:2] for camera in given] == [(FOCAL + n, FOCAL + 2 * n) for n in range(2, 9)]
 
 
-def test_no_cameras_are_none(tmp_path, orbit):
-    assert find_input_cameras(tmp_path, sizes_of(orbit)) is None
-
-
 def test_bent_lenses_keep_their_numbers(tmp_path, orbit):
     write_transforms(tmp_path, orbit, k1=0.1, k2=-0.02, p1=0.001, p2=0.002)
     (first, *_) = find_input_cameras(tmp_path, sizes_of(orbit)) or ()
@@ -156,11 +153,24 @@ def poses_of_shape(root: Path, shape: tuple[int, ...], fill: float = 1.0) -> Non
     np.save(root / "poses_bounds.npy", np.full(shape, fill))
 
 
+def same_frames(root: Path, orbit: Orbit, names: list[str], **changed: object) -> None:
+    frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names]
+    write_transforms(root, orbit, frames=frames, **changed)
+
+
 BROKEN = {
     "no json": (lambda root, orbit: (root / "transforms.json").write_text("{"), "transforms.json cannot be read"),
     "no frames": (lambda root, orbit: (root / "transforms.json").write_text("{}"), "transforms.json cannot be read"),
     "list": (lambda root, orbit: (root / "transforms.json").write_text("[1]"), "transforms.json cannot be read"),
     "empty": (lambda root, orbit: write_transforms(root, orbit, frames=[]), "names 'nothing' and no photo"),
+    "other photos": (lambda root, orbit: same_frames(root, orbit, ["elsewhere.jpg"]), "and no photo that is there"),
+    "twice": (lambda root, orbit: same_frames(root, orbit, 2 * names_of(orbit)), "names a photo twice"),
+    "one place": (lambda root, orbit: same_frames(root, orbit, names_of(orbit)), "at one place"),
+    "no angle": (
+        lambda root, orbit: same_frames(root, orbit, names_of(orbit), fl_x=None, camera_angle_x=0),
+        "cannot be read",
+    ),
+    "large": (lambda root, orbit: os.truncate(write_transforms(root, orbit), 2**30), "1,073,741,824 bytes; at most"),
     "other size": (lambda root, orbit: write_transforms(root, orbit, w=300), "300 x 300 pixels, it has 400 x 300"),
     "no focal": (lambda root, orbit: write_transforms(root, orbit, fl_x=0.0), "focal length 0; it must be positive"),
     "not a number": (lambda root, orbit: write_transforms(root, orbit, fl_x=float("nan")), "no rotation and place"),
@@ -181,32 +191,4 @@ def test_refuses_what_is_no_set_of_cameras(tmp_path, orbit, name):
     write, message = BROKEN[name]
     write(tmp_path, orbit)
     with pytest.raises(FormatError, match=message):
-        find_input_cameras(tmp_path, sizes_of(orbit))
-
-
-def test_refuses_a_photo_with_two_cameras_and_cameras_of_other_photos(tmp_path, orbit):
-    path = write_transforms(tmp_path, orbit)
-    document = json.loads(path.read_text())
-    document["frames"].append(document["frames"][0])
-    path.write_text(json.dumps(document))
-    with pytest.raises(FormatError, match="names a photo twice"):
-        find_input_cameras(tmp_path, sizes_of(orbit))
-    with pytest.raises(FormatError, match="and no photo that is there"):
-        find_input_cameras(tmp_path, {"elsewhere.jpg": ((400, 300), (400, 300))})
-
-
-def test_refuses_a_file_of_too_many_bytes(tmp_path, orbit):
-    with write_transforms(tmp_path, orbit).open("r+b") as stream:
-        stream.truncate(2**30)
-    with pytest.raises(FormatError, match="1,073,741,824 bytes; at most"):
-        find_input_cameras(tmp_path, sizes_of(orbit))
-
-
-def test_cameras_that_are_all_the_same_are_refused(orbit: Orbit, tmp_path) -> None:
-    frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names_of(orbit)]
-    path = write_transforms(tmp_path, orbit, frames=frames)
-    with pytest.raises(FormatError, match="at one place"):
-        find_input_cameras(tmp_path, sizes_of(orbit))
-    path.write_text(json.dumps({"camera_angle_x": 0, "frames": frames}))
-    with pytest.raises(FormatError, match="cannot be read"):
         find_input_cameras(tmp_path, sizes_of(orbit))

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from dynamictree.errors import InputError
-from dynamictree.mesh import Material, MeshLook, TriangleMesh
+from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.photo_requests import CutParams, PhotoParams
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, placed_markers
@@ -20,7 +20,7 @@ from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Camera, Look, Renderer
 from recipes.marker_sheet import SHEET, marker_cells, sheet
-from tests.reconstruct.conftest import sparse_model, stump_and_ground
+from tests.reconstruct.conftest import SQUARE, sparse_model, stump_and_ground, textured
 from tests.reconstruct.finished import write_finished
 
 NUMBER, EDGE_M = 585, 0.1
@@ -35,25 +35,16 @@ def marker_png(number: int) -> bytes:
     return stream.getvalue()
 
 
-def with_marker(scene: TriangleMesh, enlarged: float) -> TriangleMesh:
-    """The scene with a marker that lies on the ground, turned and a little tilted."""
+def with_marker(enlarged: float) -> TriangleMesh:
+    """The stump, and on the ground beside it a marker, turned and a little tilted."""
     half = 0.5 * enlarged * EDGE_M * 10 / 8  # with its white border
     turn = np.radians(25)
     corners = half * np.array([[-1, 1, 0], [1, 1, 0.05], [1, -1, 0.05], [-1, -1, 0]])
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     corners = corners @ rotation.T + [0.8, 0.25, 0.03]
-    return TriangleMesh(
-        vertices=np.concatenate([scene.vertices, corners]).astype(np.float32),
-        faces=np.concatenate([scene.faces, np.int32([[0, 2, 1], [0, 3, 2]]) + scene.num_vertices]),
-        look=MeshLook(
-            uv=np.concatenate([scene.look.uv, np.float32([[0, 0], [1, 0], [1, 1], [0, 1]])]),
-            face_material=np.concatenate([scene.look.face_material, np.full(2, len(scene.look.materials), np.int32)]),
-            materials=(
-                *scene.look.materials,
-                Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=marker_png(NUMBER)),
-            ),
-        ),
-    )
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    marker = textured(corners, SQUARE[:, ::-1], uv, marker_png(NUMBER))
+    return joined([*stump_and_ground(np.random.default_rng(5)), marker])
 
 
 def photographed(scene: TriangleMesh, number: int, arc_deg: float) -> list[View]:
@@ -70,9 +61,8 @@ def photographed(scene: TriangleMesh, number: int, arc_deg: float) -> list[View]
 @pytest.fixture(scope="module")
 def sightings() -> list[Sighting]:
     """Photos of a marker 31 to 45 pixels wide, with what is found in them."""
-    _, scene = stump_and_ground(np.random.default_rng(5))
     finder, result = MarkerFinder(), []
-    for view in photographed(with_marker(scene, 1.5), 7, 90.0):
+    for view in photographed(with_marker(1.5), 7, 90.0):
         matrix, turn = view.camera.intrinsics_px(WIDTH, HEIGHT), view.camera.world_to_camera
         params = [matrix[0, 0], matrix[1, 1], *matrix[:2, 2]]
         camera = pycolmap.Camera(model="PINHOLE", width=WIDTH, height=HEIGHT, params=params)
@@ -158,8 +148,7 @@ def test_height_and_marker_are_not_both_given(model: type[CutParams] | type[Phot
 @pytest.mark.timeout(1800)
 def test_photos_with_a_marker_become_a_plant_of_its_true_height(tmp_path) -> None:
     """Cameras are found, so their unit is any; the stump is 1.2 m high above the ground and twice as large as life."""
-    _, scene = stump_and_ground(np.random.default_rng(5))
-    for view in photographed(with_marker(scene, 2.0), 14, 360.0):
+    for view in photographed(with_marker(2.0), 14, 360.0):
         Image.fromarray(view.image).save(tmp_path / view.source, quality=95)
     out = tmp_path / "out"
     out.mkdir()

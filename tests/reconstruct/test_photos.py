@@ -55,35 +55,24 @@ def test_photos_keep_their_order_and_are_reduced(tmp_path, eight):
             assert image.size == (photo.width, photo.height)
 
 
-def test_exif_turns_the_photo_gives_its_focal_length_and_is_left_behind(tmp_path, eight):
+@pytest.mark.parametrize(("name", "kind"), [("turned.jpg", "JPEG"), ("IMG_0002.HEIC", "HEIF")])
+def test_exif_turns_the_photo_gives_its_focal_length_and_is_left_behind(tmp_path, eight, name, kind):
+    """A folder of HEIC was "0 photos", and beside JPEG they vanished."""
     exif = Image.Exif()
     exif[0x0112] = 6  # the camera stood upright: turn by 90 degrees
     exif.get_ifd(0x8769)[0xA405] = 50  # focal length in 35 mm film
     exif.get_ifd(0x8825)[1] = "N"  # GPS
-    eight[0] = save_photo(tmp_path / "turned.jpg", exif=exif)
-    photo = prepare_photos(eight, tmp_path / "out")[0]
+    pixels = np.zeros((300, 400, 3), np.uint8)
+    pixels[:, :100, 0] = 255
+    eight[2] = tmp_path / name
+    Image.fromarray(pixels).save(eight[2], format=kind, exif=exif.tobytes())
+    photo = prepare_photos(eight, tmp_path / "out")[2]
     assert (photo.width, photo.height) == (300, 400)
     assert photo.focal_px == pytest.approx(50 / 36 * 400)
     with Image.open(tmp_path / "out" / photo.name) as image:
+        assert np.asarray(image)[:90, :, 0].min() > 200  # what was left is on top
         assert not dict(image.getexif())
     assert b"Exif" not in (tmp_path / "out" / photo.name).read_bytes()
-
-
-def test_heic_is_read_upright_with_its_focal_length(tmp_path, eight):
-    """A folder of HEIC was "0 photos", and beside JPEG they vanished."""
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    exif.get_ifd(0x8769)[0xA405] = 26
-    pixels = np.zeros((300, 400, 3), np.uint8)
-    pixels[:, :100, 0] = 255
-    eight[2] = tmp_path / "IMG_0002.HEIC"
-    Image.fromarray(pixels).save(eight[2], format="HEIF", exif=exif.tobytes())
-    photo = prepare_photos(eight, tmp_path / "out")[2]
-    assert (photo.width, photo.height) == (300, 400)
-    assert photo.focal_px == pytest.approx(26 / 36 * 400)
-    with Image.open(tmp_path / "out" / photo.name) as image:
-        assert np.asarray(image)[:90, :, 0].min() > 200  # what was left is on top
-        assert not image.getexif()
 
 
 def test_refuses_copies_of_one_photo(tmp_path, eight):
@@ -191,31 +180,26 @@ def test_reduced_copies_of_photos_are_left_out(tmp_path, folders, taken):
     assert listed == ({taken} if taken else set(folders))
 
 
-def test_an_alpha_channel_is_a_mask(tmp_path, eight):
-    pixels = np.full((300, 400, 4), 200, np.uint8)
-    pixels[:, :100, 3] = 0
+@pytest.mark.parametrize(("alpha", "masked"), [(0, True), (254, True), (255, False)])
+def test_an_alpha_channel_is_a_mask_unless_it_is_opaque(tmp_path, eight, alpha, masked):
+    """Exported as RGBA without anything cut out: the whole picture would count as the tree."""
+    pixels = np.full((300, 400, 4), 255, np.uint8)
+    pixels[:, :100, 3] = alpha
     eight[1] = tmp_path / "cut.png"
     Image.fromarray(pixels).save(eight[1])
     prepared = prepare_photos(eight, tmp_path / "out")
-    assert [photo.masked for photo in prepared] == [number == 1 for number in range(8)]
-    with Image.open(tmp_path / "out" / f"{prepared[1].name}.png") as mask:
-        assert np.array_equal(np.asarray(mask), pixels[..., 3])
+    assert [photo.masked for photo in prepared] == [masked and number == 1 for number in range(8)]
+    masks = [np.asarray(Image.open(path)) for path in (tmp_path / "out").glob("*.png")]
+    assert [mask.tolist() for mask in masks] == [pixels[..., 3].tolist()] * masked
 
 
-def test_an_opaque_alpha_channel_is_no_mask(tmp_path):
-    """Exported as RGBA without anything cut out: the whole picture would count as the tree."""
+def test_masks_of_some_opaque_photos_are_of_all(tmp_path):
     paths = [tmp_path / f"{number}.png" for number in range(8)]
     for number, path in enumerate(paths):
         pixels = np.full((300, 400, 4), 255, np.uint8)
-        pixels[..., 0] = number
+        pixels[0, number, 0], pixels[:, :100, 3] = number, 254 if number == 5 else 255
         Image.fromarray(pixels).save(path)
-    prepared = prepare_photos(paths, tmp_path / "out")
-    assert not any(photo.masked for photo in prepared)
-    assert not list((tmp_path / "out").glob("*.png"))
-    pixels = np.full((300, 400, 4), 255, np.uint8)
-    pixels[:, :100, 3] = 254
-    Image.fromarray(pixels).save(paths[5])
-    assert all(photo.masked for photo in prepare_photos(paths, tmp_path / "again"))
+    assert all(photo.masked for photo in prepare_photos(paths, tmp_path / "out"))
 
 
 def test_sizes_are_reported_as_stored_and_as_turned(tmp_path):

@@ -71,27 +71,13 @@ def test_a_pixel_is_as_much_leaf_as_was_drawn(sky: tuple[int, int, int]) -> None
         assert np.abs(view.image[upper][edge] - np.array(LEAF)).mean() < 0.08 * 255
 
 
-def test_what_is_not_blue_grey_or_white_is_no_sky() -> None:
-    views, _ = leaves_in_the_open(EVENING)
-    assert without_sky(views, unmeasured(views)) is None
-
-
-def test_a_white_table_below_the_horizon_is_no_sky() -> None:
-    views, _ = leaves_in_the_open(WHITE)
-    upside_down = [replace(view, image=view.image[::-1].copy()) for view in views]
-    assert without_sky(upside_down, unmeasured(upside_down)) is None
-
-
-def test_a_wall_that_stereo_measures_is_no_sky() -> None:
-    views, _ = leaves_in_the_open(WHITE)
-    assert without_sky(views, [np.full((40, 40), 3.0, np.float32) for _ in views]) is None
-
-
-def test_a_sky_in_few_photos_is_left() -> None:
-    views, _ = leaves_in_the_open(BLUE)
-    indoors = [replace(view, image=np.full_like(view.image, 60)) for view in views]
-    mixed = [*views[:4], *indoors[4:]]
-    assert without_sky(mixed, unmeasured(mixed)) is None
+def test_an_evening_a_table_below_the_horizon_a_wall_and_a_sky_in_few_photos_are_no_sky() -> None:
+    evening, white, blue = (leaves_in_the_open(sky)[0] for sky in (EVENING, WHITE, BLUE))
+    upside_down = [replace(view, image=view.image[::-1].copy()) for view in white]
+    indoors = [replace(view, image=np.full_like(view.image, 60)) for view in blue]
+    for views in (evening, upside_down, [*blue[:4], *indoors[4:]]):
+        assert without_sky(views, unmeasured(views)) is None
+    assert without_sky(white, [np.full((40, 40), 3.0, np.float32) for _ in white]) is None  # stereo measures it
 
 
 def test_stereo_gives_the_sky_no_depth() -> None:

@@ -51,7 +51,7 @@ def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
 
 
 def test_the_photos_that_judge_have_no_say_in_the_result(orbit, rng):
-    model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=40, check_every=8)
+    model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=24, check_every=8)
     fit = fit_splat(model, None, schedule)
     noise = [
         replace(view, image=rng.integers(0, 256, view.image.shape, np.uint8))
@@ -78,7 +78,8 @@ def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
-    model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=60, check_every=8)
+    model = small_model(orbit, rng)
+    schedule = replace(SMALL, num_steps=24, check_every=8, densify_every=8, degree_every=8)
     whole = fit_splat(model, None, schedule, saved=tmp_path / "whole.npz")
 
     def stop(state: SplatState) -> None:
@@ -87,7 +88,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
 
     with pytest.raises(Cancelled):
         fit_splat(model, None, schedule, saved=tmp_path / "splat.npz", on_state=stop)
-    assert 0 < SplatState.load(tmp_path / "splat.npz").step < 60
+    assert 0 < SplatState.load(tmp_path / "splat.npz").step < 24
     resumed = fit_splat(model, None, schedule, saved=tmp_path / "splat.npz")
     assert np.array_equal(resumed.table, whole.table)
     again = fit_splat(model, None, schedule, saved=tmp_path / "splat.npz")
@@ -137,23 +138,10 @@ def test_adam_is_torchs(rng):
     assert state.step == 5
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_gradient_that_is_not_finite_moves_nothing(rng, value):
-    table, slope = rng.normal(size=(2, 3, 4)).astype(np.float32)
-    slope[1, 2] = value
-    before, state = table.copy(), SplatState.beginning(table)
-    skipped = adam_step(state, slope, np.full(4, 1e-2, np.float32))
-    assert skipped.tolist() == [False, True, False]
-    assert np.array_equal(table[1], before[1])
-    assert (table[[0, 2]] != before[[0, 2]]).all()
-    assert np.isfinite(state.first).all()
-    assert np.isfinite(state.second).all()
-
-
 def test_gaussians_without_a_finite_gradient_are_discarded_and_counted(orbit, rng, monkeypatch):
     def with_nan(drawing, gradient, *, width):
         restored = gradients_of(drawing, gradient, width=width)
-        restored.table[:2, 0] = np.nan
+        restored.table[:2, 0] = np.nan, -np.inf
         return restored
 
     monkeypatch.setattr("dynamictree.reconstruct.optimise.gradients_of", with_nan)

@@ -8,6 +8,7 @@ import pytest
 from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import joined as joined_meshes
 from dynamictree.reconstruct.coloured_mesh import photo_colors
 from dynamictree.reconstruct.splat_start import dome_points
 from dynamictree.reconstruct.splat_table import cloud_of, table_of_points
@@ -19,7 +20,7 @@ from tests.reconstruct.test_coloured_mesh import views_of
 @pytest.fixture(scope="module")
 def scene(orbit: Orbit) -> GaussianCloud:
     """Gaussians of the stump, its ground and the sky."""
-    _, both = stump_and_ground(np.random.default_rng(5))
+    both = joined_meshes(stump_and_ground(np.random.default_rng(5)))
     near = splats_of_mesh(both, per_face=1, at_least=30_000, rng=np.random.default_rng(0)).cloud
     points, colors, share = dome_points(views_of(orbit))
     points, colors = points[share > 0], colors[share > 0]
