@@ -1,14 +1,20 @@
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from dynamictree.mesh import validate_mesh
-from lab.dataset.branching import CHILD_TO_PARENT_RADIUS, MIN_RADIUS_M, grow_children, grow_trunks, shape_ratio, turned
-from lab.dataset.sapling import LEAF, grow_tree
+from lab.dataset.branching import CHILD_TO_PARENT_RADIUS, MIN_RADIUS_M, grow_children, grow_trunks, shape_ratio
+from lab.dataset.sapling import LEAF, Tree, grow_tree
 from lab.dataset.species import KEY_SPREAD, SPECIES
 
 EVERY_SPECIES = pytest.mark.parametrize("name", list(SPECIES))
+
+
+@cache
+def grown(name: str) -> Tree:
+    return grow_tree(SPECIES[name], np.random.default_rng(3))
 
 
 @pytest.mark.parametrize(
@@ -30,12 +36,6 @@ def test_shape_functions_take_webers_and_penns_values(shape, base, middle, top):
     np.testing.assert_allclose(ratio, [base, middle, top], rtol=1e-6)
 
 
-def test_a_turn_keeps_length_and_turns_by_its_angle(rng):
-    axis = np.array([[0, 0, 1]], np.float32)
-    vectors = turned(np.array([[1, 0, 2]], np.float32), axis, np.array([np.pi / 2], np.float32))
-    np.testing.assert_allclose(vectors, [[0, 1, 2]], atol=1e-6)
-
-
 def test_perturbation_moves_key_parameters_far_and_the_rest_a_little(rng):
     species = SPECIES["birch"]
     drawn = [species.perturbed(rng) for _ in range(200)]
@@ -49,7 +49,7 @@ def test_perturbation_moves_key_parameters_far_and_the_rest_a_little(rng):
 
 @EVERY_SPECIES
 def test_a_tree_stands_on_the_ground_at_its_height(name):
-    tree = grow_tree(SPECIES[name], np.random.default_rng(3))
+    tree = grown(name)
     vertices = validate_mesh(tree.mesh).vertices
     low, high = SPECIES[name].height_m
     assert vertices[:, 2].min() == 0
@@ -60,7 +60,7 @@ def test_a_tree_stands_on_the_ground_at_its_height(name):
 
 @EVERY_SPECIES
 def test_the_trunks_foot_is_a_level_ring_around_its_axis(name):
-    tree = grow_tree(SPECIES[name], np.random.default_rng(4))
+    tree = grown(name)
     sides = tree.stems[0].sides
     foot = tree.mesh.vertices[:sides]
     np.testing.assert_allclose(foot[:, 2], 0, atol=1e-6)
@@ -70,7 +70,7 @@ def test_the_trunks_foot_is_a_level_ring_around_its_axis(name):
 
 @EVERY_SPECIES
 def test_every_tube_begins_inside_its_parent(name):
-    tree = grow_tree(SPECIES[name], np.random.default_rng(5))
+    tree = grown(name)
     for above, stems in zip(tree.stems, tree.stems[1:], strict=False):
         own = stems.first == 0
         ring = stems.parent_ring[own]
@@ -84,10 +84,9 @@ def test_every_tube_begins_inside_its_parent(name):
         assert (on >= above.first[row]).all()  # on the parent's own part, not on what it shares
 
 
-def test_a_split_stem_goes_on_from_the_ring_that_it_left(spreading):
-    tree = grow_tree(SPECIES["spreading-broadleaf"], np.random.default_rng(6))
+def test_a_split_stem_goes_on_from_the_ring_that_it_left():
     forks = 0
-    for stems in tree.stems:
+    for stems in grown("spreading-broadleaf").stems:
         for row in np.flatnonzero(stems.first):
             ring, source = stems.first[row], stems.parent[row]
             np.testing.assert_array_equal(stems.points[row, ring], stems.points[source, ring])
@@ -127,7 +126,7 @@ def test_tropism_lifts_or_hangs_branches():
 
 def test_leaves_sit_on_stems_and_off_the_ground():
     for name in ("round-broadleaf", "conical-conifer", "palm", "sapling"):
-        tree = grow_tree(SPECIES[name], np.random.default_rng(2))
+        tree = grown(name)
         for leaves in tree.leaves:
             stems = tree.stems[leaves.level]
             on = leaves.ring.astype(int)

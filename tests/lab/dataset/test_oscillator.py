@@ -19,7 +19,6 @@ from lab.dataset.oscillator import (
     of_bins,
     oscillators,
     pressure,
-    stem_frequency_hz,
 )
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -70,19 +69,6 @@ def test_the_answer_solves_the_equation_of_motion_with_drag_by_relative_speed(rn
     assert error < 0.03 * np.std(answer)
 
 
-def test_air_damps_a_stem_the_more_the_faster_it_passes(rng) -> None:
-    def resonance(mean_m_s: float) -> float:
-        air = np.zeros((3, 1, TIMES * NUM_FRAMES), np.float32)
-        air[0] = mean_m_s
-        bin_of_stem = round(3.0 / (2 * np.pi) * TIMES * NUM_FRAMES / FPS)
-        base = 0.01 * np.cos(2 * np.pi * bin_of_stem * np.arange(air.shape[2]) / air.shape[2])
-        moved = stem(damping=0.03).respond(air, np.stack([base, 0 * base, 0 * base])[:, None].astype(np.float32))
-        return float(moved[0].std())
-
-    still, breeze, wind = (resonance(speed) for speed in (0.0, 4.0, 10.0))
-    assert still > 1.2 * breeze > 1.2 * wind
-
-
 def test_the_transfer_of_a_bin_is_the_mean_over_its_width() -> None:
     omega = 2 * np.pi * np.arange(40) * FPS / NUM_FRAMES
     own, damping = np.array([4.5 * omega[1], 5.0 * omega[1]]), np.array([0.03, 0.03])
@@ -109,15 +95,6 @@ def test_drag_points_where_the_air_goes_and_a_stem_never_bends_past_its_bound(rn
     np.testing.assert_allclose(np.cross(passing, force, axis=0), 0, atol=1e-9)
     assert (np.sqrt((bounded(100 * force) ** 2).sum(axis=0)) <= MAX_LEAN_RAD * (1 + 1e-9)).all()
     np.testing.assert_allclose(bounded(1e-3 * force), 1e-3 * force, rtol=1e-2)
-
-
-def test_a_stem_is_slower_the_longer_the_thinner_and_the_leafier() -> None:
-    def hz(length: float, radius: float, foliage: float) -> float:
-        return stem_frequency_hz(*(np.float32([value]) for value in (length, radius, foliage)))[0]
-
-    assert hz(2.0, 0.03, 1.0) > hz(4.0, 0.06, 1.0)
-    assert hz(2.0, 0.05, 1.0) > hz(2.0, 0.03, 1.0)
-    assert 0.79 < hz(2.0, 0.03, 1.0) / hz(2.0, 0.03, 0.0) < 0.94  # measured, docs/laws.md
 
 
 def test_loads_gather_towards_the_root() -> None:

@@ -33,14 +33,6 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-def test_a_sample_follows_from_its_seed_alone():
-    first, second = make_sample(11), make_sample(11)
-    assert first.coefficients.tobytes() == second.coefficients.tobytes()
-    assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
-    assert (first.species, first.wind, first.split) == (second.species, second.wind, second.split)
-    assert make_sample(12).wind != first.wind
-
-
 def test_an_unknown_species_or_seed_is_refused():
     with pytest.raises(InputError, match="no species 'oak'"):
         make_sample(0, "oak")
@@ -164,17 +156,6 @@ def test_limits_that_let_nothing_through_are_reported(tmp_path):
     with pytest.raises(InputError, match="only 0 of 4 trees"):
         bake_shard(recipe, 0, tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_card_tells_trees_rules_and_species(baked, tmp_path):
-    generate(replace(TINY, trees=2), baked)
-    card = (baked / "README.md").read_text()
-    assert "2 animated trees" in card
-    assert "| self-explosion | 0 | 0.00 % |" in card
-    assert "| 0.5 |" in card
-    assert "voxels at 32³" in card
-    options = "--trees 2 --first-seed 40 --trees-per-shard 2 --resolution 32 --high-frequency 0.001 --root-motion 0.001"
-    assert f"dynamictree dataset generate FOLDER {options} --edge-stretch 0.02 --self-explosion 0.5" in card
 
 
 @pytest.mark.slow

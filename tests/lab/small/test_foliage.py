@@ -8,7 +8,6 @@ import torch
 
 from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, NUM_PARTS, FoliageNetwork
-from dynamictree.models.wind import log_wind_scale
 from dynamictree.requests import Wind
 from lab.dataset.sample import make_sample
 from lab.dataset.sapling import LEAF
@@ -59,13 +58,6 @@ def test_some_trees_are_seen_as_voxels_alone(stored: StoredTree) -> None:
     assert (blind.tree().surface[:, -1] == 0).all()
     assert (seeing.tree().surface[:, -1] == 1).all()
     assert (blind.targets == seeing.targets).all()
-
-
-def test_sizes_at_drag_and_gust_one_do_not_depend_on_them(stored: StoredTree) -> None:
-    faster = replace(stored.wind, speed_m_s=2 * stored.wind.speed_m_s)
-    assert log_wind_scale(faster) - log_wind_scale(stored.wind) == pytest.approx(1.4 * np.log(2))
-    stronger = replace(stored.wind, gust=3 * stored.wind.gust)
-    assert log_wind_scale(stronger) - log_wind_scale(stored.wind) == pytest.approx(np.log(3))
 
 
 def test_the_foliage_network_learns_a_tree(example: FoliageExample) -> None:

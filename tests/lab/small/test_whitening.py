@@ -14,18 +14,28 @@ from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.spread import at_speed
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample
-from lab.dataset.shards import store
-from lab.small.examples import gust_pair, make_example, voxels_of
+from lab.dataset.shards import StoredTree, store
+from lab.small.examples import Example, example_of, gust_pair, voxels_of
 from lab.small.spread import leaves_apart, likeness, measure_field, measure_spread
 from lab.small.whitening import fit_shares
 
 
-def test_what_is_drawn_has_the_energy_that_trees_have(tiny_network: SmallNetwork) -> None:
-    network, stored = tiny_network, store(make_sample(1), resolutions=(128,))
+@pytest.fixture(scope="module")
+def stored() -> StoredTree:
+    return store(make_sample(1), resolutions=(128,))
+
+
+@pytest.fixture(scope="module")
+def example(stored: StoredTree) -> Example:
+    return example_of(stored)
+
+
+def test_what_is_drawn_has_the_energy_that_trees_have(tiny_network: SmallNetwork, stored: StoredTree) -> None:
+    network = tiny_network
     measure_spread(network, [gust_pair(stored)] * 4)
     measure_field(network, [stored], seed=0)
     model, voxels = SmallModel(network, name="tiny"), voxels_of(stored)
-    drawn = [model.generate(voxels, wind=stored.wind, seed=seed) for seed in range(5, 9)]
+    drawn = [model.generate(voxels, wind=stored.wind, seed=seed) for seed in range(5, 7)]
     rigs = [rig_of(stored.mesh(), spectrum) for spectrum in (*drawn, stored.spectrum())]
     motions = [rig.loop(voxels.grid.centres_m, rig.voxels) for rig in rigs]
     *energies, true = (np.log((np.abs(motion[:, 7:]) ** 2).sum()) for motion in motions)
@@ -33,9 +43,10 @@ def test_what_is_drawn_has_the_energy_that_trees_have(tiny_network: SmallNetwork
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 1.6])
-def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(tiny_network: SmallNetwork, spread: float) -> None:
-    network, example = tiny_network, make_example(1)
-    generator, pair = torch.Generator().manual_seed(0), []
+def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(
+    tiny_network: SmallNetwork, example: Example, spread: float
+) -> None:
+    network, generator, pair = tiny_network, torch.Generator().manual_seed(0), []
     for lull in (1.0, 0.1):
         normal = torch.randn(*example.spectrum.shape, dtype=torch.complex64, generator=generator)
         pair.append(replace(example, spectrum=lull * normal * normal.abs() ** (spread - 1)))
@@ -43,9 +54,9 @@ def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(tiny_network: SmallN
     np.testing.assert_allclose(at_speed(network.spread, torch.tensor(example.wind.speed_m_s).log()), spread, rtol=0.15)
 
 
-def test_what_leaves_have_for_themselves_makes_them_move_apart() -> None:
+def test_what_leaves_have_for_themselves_makes_them_move_apart(stored: StoredTree) -> None:
     """Of the shipped network, in the upper bins: half of what leaves 5 to 6 voxels apart were too much alike goes."""
-    stored, model, drawn = store(make_sample(1), resolutions=(128,)), load_model("small"), []
+    model, drawn = load_model("small"), []
     voxels = voxels_of(stored)
     pairs = leaves_apart(model.prepare(voxels, stored.wind))
     for share in (model.network.leaf_share.clone(), 0 * model.network.leaf_share):
@@ -55,8 +66,8 @@ def test_what_leaves_have_for_themselves_makes_them_move_apart() -> None:
     assert true < drawn[0] < true + 0.5 * (drawn[1] - true)
 
 
-def test_each_speed_has_its_own_gain(tiny_network: SmallNetwork) -> None:
-    example, gains = make_example(1), []
+def test_each_speed_has_its_own_gain(tiny_network: SmallNetwork, example: Example) -> None:
+    gains = []
     calm, storm = (replace(example, wind=replace(example.wind, speed_m_s=speed)) for speed in (1.0, 25.0))
     for fast in (storm, replace(storm, spectrum=3 * storm.spectrum)):
         measure_spread(tiny_network, [(calm, calm), (fast, fast)])
@@ -64,8 +75,8 @@ def test_each_speed_has_its_own_gain(tiny_network: SmallNetwork) -> None:
     np.testing.assert_allclose(gains[1] - gains[0], [0, np.log(3)], atol=0.05)
 
 
-def test_fitted_shares_are_those_that_made_the_field() -> None:
-    nodes = coarsen_features(make_example(1).tree, 2)
+def test_fitted_shares_are_those_that_made_the_field(example: Example) -> None:
+    nodes = coarsen_features(example.tree, 2)
     true = torch.zeros(2, NUM_SCALES)
     true[0, 0], true[0, -1] = 0.25, 0.75  # white, and one for the whole tree
     true[1, 0], true[1, 4] = 0.5, 0.5  # white, and along the stems

@@ -1,8 +1,5 @@
 """A training that is stopped and gone on with is the training that was never stopped."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -10,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from torch import distributed, nn
 
 from dynamictree.errors import CheckpointError
 from lab.training.checkpoints import load_part
@@ -91,39 +88,24 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path) -> None:
         load_part(nn.Linear(3, 2, bias=False), {"a.weight": torch.zeros(1, 3)}, "a")
 
 
-TWO_PROCESSES = """
-import sys, numpy as np, torch, torch.distributed as dist
-sys.path.insert(0, {root!r})
-from lab.training.schedules import LearningRateSchedule
-from lab.training.trainer import Trainer, TrainerOptions
-rank, port = int(sys.argv[1]), sys.argv[2]
-dist.init_process_group("gloo", init_method="tcp://127.0.0.1:" + port, rank=rank, world_size=2)
-torch.manual_seed(0)
-trainer = Trainer(torch.nn.Linear(3, 1), TrainerOptions(
-    schedule=LearningRateSchedule(num_steps=3, warmup_steps=1, learning_rate=0.1)))
-seen = []
-def loss_of(rng):
-    inputs = torch.from_numpy(rng.standard_normal((4, 3)).astype(np.float32)); seen.append(float(inputs.sum()))
-    return trainer.network(inputs).square().mean()
-list(trainer.run(loss_of))
-gathered = [None, None]
-dist.all_gather_object(gathered, (seen[0], trainer.network.weight.tolist()))
-assert gathered[0][0] != gathered[1][0], "both processes drew the same batch"
-assert gathered[0][1] == gathered[1][1], "the processes' weights went apart"
-dist.barrier()
-dist.destroy_process_group()
-"""
+def in_one_of_two_processes(rank: int, meeting: str) -> None:
+    distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=2)
+    schedule = LearningRateSchedule(num_steps=3, warmup_steps=1, learning_rate=0.1)
+    trainer, seen = Trainer(line(), TrainerOptions(schedule=schedule)), []
+
+    def loss_of(rng: np.random.Generator) -> torch.Tensor:
+        inputs = torch.from_numpy(rng.standard_normal((4, 3)).astype(np.float32))
+        seen.append(float(inputs.sum()))
+        return trainer.network(inputs).square().mean()
+
+    list(trainer.run(loss_of))
+    both = [None, None]
+    distributed.all_gather_object(both, (seen[0], trainer.network.weight.tolist()))
+    assert both[0][0] != both[1][0], "both processes drew the same batch"
+    assert both[0][1] == both[1][1], "the processes' weights went apart"
+    distributed.destroy_process_group()
 
 
 @pytest.mark.slow
 def test_processes_draw_their_own_batches_and_keep_the_same_weights(tmp_path) -> None:
-    import socket
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    script = tmp_path / "two.py"
-    script.write_text(TWO_PROCESSES.format(root=str(Path(__file__).parents[3])))
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    both = [subprocess.Popen([sys.executable, str(script), str(rank), port], env=environment) for rank in (0, 1)]
-    assert [process.wait(timeout=120) for process in both] == [0, 0]
+    torch.multiprocessing.spawn(in_one_of_two_processes, (f"file://{tmp_path}/meeting",), nprocs=2)
