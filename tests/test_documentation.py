@@ -1,21 +1,25 @@
-"""The documentation builds without a network, its links lead somewhere, its blocks are what they say."""
+"""The documentation builds without a network, its links lead somewhere, what it names exists, versions agree."""
 
 import ast
 import importlib.util
 import json
+import pkgutil
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import typer
+import yaml
 
 from dynamictree.cli import app
 from recipes.api_reference import reference
 from service.http.problems import KINDS
+from web.vendor import LIBRARIES
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
@@ -152,3 +156,54 @@ def test_every_page_is_in_the_navigation_and_every_link_leads_to_a_file(site: Pa
             if not re.match(r"[a-z]+:", link):
                 target = (page.parent / link).resolve()
                 assert target.exists(), f"{page.relative_to(site)} leads to {link}"
+
+
+def test_the_paper_map_has_every_equation_and_names_what_exists() -> None:
+    page = (ROOT / "docs/paper_map.md").read_text()
+    table = page.split("## Equations")[1].split("## Sections")[0]
+    assert set("1234567") <= set(re.findall(r"^\| (\d) \|", table, re.MULTILINE))
+    for name in set(re.findall(r"`((?:dynamictree|benchmarks|service|worker)(?:\.\w+)+)`", page)):
+        pkgutil.resolve_name(name)
+
+
+def test_the_readme_maps_folders_that_exist() -> None:
+    drawn = re.findall(r"^    (\S.*?/.*?)  ", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(drawn) == 12
+    for path in ", ".join(drawn).split(", "):
+        assert (ROOT / path.strip()).is_dir(), path
+
+
+def test_the_readme_names_commands_and_files_that_exist() -> None:
+    readme = (ROOT / "README.md").read_text()
+    makefile = (ROOT / "Makefile").read_text()
+    for target in re.findall(r"`make (\w+)", readme):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+    for path in re.findall(r"\]\(((?:docs|openapi|dynamictree|benchmarks|recipes)[^)#]*)\)", readme):
+        assert (ROOT / path).exists(), path
+
+
+@pytest.mark.parametrize("path", [ROOT / "pyproject.toml", ROOT / "client" / "pyproject.toml"])
+def test_packages_declare_the_licence_whose_text_they_carry(path: Path) -> None:
+    project = tomllib.loads(path.read_text())["project"]
+    assert project["license"] == "Apache-2.0"
+    for pattern in project["license-files"]:
+        assert list(path.parent.glob(pattern)), pattern
+    assert "Copyright [yyyy] [name of copyright owner]" in (path.parent / "LICENSE").read_text()  # the plain text
+
+
+@pytest.mark.parametrize("library", LIBRARIES, ids=lambda library: library.name)
+def test_the_notice_names_every_vendored_library(library) -> None:
+    notice = " ".join((ROOT / "NOTICE").read_text().split())
+    name = {"three": "three.js", "@sparkjsdev/spark": "Spark", "swagger-ui-dist": "Swagger UI"}.get(
+        library.name, library.name
+    )
+    assert f"{name} {library.version}" in notice
+    for path in library.targets:
+        if "LICENSE" in path:
+            assert f"web/vendor/{path}" in notice
+
+
+def test_citation_and_changelog_name_the_version() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == version
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
