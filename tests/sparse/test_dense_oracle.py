@@ -92,15 +92,6 @@ def test_samples_of_a_batch_do_not_see_each_other(index: int) -> None:
     torch.testing.assert_close(together, apart)
 
 
-@pytest.mark.parametrize("index", [0, 1, 2])
-def test_a_permutation_of_voxels_permutes_the_result(index: int) -> None:
-    torch.manual_seed(0)
-    layer, coords = layers()[index], random_coords(5)
-    features, order = torch.randn(len(coords), 8), torch.randperm(len(coords))
-    permuted = layer(features[order], sparse_level(coords[order]))
-    torch.testing.assert_close(permuted, layer(features, sparse_level(coords))[order])
-
-
 def test_group_norm_is_torch_group_norm_with_scale_and_shift() -> None:
     torch.manual_seed(0)
     norm, level = SampleGroupNorm(4, 8), sparse_level(random_coords(6))

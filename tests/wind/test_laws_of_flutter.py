@@ -10,13 +10,10 @@ from dynamictree.wind.flutter import (
     FASTEST_HZ,
     FLAP_RAD,
     SLOWEST_HZ,
-    STILL_M_S,
     TWIG_SHARE,
     TWIST_RAD,
-    critical_speeds,
     leaf_frequencies,
     line,
-    onset,
     turn_modes,
 )
 
@@ -32,24 +29,6 @@ def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np
     frequency_hz = np.fft.rfftfreq(NUM_FRAMES, FRAME_S)[:-1]
     wind = Wind(speed_m_s=speed_m_s, gust=gust)
     return turn_modes(along, across, twig, wind, frequency_hz, np.random.default_rng(seed))
-
-
-def test_nothing_flutters_below_the_still_speed_and_most_leaves_do_at_five(rng) -> None:
-    critical = critical_speeds(5000, rng)
-    moving = [
-        (onset(np.full((5000, 1), speed, np.float32), critical) > 0).mean() for speed in (STILL_M_S, 2.0, 5.0, 12.0)
-    ]
-    assert moving[0] == 0
-    assert moving[1] < 0.05
-    assert 0.6 < moving[2] < 0.9
-    assert moving[3] > 0.99
-
-
-def test_flutter_grows_with_the_speed_and_not_beyond_its_full_size() -> None:
-    speeds = np.linspace(0, 60, 100, dtype=np.float32)
-    size = onset(speeds[None], np.array([4.0]))[0]
-    assert (np.diff(size) >= 0).all()
-    assert size[-1] < 1
 
 
 def test_leaves_have_frequencies_of_their_own_in_the_measured_range(rng) -> None:

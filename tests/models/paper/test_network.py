@@ -13,7 +13,7 @@ from dynamictree.sparse.level import pyramid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from lab.paper.examples import PaperExample, batch_of
 from lab.paper.loss import paper_loss
-from lab.paper.train import PaperTraining, clean_channels
+from lab.paper.train import clean_channels
 
 SMALL = PaperPreset(
     encoder_base=8,
@@ -30,14 +30,6 @@ def test_the_full_preset_has_the_papers_size() -> None:
     assert network.unet.stem.weight.shape == (27, 6 + 128, 128)
     attended = [stage.attention is not None for level in network.unet.down for stage in level]
     assert attended == [False, False, False, False, True, True, True, True]  # at factors 4 and 8
-
-
-def test_the_two_stages_and_the_halved_rate() -> None:
-    training = PaperTraining()
-    assert (training.num_steps, training.smoothness_from) == (70_000, 40_000)
-    schedule = training.options().schedule
-    assert schedule.rate_at(0) == 1e-4
-    assert schedule.rate_at(69_999) == pytest.approx(1.25e-5)
 
 
 def test_fourier_features_keep_the_position() -> None:

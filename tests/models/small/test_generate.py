@@ -178,16 +178,6 @@ def test_a_finer_grid_is_generated_at_the_networks_own_and_raised(model: SmallMo
     assert coarsened(voxels, 0) == (voxels, None)
 
 
-def test_a_dense_tree_is_generated_on_a_coarser_grid_and_raised(model: SmallModel) -> None:
-    dense = _block(20)
-    small = SmallModel(model.network, name="tiny", max_network_voxels=len(dense.grid) - 1)
-    spectrum = small.generate(dense, wind=WIND, seed=0, num_steps=1)
-    pairs = spectrum.coefficients.reshape(10, 2, 10, 2, 10, 2, 16, 3)
-    within = np.ptp(np.abs(pairs), axis=(1, 3, 5)).mean()
-    assert np.isfinite(spectrum.coefficients).all()
-    assert 0 < within < 0.5 * np.abs(pairs).mean()  # eight voxels of one node differ by interpolation alone
-
-
 def test_a_grid_is_halved_until_the_network_can_read_it() -> None:
     grid = _block(16).grid
     for most, halvings in ((16**3, 0), (8**3, 1), (8**3 - 1, 2), (1, 4)):
@@ -220,16 +210,6 @@ def test_what_the_model_does_not_serve_is_refused(model: SmallModel, voxels: Sur
             model.generate(voxels, wind=wind, seed=0)
     with pytest.raises(InputError, match="num_steps is 0"):
         model.generate(voxels, wind=WIND, seed=0, num_steps=0)
-
-
-def test_a_network_round_trips_through_its_file(tmp_path, voxels: SurfaceVoxels) -> None:
-    network = tiny_network().half().float()  # what float16 holds
-    write_weights(network, tmp_path / "one.safetensors")
-    model = load_model(str(tmp_path / "one.safetensors"))
-    assert model.network.preset == network.preset
-    for name, value in network.state_dict().items():
-        assert (model.network.state_dict()[name] == value).all()
-    assert model.name == "one"
 
 
 def test_files_that_are_no_models_are_refused(tmp_path) -> None:
