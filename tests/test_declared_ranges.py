@@ -5,19 +5,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pytest
 
 from dynamictree import method
-from dynamictree.errors import InputError, UnstableTimestep
-from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
-from dynamictree.modal.response import group_forces, respond
-from dynamictree.modal.system import chosen_falloff_m, modal_system
-from dynamictree.requests import ExportParams, InteractParams, Request, SpectrumParams, Wind
-from tests.modal.conftest import rod_spectrum
+from dynamictree.errors import InputError
+from dynamictree.requests import ExportParams, Request, SpectrumParams, Wind
 from tests.plant.stand import tree
-
-STEPS_S = 1e-6, 1 / 60, 10.0
-"""Bounds and default of a step in `POST /v1/interact`."""
 
 
 def edges(model: type[Request]) -> dict[str, list[Any]]:
@@ -35,46 +27,17 @@ def edges(model: type[Request]) -> dict[str, list[Any]]:
     return bounds
 
 
-def pairs(model: type[Request], **others: Any) -> Iterator[Any]:
+def pairs(model: type[Request]) -> Iterator[Any]:
     """Requests in which two fields are at bounds, for each pair of fields and of their bounds."""
     for (first, ours), (second, theirs) in itertools.combinations(edges(model).items(), 2):
         for one, other in itertools.product(ours, theirs):
-            yield model.model_validate(others | {first: one, second: other})
+            yield model.model_validate({first: one, second: other})
 
 
-def test_a_push_is_answered_at_all_bounds() -> None:
-    """Coordinates are finite; an integrator that would diverge says so, and the exact one never does."""
-    spectrum = rod_spectrum()
-    at = contact_at_voxel(spectrum.grid, len(spectrum.grid) - 1)
-    forces = (
-        Impulse(at=at, impulse_n_s=(1.0, 0.0, 0.0), start_s=0.0, duration_s=0.0),
-        Drag(at=at, force_n=(1.0, 0.0, 0.0), start_s=0.0, duration_s=None),
-        WindField(velocity_m_s=np.array([[3.0, 0.0, 0.0]]), start_s=0.0, duration_s=None),
-    )
-    for params, dt_s in itertools.product(pairs(InteractParams), STEPS_S):
-        if params.warp:
-            continue
-        system = modal_system(
-            spectrum,
-            mass_kg=params.mass_kg,
-            damping_ratio=params.damping_ratio,
-            frequency_hz=params.frequency_hz,
-            foliage=params.foliage,
-        )
-        groups = group_forces(forces, falloff_m=chosen_falloff_m(system, params))
-        try:
-            answer = respond(system, groups, dt_s=dt_s, num_frames=4, integrator=params.integrator)
-        except UnstableTimestep:
-            assert params.integrator != "exact", (params, dt_s)
-        else:
-            assert np.isfinite(answer.q).all(), (params, dt_s)
-
-
-@pytest.mark.parametrize("period_s", [2.0, 4.17, 30.0])
-def test_the_frames_of_a_file_are_counted_at_all_bounds(period_s: float) -> None:
+def test_the_frames_of_a_file_are_counted_at_all_bounds() -> None:
     """A number of frames within the declared range, or an error that says what to change."""
     most = edges(ExportParams)["num_frames"][1]
-    for params in pairs(ExportParams):
+    for params, period_s in itertools.product(pairs(ExportParams), (2.0, 4.17, 30.0)):
         try:
             count = params.count_frames(period_s)
         except InputError:

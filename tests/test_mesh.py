@@ -48,12 +48,6 @@ def test_a_mesh_over_a_cap_is_refused(monkeypatch, cap: str) -> None:
         validate_mesh(mesh_of())
 
 
-def test_other_vertices_keep_all_else() -> None:
-    moved = mesh_of().with_vertices(CORNERS + np.float32(1))
-    np.testing.assert_array_equal(moved.faces, [[0, 1, 2]])
-    np.testing.assert_array_equal(moved.vertices, CORNERS + 1)
-
-
 def test_edges_are_those_of_a_slow_search_each_once(rng) -> None:
     faces = rng.integers(0, 30, (80, 3)).astype(np.int32)
     expected = sorted({tuple(sorted((int(f[i]), int(f[(i + 1) % 3])))) for f in faces for i in range(3)})

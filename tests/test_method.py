@@ -29,11 +29,6 @@ def spectrum(post: trimesh.Trimesh) -> SparseVoxelSpectrum:
     return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, num_frames=NUM_FRAMES)
 
 
-def test_a_mesh_of_trimesh_is_voxelized_as_ours_is(post: trimesh.Trimesh) -> None:
-    ours = TriangleMesh.from_trimesh(post)
-    np.testing.assert_array_equal(method.voxelize(post).grid.coords, method.voxelize(ours).grid.coords)
-
-
 def test_vertices_follow_the_spectrum(post: trimesh.Trimesh, spectrum: SparseVoxelSpectrum) -> None:
     motion = to_motion(method.devoxelize(spectrum, post), NUM_FRAMES)
     top = post.vertices[:, 2] > 0.9

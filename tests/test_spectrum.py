@@ -76,23 +76,6 @@ def test_the_loop_is_exact(rng) -> None:
     assert np.abs(first - last).max() <= step  # the seam is no larger than any other step
 
 
-def test_motion_is_smooth_between_the_frames(rng) -> None:
-    coefficients = spectrum_of(rng)
-    between = displacement_at(coefficients, 0.125 + 1e-4)
-    np.testing.assert_allclose(between, displacement_at(coefficients, 0.125), atol=0.1)
-
-
-def test_the_mean_of_a_motion_is_its_first_coefficient(rng) -> None:
-    coefficients = spectrum_of(rng)
-    np.testing.assert_allclose(to_motion(coefficients).mean(axis=0), coefficients[:, 0].real, atol=1e-5)
-
-
-def test_frequencies_and_period_follow_from_frames_and_fps() -> None:
-    spectrum = SparseVoxelSpectrum(grid=small_grid(), coefficients=np.zeros((7, 16, 3), np.complex64))
-    assert spectrum.period_s == pytest.approx(100 / 24)
-    np.testing.assert_allclose(spectrum.frequencies_hz, np.arange(16) * 0.24)
-
-
 @pytest.mark.parametrize(
     ("coefficients", "options", "message"),
     [

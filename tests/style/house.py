@@ -8,7 +8,7 @@ BOUNDS = {
     "lines in dynamictree": 32_476,
     "lines in lab": 6_320,
     "lines in service, jobs and worker": 13_478,
-    "lines in tests": 36_633,
+    "lines in tests": 35_912,
     "names bound to numbers in dynamictree": 561,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
