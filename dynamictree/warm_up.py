@@ -19,6 +19,7 @@ from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.pull import grip_of, pull_to
 from dynamictree.plant.capture import Capture
 from dynamictree.render.camera import cameras_of
 from dynamictree.requests import ExportParams, Shot
@@ -35,7 +36,8 @@ def warm_up() -> None:
 
 
 def animate_mesh() -> None:
-    """Write the default files of a small mesh, and a turbulent motion, whose frames are corrected for stretch."""
+    """Write the default files of a small mesh, and a turbulent motion; compile the solver of pulls first."""
+    pull_to(grip_of(np.eye(3), np.ones(3)), np.array([0.1, 0.0, 0.0]))
     mesh = pole()
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
     with TemporaryDirectory() as folder:
@@ -44,10 +46,7 @@ def animate_mesh() -> None:
 
 
 def animate_splat() -> None:
-    """Write the default files of a splat of a small mesh.
-
-    Kernels of splats alone come first; meanwhile the other process compiles the shared kernels into the cache.
-    """
+    """Write the default files of a splat; its own kernels come first, while the other process compiles shared ones."""
     mesh = pole()
     cloud = splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding.cloud
     binding = bind(cloud, mesh)
