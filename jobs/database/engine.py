@@ -26,9 +26,9 @@ def open_engine(url: str) -> sa.Engine:
     database = make_url(url).database
     if database and database != ":memory:":
         Path(database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with suppress(OSError):  # SQLite reports the cause
-            # the file contains secrets of webhooks; SQLite gives its journal the same mode
-            os.close(os.open(database, os.O_RDWR | os.O_CREAT, 0o600))
+        with suppress(OSError):  # SQLite reports the cause; closing an existing file drops this process's locks
+            os.close(os.open(database, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
+        with suppress(OSError):  # the file contains secrets of webhooks; SQLite gives its journal the same mode
             os.chmod(database, 0o600)
     engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S}, pool_size=60, max_overflow=0)
     event.listen(engine, "connect", _configure_sqlite)
