@@ -125,8 +125,8 @@ PARAMS: dict[str, dict[str, object]] = {
 PRODUCTS = {
     "voxelize": {"tree.voxels.safetensors"},
     "diffuse": {"tree.voxels.safetensors", "tree.spectrum.safetensors"},
-    "animate": {"tree.voxels.safetensors", "tree.spectrum.safetensors", "motion.safetensors", "preview.png"},
 }
+PRODUCTS["animate"] = PRODUCTS["diffuse"] | {"motion.safetensors", "preview.png", "still.webp"}
 
 
 @dataclass(kw_only=True)
