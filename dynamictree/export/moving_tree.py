@@ -30,15 +30,6 @@ def iter_turbulent_turns(
         yield rig.in_wind(theta, turn)
 
 
-def frame_phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, " M"]:
-    """Return the phase in the loop of every frame to write [periods].
-
-    Raises:
-        InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
-    """
-    return (params.first_frame + np.arange(params.count_frames(period_s))) / params.period_frames(period_s)
-
-
 @dataclass(frozen=True, kw_only=True)
 class MovingTree:
     """A mesh with the bones that move it, and a splat bound to it if a product needs one."""
@@ -53,7 +44,8 @@ class MovingTree:
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:
         """Phases of the frames to write [periods]."""
-        return frame_phases(self.params, self.spectrum.period_s)
+        frames = np.arange(self.params.count_frames(self.spectrum.period_s))
+        return (self.params.first_frame + frames) / self.params.period_frames(self.spectrum.period_s)
 
     @property
     def loop_fps(self) -> float:

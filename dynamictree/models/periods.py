@@ -17,7 +17,7 @@ phases, so that flutter does not repeat within the loop.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Complex64
+from jaxtyping import Complex64
 
 from dynamictree.modal.real_trees import height_law_hz, learned_law_hz, loop_times, quickening
 from dynamictree.models.motion_model import Generate, GenerateFromBin, OnStep
@@ -39,7 +39,8 @@ LEARNED_FROM_M = 2.0
 def period_by_height(voxels: SurfaceVoxels) -> float:
     """Return the period for a spectrum of these voxels [s]; of several trees the tallest decides."""
     numbers = np.zeros(len(voxels.grid), np.int64) if voxels.tree is None else voxels.tree
-    return PERIOD_S * max(loop_times(_height_m(voxels, numbers == number)) for number in np.unique(numbers))
+    z = [voxels.grid.coords[numbers == number, 2] for number in np.unique(numbers)]
+    return PERIOD_S * max(loop_times((int(np.ptp(of_tree)) + 1) * voxels.grid.voxel_size_m) for of_tree in z)
 
 
 def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: bool = True) -> Generate:
@@ -127,10 +128,6 @@ def _enlargement(height_m: float, times: float) -> float:
     """Return H / h, where the model moves a tree of height h `times` as fast as a real tree of height H sways."""
     shorter_m = (learned_law_hz(1.0) / (times * height_law_hz(height_m))) ** 2
     return max(height_m / float(shorter_m), 1.0)
-
-
-def _height_m(voxels: SurfaceVoxels, rows: Bool[np.ndarray, " V"]) -> float:
-    return (int(np.ptp(voxels.grid.coords[rows, 2])) + 1) * voxels.grid.voxel_size_m
 
 
 def _shrunk(voxels: SurfaceVoxels, times: float) -> SurfaceVoxels:

@@ -18,7 +18,7 @@ from dynamictree.reconstruct.densify import DensityRules, densify
 from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
 from dynamictree.reconstruct.splat_state import SplatState
-from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, cloud_of, unit_quaternions
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, cloud_of
 from dynamictree.reconstruct.views import nearest_pixels, resized
 from dynamictree.render.camera import Camera
 
@@ -102,11 +102,12 @@ def _one_step(
     in_bands(_back, height, drawing.picture, loss.gradient, behind, depth, np.float32(share), gradient)
     gradients = gradients_of(drawing, gradient, width=state.table.shape[1])
     half_size = np.array([0.5 * width, 0.5 * height], np.float32)
-    state.add_pull(half_size * gradients.centres_px, drawing.bounds[:, 1] > drawing.bounds[:, 0])
+    state.pull += np.hypot(*(half_size * gradients.centres_px).T), drawing.bounds[:, 1] > drawing.bounds[:, 0]
     skipped = adam_step(state, gradients.table, _rates(schedule, state, task))
     state.num_discarded += int(skipped.sum())
     state.table[skipped, LOGIT] = _DISCARDED_LOGIT
-    unit_quaternions(state.table)
+    turns = state.table[:, QUATERNION]
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
 
 
 def _given(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w"]:
@@ -186,11 +187,6 @@ def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> 
 def on_black(target: Target) -> Float32[np.ndarray, "H W 3"]:
     """Return the target's photo, on black where it has a mask."""
     return target.photo if target.alpha is None else target.photo * target.alpha[..., None]
-
-
-def planes_of(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H W"]:
-    """Return a picture as one plane per channel."""
-    return np.ascontiguousarray(picture.transpose(2, 0, 1))
 
 
 class _Levels:

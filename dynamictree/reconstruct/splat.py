@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from dynamictree.gaussian.cuda import gsplat_is_there
 from dynamictree.reconstruct.depth import DepthMaps
-from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, drawn, on_black, optimise, planes_of, smaller
+from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, drawn, on_black, optimise, smaller
 from dynamictree.reconstruct.picture_loss import psnr, ssim
 from dynamictree.reconstruct.result import SplatFigures
 from dynamictree.reconstruct.sky import Foreground
@@ -132,7 +132,7 @@ def _figures(
         held_out=[view.source for view in held_out],
         held_out_psnr_db=psnr_db,
         held_out_masked_psnr_db=masked_db,
-        held_out_ssim=[round(ssim(planes_of(picture), planes_of(photo)), 4) for picture, photo in pairs],
+        held_out_ssim=[round(ssim(*np.moveaxis(np.stack(pair), 3, 1)), 4) for pair in pairs],
         held_out_blank_psnr_db=blank_db,
         held_out_size_px=[width, height],
         splat_steps=state.step,

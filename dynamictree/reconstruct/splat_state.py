@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from dynamictree.files import replacing
 
@@ -48,11 +48,6 @@ class SplatState:
         """Mean norm of the gradient by position, over the views that see a Gaussian; 0 if none does."""
         mean: Float32[np.ndarray, " G"] = self.pull[0] / np.maximum(self.pull[1], 1)
         return mean
-
-    def add_pull(self, by_place: Float32[np.ndarray, "G 2"], seen: Bool[np.ndarray, " G"]) -> None:
-        """Add the gradients by position of one view [1 / half a picture]."""
-        self.pull[0] += np.hypot(*by_place.T)
-        self.pull[1] += seen
 
     def keep(self, rows: Int64[np.ndarray, " M"], new: Float32[np.ndarray, "K P"]) -> None:
         """Retain some Gaussians, append new ones with zero moments, and reset the position gradients."""

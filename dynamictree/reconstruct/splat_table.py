@@ -40,9 +40,3 @@ def cloud_of(table: Float32[np.ndarray, "G P"], sh_degree: int | None = None) ->
         opacity=1 / (1 + np.exp(-table[:, LOGIT])),
         sh=np.ascontiguousarray(sh),
     )
-
-
-def unit_quaternions(table: Float32[np.ndarray, "G P"]) -> None:
-    """Normalize the quaternions of a table, in place."""
-    turns = table[:, QUATERNION]
-    turns /= np.sqrt(np.einsum("gi,gi->g", turns, turns))[:, None]  # twice as fast as `norm`

@@ -24,20 +24,6 @@ GREEN = (0.07, 0.12, 0.05, 1.0)
 """Linear."""
 
 
-def obj_of(mesh: TriangleMesh) -> bytes:
-    """A mesh as OBJ, +Y up, without materials."""
-    lines = [f"v {x} {z} {-y}" for x, y, z in mesh.vertices]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
-    return "\n".join(lines).encode()
-
-
-def stl_of(mesh: TriangleMesh) -> bytes:
-    """A mesh as binary STL."""
-    rows = np.zeros(mesh.num_faces, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    rows["corners"] = mesh.vertices[mesh.faces]
-    return bytes(80) + np.uint32(mesh.num_faces).tobytes() + rows.tobytes()
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One sapling in every format, and a splat."""
@@ -48,8 +34,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         write_glb(mesh, stream)
     with paths["ply"].open("wb") as stream:
         write_ply(mesh, stream)
-    paths["obj"].write_bytes(obj_of(mesh))
-    paths["stl"].write_bytes(stl_of(mesh))
+    bare = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    bare.export(paths["stl"])
+    bare.vertices = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]  # +Y up, as OBJ is
+    bare.export(paths["obj"])
     scanned = mesh.vertices + np.array([512_000.0, 5_400_000.0, 310.0])  # as a surveyor's coordinates
     paths["xyz"].write_text("X Y Z\n" + "\n".join(f"{x:.4f} {y:.4f} {z:.4f}" for x, y, z in scanned))
     scan = laspy.create(point_format=7, file_version="1.4")

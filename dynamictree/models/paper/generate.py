@@ -70,7 +70,7 @@ class PaperModel(MotionModel):
         # frequency first, so that the noise of a bin does not depend on the others
         generator = torch.Generator().manual_seed(sampling.seed)
         start = torch.randn(len(bins), count, CHANNELS, generator=generator).transpose(0, 1)
-        unit = _complex_rows(self._sample(inputs, bins, start, sampling))
+        unit = unpack_channels(self._sample(inputs, bins, start, sampling).cpu()).numpy()
         height_m = fine.grid.height_m
         sizes = self.network.frequency_sizes.cpu().numpy() * wind_sizes(wind, preset.num_frequencies) * height_m
         coefficients = (unit * sizes[:, None]) @ wind_axes(wind)
@@ -100,11 +100,6 @@ class PaperModel(MotionModel):
 
         noise = start.contiguous().to(device)
         return sample_ddim(predict_clean, noise, schedule, num_steps=sampling.num_steps, on_step=sampling.on_step)
-
-
-def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "V K 3"]:
-    rows: Complex64[np.ndarray, "V K 3"] = unpack_channels(channels.cpu()).numpy()
-    return rows
 
 
 def _on_output_grid(

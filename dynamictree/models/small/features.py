@@ -70,12 +70,13 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
         chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
         girth = np.log(section_radius(grid, graph, skeleton.distance_m, area_m2))[chain]
         surface, tensors = seen.result()
+    carried = np.flatnonzero(skeleton.parent != np.arange(len(grid)))
     return TreeFeatures(
         grids=grids,
         scalars=torch.from_numpy(scalars.astype(np.float32)),
         vectors=torch.from_numpy(vectors.astype(np.float32)),
         height_m=torch.tensor([height_m], dtype=torch.float32),
-        links=_links(skeleton.parent),
+        links=torch.from_numpy(np.stack([carried, skeleton.parent[carried]], axis=1).astype(np.int64)),
         chain=torch.from_numpy(chain.astype(np.int64)),
         girth=torch.from_numpy(girth.astype(np.float32)),
         surface=torch.from_numpy(surface),
@@ -144,11 +145,6 @@ def node_features(tree: TreeFeatures, wind: Float32[Tensor, "B 4"]) -> Float32[T
     east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]
     downwind, crosswind = cosine * east + sine * north, cosine * north - sine * east
     return torch.cat([tree.scalars, downwind, crosswind, tree.vectors[..., 2]], dim=1)
-
-
-def _links(parent: Int32[np.ndarray, " V"]) -> Int64[Tensor, "L 2"]:
-    rows = np.flatnonzero(parent != np.arange(len(parent)))
-    return torch.from_numpy(np.stack([rows, parent[rows]], axis=1).astype(np.int64))
 
 
 def _scalars(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> Float32[np.ndarray, "V 12"]:
