@@ -83,6 +83,11 @@ def camera_of_photo(views: list[PhotoCamera], name: str) -> PhotoCamera:
     return matching[0]
 
 
+def evenly(views: Sequence[PhotoCamera], most: int) -> list[PhotoCamera]:
+    """Choose at most so many views, evenly in their order."""
+    return [views[row] for row in np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))]
+
+
 def focus_of(views: list[PhotoCamera]) -> tuple[Float64[np.ndarray, "3"], float]:
     """Return the point nearest to all viewing axes, and the cameras' median distance from it [m]."""
     positions = np.array([view.camera.position_m for view in views])

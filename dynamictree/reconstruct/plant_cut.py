@@ -17,8 +17,9 @@ from skimage.color import rgb2lab
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.photo_requests import Scribble
-from dynamictree.reconstruct.photo_cameras import PhotoCamera
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly
 from dynamictree.reconstruct.plant_proposal import Proposal, propose
 from dynamictree.reconstruct.scribbles import marked
 
@@ -178,16 +179,43 @@ def minimum_cut(
 def faint_floaters(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
     """Return a mask of floaters around the plant: faint Gaussians far from all opaque ones, and stray opaque ones.
 
-    They compensate errors of a textured background. If few Gaussians are opaque, none is a floater.
+    They compensate errors of a textured background. If few are opaque, none is a floater; wide ones lie farther apart.
     """
     together, stray = 8, 3.0  # rank of the neighbour that gives the spacing; multiple of the median spacing of strays
+    reach = 2.5  # standard deviations along the middle axis of a Gaussian to which its surface goes on
     rows = np.flatnonzero(own)
     floaters = np.zeros(cloud.num_gaussians, np.bool_)
     opaque = rows[cloud.opacity[rows] > 0.5]
     if len(opaque) < max(together, 0.2 * len(rows)):
         return floaters
     spacing = np.asarray(cKDTree(cloud.means[opaque]).query(cloud.means[opaque], k=together)[0])[:, -1]
-    usual = float(np.median(spacing))
-    body = opaque[spacing <= stray * usual]
-    floaters[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > 0.5 * usual
+    usual, wide = float(np.median(spacing)), reach * np.median(cloud.scales, axis=1)
+    largest = np.maximum(wide, stray * usual)
+    body = opaque[spacing <= largest[opaque]]
+    farthest = np.where(cloud.opacity > 0.5, largest, np.clip(wide, 0.5 * usual, stray * usual))
+    floaters[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > farthest[rows]
     return floaters
+
+
+def camouflaged(
+    cloud: GaussianCloud, own: Bool[np.ndarray, " G"], views: Sequence[PhotoCamera]
+) -> Bool[np.ndarray, " G"]:
+    """Return a mask of chosen Gaussians that have the colour of what is behind them in every view.
+
+    Of a plant before black cloth they are its black rim: they change no picture, so learning does not remove them.
+    """
+    most_views, side_px = 12, 320
+    visible = 20.0  # CIELAB difference; the rim of black cloth has less, leaves before a lawn have more
+    rows = np.flatnonzero(own)
+    color, rest = lab_of(cloud)[rows], cloud.subset(~own)
+    largest = np.full(len(rows), -1.0)  # difference; negative outside of all views
+    for view in (view.reduced(side_px) for view in evenly(views, most_views)):
+        behind = render_on_cpu(rest, view.camera, width=view.width, height=view.height)
+        x, y, depth = view.camera.project(cloud.means[rows].astype(np.float64), view.width, view.height).T
+        inside = np.flatnonzero((depth > 0) & (x >= 0) & (x < view.width) & (y >= 0) & (y < view.height))
+        at = y[inside].astype(int), x[inside].astype(int)
+        difference = np.linalg.norm(rgb2lab(behind.over((0.0, 0.0, 0.0)))[at] - color[inside], axis=1)
+        largest[inside] = np.maximum(largest[inside], difference)
+    hidden = np.zeros(cloud.num_gaussians, np.bool_)
+    hidden[rows] = (largest >= 0) & (largest <= visible)
+    return hidden

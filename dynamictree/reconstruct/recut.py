@@ -15,7 +15,7 @@ from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
-from dynamictree.reconstruct.plant_cut import faint_floaters, plant_of
+from dynamictree.reconstruct.plant_cut import camouflaged, faint_floaters, plant_of
 from dynamictree.reconstruct.report import PlantQuality, plant_quality, write_report_picture
 from dynamictree.reconstruct.result import Reconstruction
 from dynamictree.reconstruct.surface_choice import of_the_mesh
@@ -98,6 +98,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
         _require_plant(own)
         on_progress(0.6)
         if not masked:  # masks leave no floaters, but twigs that look like them
+            own &= ~camouflaged(scene, own, finished.cameras)
             own &= ~faint_floaters(scene, own)
         on_progress(0.8)
     mesh = mesh_of_plant(scene, own, finished.mesh, radius_m)
@@ -130,7 +131,8 @@ def _scale(finished: Reconstruction, choice: CutParams) -> tuple[float, str]:
 def _require_plant(own: Bool[np.ndarray, " G"]) -> None:
     least_gaussians = 50
     if own.sum() < least_gaussians:
-        raise InputError(f"{int(own.sum())} Gaussians of a plant are in the cut; at least {least_gaussians} must be")
+        problem = f"{int(own.sum())} Gaussians of a plant are in the cut; at least {least_gaussians} must be"
+        raise InputError(f"{problem}; draw strokes on the plant, or reconstruct without only_plant to look")
 
 
 def pack(folder: Path, archive: Path) -> None:

@@ -12,12 +12,12 @@ from dynamictree.cli import app
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from dynamictree.gaussian.cloud import joined
+from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
 from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
-from dynamictree.reconstruct.plant_cut import faint_floaters, minimum_cut, plant_of
+from dynamictree.reconstruct.plant_cut import camouflaged, faint_floaters, minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
 from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.scribbles import _pixels, marked, weights_at
@@ -25,6 +25,10 @@ from dynamictree.reconstruct.splat_table import cloud_of, table_of_points
 from tests.reconstruct.planted import Planted, coloured, on_lawn, potted, stroke_across, write_planted
 
 BENCH = 2
+
+
+def _faded(cloud: GaussianCloud, opacity: float) -> GaussianCloud:
+    return replace(cloud, opacity=np.full_like(cloud.opacity, opacity))
 
 
 def test_a_potted_plant_is_cut_out_without_help() -> None:
@@ -48,10 +52,8 @@ def test_a_trunk_goes_down_to_the_ground() -> None:
 def test_one_stroke_takes_away_what_leans_on_the_trunk() -> None:
     planted = on_lawn()
     views = list(planted.views)
-    alone = planted.iou(plant_of(planted.scene, views))
-    assert alone > 0.8  # the bench touches the trunk: nothing tells that it is not the tree
-    own = plant_of(planted.scene, views, [stroke_across(planted, BENCH)])
-    assert planted.iou(own) > max(0.95, alone)
+    assert planted.iou(plant_of(planted.scene, views)) > 0.8  # the bench touches the trunk, so it seems to be the tree
+    assert planted.iou(plant_of(planted.scene, views, [stroke_across(planted, BENCH)])) > 0.95
 
 
 def test_a_stroke_down_the_trunk_leaves_the_soil() -> None:
@@ -61,15 +63,14 @@ def test_a_stroke_down_the_trunk_leaves_the_soil() -> None:
     height = float(np.ptp(means[tree, 2]))
     trunk = tree & (means[:, 2] < 0.2 * height)
     soil = lawn & (np.linalg.norm(means[:, :2] - np.median(means[trunk, :2], axis=0), axis=1) < 0.25 * height)
-    sh = planted.scene.sh.copy()
-    sh[soil, 0] = sh[trunk, 0].mean(axis=0)
+    sh = np.where(soil[:, None, None], planted.scene.sh[trunk].mean(axis=0), planted.scene.sh)
     view = planted.views[0]
     ends = np.array([np.median(means[trunk], axis=0), [*np.median(means[trunk, :2], axis=0), 0.0]])
     points = [(x / view.width, y / view.height) for x, y, _ in view.camera.project(ends, view.width, view.height)]
     stroke = Scribble(photo=view.photo, plant=True, points=tuple(points))
     own = plant_of(replace(planted.scene, sh=sh), list(planted.views), [stroke])
-    assert (own & tree).sum() > 0.97 * tree.sum()
-    assert (own & soil).sum() < 0.1 * soil.sum()
+    assert own[tree].mean() > 0.97
+    assert own[soil].mean() < 0.1
 
 
 def test_a_stroke_overrules_the_proposal() -> None:
@@ -182,8 +183,7 @@ def test_a_cut_reports_how_far_it_is_and_can_be_stopped_between_rounds(tmp_path)
 
 def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path) -> None:
     planted = potted()
-    tree = planted.scene.subset(planted.plant)
-    tree = replace(tree, opacity=np.full_like(tree.opacity, 0.9))
+    tree = _faded(planted.scene.subset(planted.plant), 0.9)
     twigs = tree.subset(np.arange(0, tree.num_gaussians, 20))
     aside = (twigs.means + np.float32([0.05, 0, 0]) * np.ptp(tree.means[:, 2])).astype(np.float32)
     scene = joined([tree, replace(twigs, means=aside, opacity=0.3 * twigs.opacity)])
@@ -210,30 +210,41 @@ def test_of_what_masks_show_a_stroke_takes_the_pot() -> None:
     assert own[owner == 1].mean() < 0.1
 
 
-def test_faint_gaussians_in_the_air_and_strays_are_fog_and_those_on_the_plant_are_not() -> None:
-    planted = potted()
-    tree = planted.scene.subset(planted.plant)
-    tree = replace(tree, opacity=np.full_like(tree.opacity, 0.9))
+def test_faint_gaussians_in_the_air_and_strays_are_fog_and_those_on_the_plant_are_not(rng: np.random.Generator) -> None:
+    tree = _faded(potted().scene.subset(potted().plant), 0.9)
     h = float(np.ptp(tree.means[:, 2]))
-    rng = np.random.default_rng(4)
-    faint = replace(
-        tree.subset(np.arange(0, tree.num_gaussians, 8)), opacity=np.full(-(-tree.num_gaussians // 8), 0.2, np.float32)
-    )
-    air = rng.uniform([-h, -h, 0], [h, h, 0.4 * h], (200, 3)).astype(np.float32)
-    air = air[np.hypot(air[:, 0], air[:, 1]) > 0.7 * h]
-    mist = replace(tree.subset(np.zeros(len(air), np.int64)), means=air, opacity=np.full(len(air), 0.2, np.float32))
-    stray = replace(mist.subset(np.array([0])), means=np.float32([[1.2 * h, 0, 0.5 * h]]), opacity=np.float32([0.9]))
+    faint = _faded(tree.subset(np.arange(0, tree.num_gaussians, 8)), 0.2)
+    air = rng.uniform([0.7 * h, -h, 0], [h, h, 0.4 * h], (100, 3)).astype(np.float32)
+    mist = _faded(replace(tree.subset(np.zeros(len(air), np.int64)), means=air), 0.2)
+    stray = _faded(replace(mist.subset(np.array([0])), means=np.float32([[1.2 * h, 0, 0.5 * h]])), 0.9)
     scene = joined([tree, faint, mist, stray])
     fog = faint_floaters(scene, np.ones(scene.num_gaussians, np.bool_))
-    number = tree.num_gaussians + faint.num_gaussians
-    assert fog[number:].all()
-    assert fog[:number].mean() < 0.005
+    assert fog[-len(air) - 1 :].all()
+    assert fog[: -len(air) - 1].mean() < 0.005
+    assert not faint_floaters(_faded(tree, 0.3), np.ones(tree.num_gaussians, np.bool_)).any()  # a plant of faint ones
 
 
-def test_a_plant_of_faint_gaussians_has_no_fog() -> None:
+def test_wide_gaussians_of_a_plain_surface_are_no_fog(rng: np.random.Generator) -> None:
+    """Bananas had holes: their spots are small dense Gaussians, beside which those of plain peel seemed strays."""
+    spots, peel = rng.uniform(0, 0.1, (900, 2)), np.mgrid[-0.45:0.45:10j, -0.45:0.45:10j].reshape(2, -1).T
+    one = _faded(potted().scene.subset(np.zeros(1000, np.int64)), 0.9)
+    scales = np.repeat(np.float32([[0.002, 0.002, 0.001], [0.06, 0.06, 0.001]]), [900, 100], axis=0)
+    cloud = replace(
+        one, means=np.pad(np.concatenate([spots, peel]), ((0, 0), (0, 1))).astype(np.float32), scales=scales
+    )
+    assert not faint_floaters(cloud, np.ones(1000, np.bool_)).any()
+
+
+def test_a_rim_in_the_colour_of_the_backdrop_is_not_the_plant(rng: np.random.Generator) -> None:
+    """Learning leaves black Gaussians around a plant before black cloth: they change no picture."""
     tree = potted().scene.subset(potted().plant)
-    faint = replace(tree, opacity=np.full_like(tree.opacity, 0.3))
-    assert not faint_floaters(faint, np.ones(tree.num_gaussians, np.bool_)).any()
+    near = tree.means + rng.normal(0, 0.01, tree.means.shape).astype(np.float32)
+    rim = coloured(replace(tree, means=near), (0, 0, 0))
+    cloth = replace(rim.subset(np.arange(9)), means=10 * near[:9], scales=np.full((9, 3), 3, np.float32))
+    own = np.repeat([True, True, False], [len(near), len(near), 9])
+    hidden = camouflaged(joined([tree, rim, cloth]), own, potted().views)
+    assert hidden[len(near) :][own[len(near) :]].mean() > 0.99
+    assert hidden[: len(near)].mean() < 0.01
 
 
 def is_closed(mesh: TriangleMesh) -> bool:
