@@ -44,6 +44,7 @@ THIS_CHECK = ("tests/style/", "CONTRIBUTING.md")
 PROSE_FILES = (".js", ".css", ".html", ".md")
 _ANY_BANNED = re.compile("|".join(sorted(VAGUE_NAMES | VAGUE_WORDS)), re.IGNORECASE)
 _IN_COMMENT = re.compile(rf"#.*({'|'.join(sorted(BANNED_PROSE))})", re.IGNORECASE)
+_FRAGMENT = re.compile(r"\S  # (of|that|to|and|in|from|at|by|with|which|during|than|after|before|below|above) ")
 REPLACEMENTS = "write reported/stated, fixed/constant, stored/retained, or name what it is"
 
 
@@ -56,6 +57,9 @@ def violations(path: str, content: bytes) -> Iterator[str]:
         text = content.decode()
         if _ANY_BANNED.search(text) or PurePosixPath(path).stem in VAGUE_NAMES:
             yield from (f"{path}:{line}: {message}" for line, message in sorted({*_names(path, text), *_prose(text)}))
+        for number, line in enumerate(() if path.startswith("tests/") else text.splitlines(), start=1):
+            if match := _FRAGMENT.search(line):
+                yield f"{path}:{number}: a comment begins with `{match[1]}`: begin with a noun or a unit"
     elif suffix in PROSE_FILES:
         for line, text in enumerate(content.decode().splitlines(), start=1):
             yield from (f"{path}:{line}: {message}" for message in _banned_prose(text))
@@ -68,7 +72,7 @@ def _names(path: str, text: str) -> Iterator[tuple[int, str]]:
             continue
         if name.lower() in VAGUE_NAMES:
             yield line, f"the name `{name}` fits anything: name what it is"
-        term = _snake(name)
+        term = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
         for allowed in ALLOWED_TERMS:
             term = term.replace(allowed, "")
         banned = BANNED_PROSE if term.startswith("test_") else VAGUE_WORDS
@@ -94,10 +98,6 @@ def _bound(tree: ast.Module) -> Iterator[tuple[str, int, bool]]:
 
 def _is_allowed(name: str, path: str, is_noun: bool) -> bool:
     return name in ALLOWED_NAMES and path.startswith(ALLOWED_NAMES[name]) and (is_noun or name != "process")
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def _prose(text: str) -> Iterator[tuple[int, str]]:
