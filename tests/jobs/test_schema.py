@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -23,6 +25,18 @@ def test_many_may_make_the_tables_at_once(tmp_path: Path, attempt: int) -> None:
         with engine.connect() as connection:
             assert connection.exec_driver_sql("SELECT count(*) FROM schema_revision").scalar_one() == 1
         engine.dispose()
+
+
+def test_a_second_store_leaves_the_locks_of_the_first(tmp_path: Path) -> None:
+    """A process that closes a file loses its locks on it: another program then deletes the log, and what is written."""
+    url = f"sqlite:///{tmp_path / 'jobs.sqlite'}"
+    with open_engine(url).connect() as connection:
+        connection.exec_driver_sql("CREATE TABLE t (x)")
+        connection.commit()
+        open_engine(url)
+        program = "import sqlite3; sqlite3.connect('jobs.sqlite').execute('CREATE TABLE u (x)').connection.close()"
+        subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+        assert (tmp_path / "jobs.sqlite-wal").exists()
 
 
 @pytest.mark.parametrize("earlier", ["DROP TABLE schema_revision", "UPDATE schema_revision SET number = 0"])
