@@ -207,15 +207,14 @@ def camouflaged(
     most_views, side_px = 12, 320
     visible = 20.0  # CIELAB difference; the rim of black cloth has less, leaves before a lawn have more
     rows = np.flatnonzero(own)
-    color, rest = lab_of(cloud)[rows], cloud.subset(~own)
-    largest = np.full(len(rows), -1.0)  # difference; negative outside of all views
+    color, rest = lab_of(cloud), cloud.subset(~own)
+    largest = np.full(cloud.num_gaussians, -1.0)  # difference; negative if not chosen or outside of all views
     for view in (view.reduced(side_px) for view in evenly(views, most_views)):
         behind = render_on_cpu(rest, view.camera, width=view.width, height=view.height)
         x, y, depth = view.camera.project(cloud.means[rows].astype(np.float64), view.width, view.height).T
-        inside = np.flatnonzero((depth > 0) & (x >= 0) & (x < view.width) & (y >= 0) & (y < view.height))
-        at = y[inside].astype(int), x[inside].astype(int)
+        seen = (depth > 0) & (x >= 0) & (x < view.width) & (y >= 0) & (y < view.height)
+        at, inside = (y[seen].astype(int), x[seen].astype(int)), rows[seen]
         difference = np.linalg.norm(rgb2lab(behind.over((0.0, 0.0, 0.0)))[at] - color[inside], axis=1)
         largest[inside] = np.maximum(largest[inside], difference)
-    hidden = np.zeros(cloud.num_gaussians, np.bool_)
-    hidden[rows] = (largest >= 0) & (largest <= visible)
+    hidden: Bool[np.ndarray, " G"] = (largest >= 0) & (largest <= visible)
     return hidden
