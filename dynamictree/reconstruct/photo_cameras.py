@@ -4,13 +4,15 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import InputError
 from dynamictree.render.camera import Camera
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +85,9 @@ def camera_of_photo(views: list[PhotoCamera], name: str) -> PhotoCamera:
     return matching[0]
 
 
-def evenly(views: Sequence[PhotoCamera], most: int) -> list[PhotoCamera]:
-    """Choose at most so many views, evenly in their order."""
-    return [views[row] for row in np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))]
+def evenly(items: Sequence[Item], most: int) -> list[Item]:
+    """Choose at most so many items, evenly in their order."""
+    return [items[row] for row in np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)]
 
 
 def focus_of(views: list[PhotoCamera]) -> tuple[Float64[np.ndarray, "3"], float]:

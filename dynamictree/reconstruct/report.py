@@ -12,6 +12,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, circle_picture
+from dynamictree.reconstruct.photo_cameras import evenly
 from dynamictree.reconstruct.photo_previews import read_photo_previews
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.result import Reconstruction
@@ -37,8 +38,7 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
 def photos_to_compare(held_out: Sequence[str]) -> list[str]:
     """Choose the held-out photos for `report.png`, evenly."""
     most_rows = 6  # number held out of 50 photos; more rows are hard to view
-    rows = np.linspace(0, len(held_out) - 1, min(len(held_out), most_rows)).round().astype(int)
-    return [held_out[row] for row in rows]
+    return evenly(held_out, most_rows)
 
 
 def write_report_picture(result: Reconstruction, folder: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.depth import DepthMaps, find_depths, load_depths, outside_sky, save_depths
 from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
+from dynamictree.reconstruct.photo_cameras import evenly
 from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel
@@ -86,11 +87,8 @@ def _subject(depths: DepthMaps, cut: float) -> Box | None:
 
 
 def _evenly_chosen(model: SparseModel, max_views: int) -> SparseModel:
-    number = len(model.views)
-    if number <= max_views:
-        return model
-    chosen = np.linspace(0, number - 1, max_views).round().astype(int)
-    row_of = np.full(number, -1)
+    chosen = evenly(range(len(model.views)), max_views)
+    row_of = np.full(len(model.views), -1)
     row_of[chosen] = np.arange(len(chosen))
     seen = model.seen[row_of[model.seen[:, 0]] >= 0]
     seen = np.stack([row_of[seen[:, 0]], seen[:, 1]], axis=1)
