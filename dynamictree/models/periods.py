@@ -39,8 +39,8 @@ LEARNED_FROM_M = 2.0
 def period_by_height(voxels: SurfaceVoxels) -> float:
     """Return the period for a spectrum of these voxels [s]; of several trees the tallest decides."""
     numbers = np.zeros(len(voxels.grid), np.int64) if voxels.tree is None else voxels.tree
-    z = [voxels.grid.coords[numbers == number, 2] for number in np.unique(numbers)]
-    return PERIOD_S * max(loop_times((int(np.ptp(of_tree)) + 1) * voxels.grid.voxel_size_m) for of_tree in z)
+    heights = [np.ptp(voxels.grid.coords[numbers == number, 2]) + 1 for number in np.unique(numbers)]
+    return PERIOD_S * max(loop_times(int(height) * voxels.grid.voxel_size_m) for height in heights)
 
 
 def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: bool = True) -> Generate:

@@ -102,7 +102,8 @@ def _one_step(
     in_bands(_back, height, drawing.picture, loss.gradient, behind, depth, np.float32(share), gradient)
     gradients = gradients_of(drawing, gradient, width=state.table.shape[1])
     half_size = np.array([0.5 * width, 0.5 * height], np.float32)
-    state.pull += np.hypot(*(half_size * gradients.centres_px).T), drawing.bounds[:, 1] > drawing.bounds[:, 0]
+    state.pull[0] += np.hypot(*(half_size * gradients.centres_px).T)
+    state.pull[1] += drawing.bounds[:, 1] > drawing.bounds[:, 0]
     skipped = adam_step(state, gradients.table, _rates(schedule, state, task))
     state.num_discarded += int(skipped.sum())
     state.table[skipped, LOGIT] = _DISCARDED_LOGIT

@@ -132,7 +132,7 @@ def _figures(
         held_out=[view.source for view in held_out],
         held_out_psnr_db=psnr_db,
         held_out_masked_psnr_db=masked_db,
-        held_out_ssim=[round(ssim(*np.moveaxis(np.stack(pair), 3, 1)), 4) for pair in pairs],
+        held_out_ssim=[round(ssim(*np.ascontiguousarray(np.moveaxis(np.stack(pair), 3, 1))), 4) for pair in pairs],
         held_out_blank_psnr_db=blank_db,
         held_out_size_px=[width, height],
         splat_steps=state.step,
