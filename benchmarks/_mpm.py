@@ -18,7 +18,7 @@ DT_S = 1e-4
 YOUNG = 2e6
 POISSON = 0.4
 DENSITY = 200.0
-SUBSTEPS_A_FRAME = 400  # ficus: a frame of 4e-2 s
+SUBSTEPS_PER_FRAME = 400  # ficus: a frame of 4e-2 s
 NUM_CORES = 2
 
 

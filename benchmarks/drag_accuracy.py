@@ -38,7 +38,7 @@ FILES = (
     "../cases/bevy_forest_tree.glb",
     "splat/tree_10k.splat",
 )
-PULLS_A_TREE = 3 if BRIEF else 50
+PULLS_PER_TREE = 3 if BRIEF else 50
 PULL_SHARE = 0.1  # [share of the height]
 TARGET = 0.01  # [share of the pull]
 SHORTEST_M = 1e-4  # length of the shortest edge that counts
@@ -93,7 +93,7 @@ def _pulled(
     above_ground = mesh.vertices[:, 2] > mesh.vertices[:, 2].min() + 0.05 * mesh.height_m
     pull_m = PULL_SHARE * mesh.height_m
     rows: dict[str, list[float]] = {}
-    for vertex in rng.choice(np.flatnonzero((bone > 0) & above_ground), PULLS_A_TREE, replace=False):
+    for vertex in rng.choice(np.flatnonzero((bone > 0) & above_ground), PULLS_PER_TREE, replace=False):
         direction = rng.normal(size=3)
         wanted = pull_m * direction / np.linalg.norm(direction)
         drag = {"kind": "drag", "at": {"vertex": int(vertex)}, "displacement_m": wanted.tolist()}

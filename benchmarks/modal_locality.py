@@ -27,7 +27,7 @@ from lab.dataset.stem_skeleton import Skeleton
 
 TARGET = 0.05
 TREES = ((3, "round-broadleaf"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (9, "columnar"))
-POKES_A_LEVEL = 4
+POKES_PER_LEVEL = 4
 TOP_SHARE = 0.2  # [share of the height]
 PULLS = 40  # pulls per tree, each by these shares of the height
 PULL_SHARES = (0.01, 0.02, 0.05)
@@ -73,7 +73,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
     shares: dict[str, list[float]] = {"all_modes": [], "local": [], "own_weight": []}
     for level in (1, 2):
         candidates = np.intersect1d(stems.stem[stems.level == level], owner[wood])
-        for poked in rng.choice(candidates, POKES_A_LEVEL, replace=False):
+        for poked in rng.choice(candidates, POKES_PER_LEVEL, replace=False):
             base = stems.position[np.flatnonzero(stems.stem == poked)[0]]
             inside = line_of(stems, int(poked))[owner]
             for own in (np.flatnonzero(owner == poked), np.flatnonzero((owner == poked) & wood)):

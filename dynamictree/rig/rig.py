@@ -16,7 +16,7 @@ from dynamictree.rig.turn_matrices import Target
 from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, in_steps, iter_motion
 from dynamictree.voxel.voxelize import surface_average, voxel_trees
 
-BONES_A_VOXEL = 4
+BONES_PER_VOXEL = 4
 """Number of bones that carry a voxel, its strongest ones; as many as for an engine's vertex."""
 _POINTS_AT_ONCE = 10_000  # points per pass, 12 MB of frames
 
@@ -140,8 +140,8 @@ def _strongest(mean: scipy.sparse.csr_array, vertices: Weights, num_bones: int) 
     row = np.repeat(np.arange(shares.shape[0]), np.diff(shares.indptr))
     order = np.lexsort((-shares.data, row))
     rank = np.arange(len(row)) - shares.indptr[row]
-    remaining = rank < BONES_A_VOXEL
-    rows = np.zeros((shares.shape[0], BONES_A_VOXEL), np.int32)
+    remaining = rank < BONES_PER_VOXEL
+    rows = np.zeros((shares.shape[0], BONES_PER_VOXEL), np.int32)
     strongest = np.zeros(rows.shape)
     rows[row[remaining], rank[remaining]] = shares.indices[order][remaining]
     strongest[row[remaining], rank[remaining]] = shares.data[order][remaining]
@@ -159,7 +159,7 @@ def _together(
         return np.where(rows <= GROUND, rows, rows + first - 1)
 
     parent = [ground.skeleton.parent[:1]]
-    vertices, voxels = _on_ground(num_vertices, 2), _on_ground(num_voxels, BONES_A_VOXEL)
+    vertices, voxels = _on_ground(num_vertices, 2), _on_ground(num_voxels, BONES_PER_VOXEL)
     for first, (own, grid_rows, rig) in zip(bones.tolist(), every, strict=False):
         parent.append(moved(rig.skeleton.parent[1:], first))
         for all_of_them, some, weights in ((vertices, own, rig.vertices), (voxels, grid_rows, rig.voxels)):

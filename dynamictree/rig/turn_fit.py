@@ -37,7 +37,7 @@ MEAN_ROUNDS, ROUNDS = (3, 1, 1), (3, 1, 1, 1, 1)
 LEAST_GAIN = 0.01  # relative decrease of the cost below which to stop
 MOST_STEP_RAD = 0.3
 STEP_LENGTHS = (1.0, 0.5, 0.25)  # tried in this order
-FRAMES_A_FREQUENCY = 3  # two would suffice without motion above the K frequencies
+FRAMES_PER_FREQUENCY = 3  # two would suffice without motion above the K frequencies
 _VOXELS_AT_ONCE = 100_000
 _CHAINED = 1e6  # cost of separation from the parent [cost of moving a voxel]
 _FIXED = 1e10  # cost of a rotation of the ground
@@ -229,7 +229,7 @@ class _Problem:
         """Simulate a loop; return the spectra of the bones' poses and of the weighted growth of edges."""
         poses_at_once = 500_000  # 50 MB; twelve times as many are accumulated at once
         num_bones, num_frequencies = len(self.skeleton), solution.shape[1]
-        num_frames = FRAMES_A_FREQUENCY * num_frequencies if num_frequencies > 1 else 1
+        num_frames = FRAMES_PER_FREQUENCY * num_frequencies if num_frequencies > 1 else 1
         frame = np.arange(num_frames)
         wave = np.exp(-2j * np.pi / num_frames * frame[:, None] * np.arange(num_frequencies)) / num_frames
         wave = np.ascontiguousarray(wave.astype(np.complex64)).view(np.float32)

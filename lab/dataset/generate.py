@@ -27,7 +27,7 @@ from lab.dataset.review import Verdict
 from lab.dataset.sample import VERSION, Sample, make_sample
 from lab.dataset.shards import StoredTree, store, write_shard
 
-SEEDS_A_TREE = 4  # a shard fails after so many seeds per wanted tree
+SEEDS_PER_TREE = 4  # a shard fails after so many seeds per wanted tree
 PAPER_TREES = 8786  # number of trees in paper appendix A
 
 
@@ -50,8 +50,8 @@ class Recipe:
 
     def shard_seeds(self, index: int) -> range:
         """Range of seeds that a shard may use."""
-        start = self.first_seed + index * SEEDS_A_TREE * self.trees_per_shard
-        return range(start, start + SEEDS_A_TREE * self.trees_per_shard)
+        start = self.first_seed + index * SEEDS_PER_TREE * self.trees_per_shard
+        return range(start, start + SEEDS_PER_TREE * self.trees_per_shard)
 
     def shard_trees(self, index: int) -> int:
         """Return the number of accepted trees in a shard; the last one may have fewer."""

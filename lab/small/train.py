@@ -36,7 +36,7 @@ from lab.training.progress import OnStep
 from lab.training.schedules import LearningRateSchedule
 from lab.training.trainer import Trainer, TrainerOptions
 
-TREES_A_FILE = 25
+TREES_PER_FILE = 25
 GOING_ON_RATE = 0.5
 """Factor on the learning rate if a network starts from weights (docs/decisions/diffusion.md)."""
 
@@ -123,13 +123,13 @@ def _rows(
     network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnStep
 ) -> AmplitudeRows:
     """Return the training rows of the amplitude network; the first process writes them, all read them."""
-    paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
+    paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_PER_FILE)]
     if process_rank() == 0:
         folder.mkdir(parents=True, exist_ok=True)
         if not all(path.exists() for path in paths):
             trees = iter_training(shards, first=plan.foliage_trees, count=plan.amplitude_trees)
             for path in paths:
-                some = list(islice(trees, TREES_A_FILE))
+                some = list(islice(trees, TREES_PER_FILE))
                 if not path.exists():
                     rng = np.random.default_rng([plan.amplitude.seed, int(path.stem)])
                     write_rows(amplitude_rows(network.foliage, map(example_of, some), rng), path)

@@ -22,12 +22,12 @@ from lab.small.amplitude_loss import amplitude_losses
 from lab.small.examples import Example
 from lab.small.whitening import WhiteExample
 
-TREES_A_STEP = 4
-VOXELS_A_TREE = 600  # voxels per tree for the amplitude network
-TREES_A_BATCH, ROWS_A_TREE = 32, 96  # batch of the amplitude network
+TREES_PER_STEP = 4
+VOXELS_PER_TREE = 600  # voxels per tree for the amplitude network
+TREES_PER_BATCH, ROWS_PER_TREE = 32, 96  # batch of the amplitude network
 STANDARDISED_ON = 20_000  # number of rows
 MIN_DEVIATION = 0.01
-FREQUENCIES_A_TREE = 4
+FREQUENCIES_PER_TREE = 4
 LOW_FREQUENCY_BIAS = 1.0  # k has probability ~ 1 / k: low bins carry the motion, high ones are near noise
 HALF_SCALE = 1000.0
 """Spectra over the height are 1e-5 to 0.1; multiplied by this factor they suit float16."""
@@ -51,15 +51,15 @@ class AmplitudeRows:
 
 @torch.no_grad()
 def amplitude_rows(foliage: FoliageNetwork, examples: Iterable[Example], rng: np.random.Generator) -> AmplitudeRows:
-    """Draw VOXELS_A_TREE voxels of each tree."""
+    """Draw VOXELS_PER_TREE voxels of each tree."""
     inputs, winds, spectra = [], [], []
     for example in examples:
         wind = wind_vector([example.wind])
         with torch.autocast("cpu", torch.bfloat16):
             foliage_values = foliage(example.tree)
-        rows = torch.from_numpy(rng.integers(0, len(example.tree.scalars), VOXELS_A_TREE))
+        rows = torch.from_numpy(rng.integers(0, len(example.tree.scalars), VOXELS_PER_TREE))
         inputs.append(amplitude_inputs(example.tree, foliage_values, wind)[rows].half())
-        winds.append(wind[:, :NUM_WIND].expand(VOXELS_A_TREE, NUM_WIND))
+        winds.append(wind[:, :NUM_WIND].expand(VOXELS_PER_TREE, NUM_WIND))
         spectra.append(torch.view_as_real(example.spectrum[rows] * HALF_SCALE).half())
     return AmplitudeRows(inputs=torch.cat(inputs), wind=torch.cat(winds), scaled=torch.cat(spectra))
 
@@ -87,9 +87,9 @@ def standardise(network: AmplitudeNetwork, rows: AmplitudeRows) -> None:
 
 def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.random.Generator) -> Float32[Tensor, ""]:
     """Return the amplitude network's loss on a batch, equally many rows per tree; half of the batches are mirrored."""
-    trees = rng.choice(num_trees := len(rows) // VOXELS_A_TREE, min(TREES_A_BATCH, num_trees), replace=False)
-    drawn = rng.integers(0, VOXELS_A_TREE, (len(trees), ROWS_A_TREE))
-    chosen = torch.from_numpy((trees[:, None] * VOXELS_A_TREE + drawn).ravel())
+    trees = rng.choice(num_trees := len(rows) // VOXELS_PER_TREE, min(TREES_PER_BATCH, num_trees), replace=False)
+    drawn = rng.integers(0, VOXELS_PER_TREE, (len(trees), ROWS_PER_TREE))
+    chosen = torch.from_numpy((trees[:, None] * VOXELS_PER_TREE + drawn).ravel())
     inputs, spectrum = rows.inputs[chosen].float(), rows.spectrum(chosen)
     if rng.random() < 0.5:
         inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
@@ -100,7 +100,7 @@ def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.rando
 
 
 def denoising_step(
-    network: SmallNetwork, examples: Sequence[WhiteExample], rng: np.random.Generator, *, trees: int = TREES_A_STEP
+    network: SmallNetwork, examples: Sequence[WhiteExample], rng: np.random.Generator, *, trees: int = TREES_PER_STEP
 ) -> Float32[Tensor, ""]:
     """Return the denoiser's loss on one batch: every tree at some frequencies, each with its own noise level."""
     preset = network.preset
@@ -111,7 +111,7 @@ def denoising_step(
     chosen_trees = [examples[index] for index in rng.choice(len(examples), trees, replace=False)]
     clean, sizes, noises, frequencies = [], [], [], []
     for white in chosen_trees:
-        chosen = torch.from_numpy(np.sort(rng.choice(bins, FREQUENCIES_A_TREE, replace=False, p=chance)))
+        chosen = torch.from_numpy(np.sort(rng.choice(bins, FREQUENCIES_PER_TREE, replace=False, p=chance)))
         phase = torch.exp(2j * torch.pi * torch.rand(len(chosen), generator=generator))  # a time shift per bin
         clean.append(pack_channels(white.whitened[:, chosen - 1] * phase[:, None]))
         noises.append(white.noise.draw(network.noise_shares[chosen - 1], generator, channels=CHANNELS))
@@ -120,7 +120,7 @@ def denoising_step(
     nodes = batch_features([white.nodes for white in chosen_trees])
     wind, signal = wind_vector([white.wind for white in chosen_trees]), torch.cat(clean)
     low, high = np.log(preset.sigma_min), np.log(preset.sigma_max)
-    sigma = (low + (high - low) * torch.rand(trees, FREQUENCIES_A_TREE, generator=generator)).exp()
+    sigma = (low + (high - low) * torch.rand(trees, FREQUENCIES_PER_TREE, generator=generator)).exp()
     condition = network.denoiser.condition(
         nodes,
         wind,

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from dynamictree.gaussian.deform import Deformer  # imports numba
     from dynamictree.modal.frames import VertexFrames  # imports numba
 
-BYTES_A_VOXEL = 1500  # modal system; measured at K = 16
-BYTES_A_VERTEX = 250  # mesh and rig
-BYTES_A_GAUSSIAN = 250  # rest pose, and the deformer's arrays
+BYTES_PER_VOXEL = 1500  # modal system; measured at K = 16
+BYTES_PER_VERTEX = 250  # mesh and rig
+BYTES_PER_GAUSSIAN = 250  # rest pose, and the deformer's arrays
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ReadyTree:
         """Return the approximate size [bytes]."""
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
-        extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
+        extra_bytes = BYTES_PER_VERTEX * vertices + BYTES_PER_GAUSSIAN * gaussians
         basis_bytes = 0 if self.frames is None else self.frames.num_bytes
         bone_bytes = 0 if self.tree.rig is None else 3 * self.tree.rig.turns.nbytes
-        return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes + bone_bytes
+        return BYTES_PER_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes + bone_bytes

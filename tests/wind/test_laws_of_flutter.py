@@ -19,12 +19,12 @@ from dynamictree.wind.flutter import (
 
 ALONG, ACROSS = np.float32([1, 0, 0]), np.float32([0, 0, 1])
 NUM_FRAMES, FRAME_S = 200, 1 / 24
-NUM_TWIGS, LEAVES_A_TWIG = 300, 2
+NUM_TWIGS, LEAVES_PER_TWIG = 300, 2
 
 
 def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np.ndarray, "M J 3"]:
     """Turns of many leaves that lie along x, two on each twig."""
-    twig = np.repeat(np.arange(NUM_TWIGS), LEAVES_A_TWIG)
+    twig = np.repeat(np.arange(NUM_TWIGS), LEAVES_PER_TWIG)
     along, across = (np.tile(one, (len(twig), 1)) for one in (ALONG, ACROSS))
     frequency_hz = np.fft.rfftfreq(NUM_FRAMES, FRAME_S)[:-1]
     wind = Wind(speed_m_s=speed_m_s, gust=gust)
@@ -66,7 +66,7 @@ def test_turns_of_a_loop_grow_from_nothing_to_their_full_size(speed_m_s: float, 
 
 
 def test_leaves_of_a_twig_do_half_of_their_flutter_together() -> None:
-    modes = turns(40.0)[:, :, 2].reshape(NUM_TWIGS, LEAVES_A_TWIG, -1)
+    modes = turns(40.0)[:, :, 2].reshape(NUM_TWIGS, LEAVES_PER_TWIG, -1)
     together = (modes[:, 0] * modes[:, 1].conj()).real.sum(axis=1)
     sizes = (np.abs(modes) ** 2).sum(axis=2).mean(axis=1)
     assert together.sum() / sizes.sum() == pytest.approx(TWIG_SHARE, abs=0.06)

@@ -9,7 +9,7 @@ from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.tensors.container import MAX_FRAMES, facts_of, read_tensors, take_tensor, write_tensors
 from dynamictree.rig.pose import Skeleton, Weights
-from dynamictree.rig.rig import BONES_A_VOXEL, Rig
+from dynamictree.rig.rig import BONES_PER_VOXEL, Rig
 from dynamictree.spectrum import in_steps
 
 FORMAT, VERSION = "tree-rig", "1"
@@ -50,7 +50,7 @@ def read_rig(stream: ByteReader) -> Rig:
     parts = take_tensor(tensors, "turns", dtypes=("int16",), shape=(num_bones, len(steps), 3, 2))
     bone = take_tensor(tensors, "vertex_bone", dtypes=("int32",), shape=(None,))
     of_parent = take_tensor(tensors, "vertex_parent_share", dtypes=("uint8",), shape=(len(bone),)) / np.float32(255)
-    voxel_bones = take_tensor(tensors, "voxel_bones", dtypes=("int32",), shape=(None, BONES_A_VOXEL))
+    voxel_bones = take_tensor(tensors, "voxel_bones", dtypes=("int32",), shape=(None, BONES_PER_VOXEL))
     voxel_shares = take_tensor(tensors, "voxel_shares", dtypes=("uint8",), shape=voxel_bones.shape)
     before = np.arange(num_bones)
     if num_bones == 0 or parent[0] != -1 or (parent[1:] < 0).any() or (parent >= before).any():

@@ -20,7 +20,7 @@ from lab.dataset.shards import store, write_shard
 from lab.evaluation.baselines import fit_by_height, training_tree
 from lab.evaluation.held_out_trees import iter_held_out
 from lab.small.examples import Example, iter_training, make_example
-from lab.small.training_steps import VOXELS_A_TREE, amplitude_rows, read_rows, write_rows
+from lab.small.training_steps import VOXELS_PER_TREE, amplitude_rows, read_rows, write_rows
 from lab.small.whitening import MEASURED
 
 SEED = 1005
@@ -150,10 +150,10 @@ def test_rows_round_trip_to_half_precision(tiny_network: SmallNetwork, example: 
     for number in (0, 1):
         write_rows(rows, tmp_path / f"{number}.safetensors")
     again = read_rows([tmp_path / "0.safetensors", tmp_path / "1.safetensors"])
-    assert len(rows) == VOXELS_A_TREE
+    assert len(rows) == VOXELS_PER_TREE
     assert len(again) == 2 * len(rows)
     assert (again.inputs[len(rows) :] == rows.inputs).all()
-    chosen = np.random.default_rng(0).integers(0, len(example.spectrum), VOXELS_A_TREE)
+    chosen = np.random.default_rng(0).integers(0, len(example.spectrum), VOXELS_PER_TREE)
     spectrum = example.spectrum[torch.from_numpy(chosen)]
     error = (again.spectrum(torch.arange(len(rows))) - spectrum).abs().square().sum() / spectrum.abs().square().sum()
     assert error < 1e-6
