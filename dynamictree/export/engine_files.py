@@ -54,9 +54,9 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     engine_joints = 256  # joints per skinned mesh that Unity, Unreal and Godot accept
     from dynamictree.export.levels import wood_vertices
     from dynamictree.rig.branch_groups import capsules
-    from dynamictree.rig.skin import reduced, skin_of
+    from dynamictree.rig.skin import reduce_rig, skin_of
 
-    few = reduced(tree.rig, tree.mesh.vertices, engine_joints)
+    few = reduce_rig(tree.rig, tree.mesh.vertices, engine_joints)
     skin, summary = skin_of(tree.rig, tree.mesh.vertices, engine_joints)
     report(0.5)
     shapes = capsules(few, tree.mesh.vertices, wood_vertices(tree.mesh))

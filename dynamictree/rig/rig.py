@@ -84,7 +84,7 @@ def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float
         InputError: a voxel of the grid contains no surface of the mesh.
     """
     if mesh.face_tree is None:
-        return _of_one(mesh, spectrum, report)
+        return _rig_of_tree(mesh, spectrum, report)
     moving = mesh.moving_part
     assert moving.face_tree is not None
     tree_of_voxel = voxel_trees(moving, spectrum.grid)
@@ -98,17 +98,17 @@ def rig_of(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float
         grid = replace(spectrum.grid, coords=spectrum.grid.coords[rows])
         own = replace(spectrum, grid=grid, coefficients=spectrum.coefficients[rows], tree=None)
         every.append((vertices, rows, rig_of(alone, own)))
-    return _together(every, mesh.num_vertices, len(spectrum.grid))
+    return _merge_rigs(every, mesh.num_vertices, len(spectrum.grid))
 
 
-def in_bytes(shares: Float64[np.ndarray, "n W"]) -> Float32[np.ndarray, "n W"]:
+def quantise_shares(shares: Float64[np.ndarray, "n W"]) -> Float32[np.ndarray, "n W"]:
     """Round shares to steps of 1/255 that sum to 1; the first share takes the rounding error."""
     whole = np.rint(255 * shares / shares.sum(axis=1, keepdims=True))
     whole[:, 0] += 255 - whole.sum(axis=1)
     return np.asarray(whole / 255, np.float32)
 
 
-def _of_one(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float], None]) -> Rig:
+def _rig_of_tree(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[[float], None]) -> Rig:
     moving, num_frames = mesh.moving_part, spectrum.num_frames
     bones = surface_bones(mesh, spectrum.grid)
     mean = surface_average(moving, spectrum.grid).astype(np.float64)
@@ -145,10 +145,10 @@ def _strongest(mean: scipy.sparse.csr_array, vertices: Weights, num_bones: int) 
     strongest = np.zeros(rows.shape)
     rows[row[remaining], rank[remaining]] = shares.indices[order][remaining]
     strongest[row[remaining], rank[remaining]] = shares.data[order][remaining]
-    return Weights(rows=rows, shares=in_bytes(strongest))
+    return Weights(rows=rows, shares=quantise_shares(strongest))
 
 
-def _together(
+def _merge_rigs(
     every: Sequence[tuple[Int32[np.ndarray, " _"], Int64[np.ndarray, " _"], Rig]], num_vertices: int, num_voxels: int
 ) -> Rig:
     """Merge rigs, each with its rows of vertices and voxels, on one ground; points of no rig stand still."""

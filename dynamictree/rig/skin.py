@@ -17,7 +17,7 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
 
     With as many joints as bones it equals the rig to the precision of the keys, with the same weights.
     """
-    few = reduced(rig, vertices, num_joints)
+    few = reduce_rig(rig, vertices, num_joints)
     skeleton = few.skeleton
     phases = np.arange(rig.num_frames) / rig.num_frames
     rotation = poses(skeleton, np.stack(list(few.theta(phases)))).rotation
@@ -30,7 +30,7 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
         weights=np.pad(few.vertices.shares, padding),
         turns=_keys(skeleton, rotation),
     )
-    stance, whole = played(skin), poses(rig.skeleton, np.stack(list(rig.theta(phases))))
+    stance, whole = joint_poses(skin), poses(rig.skeleton, np.stack(list(rig.theta(phases))))
     total = missing = largest = 0.0
     for frame in range(rig.num_frames):
         moved = carried(rig.skeleton, whole, frame, vertices, rig.vertices)
@@ -47,7 +47,7 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
     return skin, summary
 
 
-def played(skin: Skin) -> Poses:
+def joint_poses(skin: Skin) -> Poses:
     """Compute the poses of the joints at every frame, as a player does."""
     foot, rotation = skin.joint_m.astype(np.float64), _matrices(skin.turns.astype(np.float64))
     place = np.tile(foot, (len(rotation), 1, 1))
@@ -65,7 +65,7 @@ def _keys(skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"]) -> Float
     for level in skeleton.levels:
         above = stored[:, skeleton.above[level]]
         wanted = matrix_quaternions((above.swapaxes(-1, -2) @ rotation[:, level]).reshape(-1, 3, 3))
-        turns[:, level] = np.rint(STEPS * _steady(wanted.reshape(len(turns), -1, 4))) / STEPS
+        turns[:, level] = np.rint(STEPS * _with_continuous_signs(wanted.reshape(len(turns), -1, 4))) / STEPS
         stored[:, level] = above @ _matrices(turns[:, level])
     return turns.astype(np.float32)
 
@@ -75,14 +75,14 @@ def _matrices(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 3
     return quaternion_matrices(unit.reshape(-1, 4)).reshape(*turns.shape[:2], 3, 3)
 
 
-def _steady(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 4"]:
+def _with_continuous_signs(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 4"]:
     """Choose each quaternion's sign nearer to the previous frame."""
     flips = np.cumsum((turns[1:] * turns[:-1]).sum(axis=2) < 0, axis=0)
     turns[1:] *= np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None]
     return turns
 
 
-def reduced(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> Rig:
+def reduce_rig(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> Rig:
     """Reduce a rig to `num_bones` bones, those whose rotation relative to their parent moves the mesh most."""
     skeleton = rig.skeleton
     if len(skeleton) <= num_bones:

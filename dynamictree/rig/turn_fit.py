@@ -11,7 +11,7 @@ that share a voxel, so memory and time of its factorization grow only with their
 
 Gauss-Newton steps fit the mean pose first, then all frequencies, linearised around it, and both again at a higher cost
 if wood or a crown's surface would break. Each step simulates the rig's loop, and fits the residuals of K frequencies.
-It rotates no bone by more than `MOST_STEP_RAD`, and is shortened until it lowers the cost; if none does, it is last.
+It rotates no bone by more than `MAX_STEP_RAD`, and is shortened until it lowers the cost; if none does, it is last.
 """
 
 from collections.abc import Callable
@@ -27,28 +27,28 @@ from dynamictree.rig.pose import GROUND, Poses, Skeleton, Weights, poses
 from dynamictree.rig.turn_matrices import Target
 from dynamictree.spectrum import bin_weights, iter_motion
 
-STRETCH = 500.0
+STRETCH_COST = 500.0
 """Cost of edges that double their length, in units of moving as many voxels by a voxel; with 5000, a shrub in a storm
 has an error of 12 % instead of 7 %."""
-FROM_SIDE = 0.1
+SIDE_WIND_SHARE = 0.1
 """Share of that cost in a wind perpendicular to the motion's: sin² of the rotation of the direction, 18°."""
 MEAN_ROUNDS, ROUNDS = (3, 1, 1), (3, 1, 1, 1, 1)
 """Largest numbers of steps per evaluation of the voxels: for the mean pose, and for all frequencies."""
 LEAST_GAIN = 0.01  # relative decrease of the cost below which to stop
-MOST_STEP_RAD = 0.3
+MAX_STEP_RAD = 0.3
 STEP_LENGTHS = (1.0, 0.5, 0.25)  # tried in this order
 FRAMES_PER_FREQUENCY = 3  # two would suffice without motion above the K frequencies
 _VOXELS_AT_ONCE = 100_000
 _CHAINED = 1e6  # cost of separation from the parent [cost of moving a voxel]
 _FIXED = 1e10  # cost of a rotation of the ground
 _ANCHOR = 1e-9  # makes the system definite for bones without voxels
-_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # generator of rotations about the vertical
+_GENERATOR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # rotations about the vertical
 
 Solution = Complex64[np.ndarray, "U K"]
 """Displacements of the B feet, rotations, displacements of bending bones' feet in a side wind; three numbers each."""
-Prices = tuple[Float64[np.ndarray, " B"] | float, Float64[np.ndarray, " E"] | float]  # factors of rotations, of edges
-Stacked = Complex64[np.ndarray, "B4 3 K"]
-"""Feet, then columns of the rotations, minus those at rest; the vector that `matrices.placing` multiplies."""
+CostFactors = tuple[Float64[np.ndarray, " B"] | float, Float64[np.ndarray, " E"] | float]  # rotations, edges
+Spectra = Complex64[np.ndarray, "B4 3 K"]
+"""Feet, then columns of the rotations, minus those at rest; the vector that `matrices.skinning_matrix` multiplies."""
 
 
 def fit_turns(
@@ -57,26 +57,26 @@ def fit_turns(
     """Fit rotation modes [rad] of the bones that carry the target's points; `report` gets the completed share."""
     voxels = _Voxels(skeleton, weights, target)
     turns = np.zeros((len(skeleton), 1, 3), np.complex64)
-    prices: Prices = (1.0, 1.0)
+    factors: CostFactors = (1.0, 1.0)
     stages = 2 * [(1, MEAN_ROUNDS), (target.coefficients.shape[1], ROUNDS)]
     done, whole = 0, sum(len(rounds) for _, rounds in stages)
     for num_frequencies, rounds in stages:
-        problem = _Problem(skeleton, weights, target, voxels, turns[:, 0].real, prices)
+        problem = _Problem(skeleton, weights, target, voxels, turns[:, 0].real, factors)
         solution = problem.solution(turns[:, :1], num_frequencies)
-        played = solution, *problem.played(solution)
+        loop = solution, *problem.simulate(solution)
         for most in rounds:
             done += 1
             report(done / (whole + 1))
-            now = _descended(problem, problem.read(*played), most)
-            played = now.solution, now.stacked, now.growth
+            now = _line_search(problem, problem.read(*loop), most)
+            loop = now.solution, now.stacked, now.growth
         turns = problem.turns(now.solution)
-        if num_frequencies > 1 and np.hstack(prices := problem.prices(now.growth)).max() == 1:
+        if num_frequencies > 1 and np.hstack(factors := problem.factors(now.growth)).max() == 1:
             break
         del problem  # frees its factorization, hundreds of megabytes, before the next
     return turns
 
 
-def _descended(problem: "_Problem", now: "_State", rounds: int) -> "_State":
+def _line_search(problem: "_Problem", now: "_State", rounds: int) -> "_State":
     for _ in range(rounds):
         step = problem.step(now)
         tried = (problem.state(problem.with_side_feet(now.solution + np.float32(s) * step)) for s in STEP_LENGTHS)
@@ -92,8 +92,8 @@ class _Voxels:
 
     def __init__(self, skeleton: Skeleton, weights: Weights, target: Target) -> None:
         self.coefficients, self.num_frames, num_bones = target.coefficients, target.num_frames, len(skeleton)
-        self.placing = matrices.placing(skeleton, weights, target.points)
-        self.means = (target.mean.astype(np.float32) @ self.placing.astype(np.float32)).tocsr()
+        self.skinning = matrices.skinning_matrix(skeleton, weights, target.points)
+        self.means = (target.mean.astype(np.float32) @ self.skinning.astype(np.float32)).tocsr()
         alone = np.arange(num_bones)  # bending bones are fitted together
         alone[weights.rows[(weights.shares > 0) & (weights.shares < 1)]] = GROUND
         # the weight is 1 / energy, or a trunk would compensate its crown's residuals; it is 1 for voxels above the
@@ -113,7 +113,7 @@ class _Voxels:
             parts = scipy.sparse.csr_array((scaled, (pair, means.col)), (len(keys), 4 * num_bones))
             self.moments = self.moments + parts.T @ parts
 
-    def read(self, stacked: Stacked) -> tuple[Stacked, float]:
+    def read(self, stacked: Spectra) -> tuple[Spectra, float]:
         """Compute the voxels' residuals, summed by each bone's shares, and the sum of their squares [m²]."""
         missed, lost = np.zeros_like(stacked), 0.0
         for start in range(0, len(self.coefficients), _VOXELS_AT_ONCE):
@@ -121,7 +121,7 @@ class _Voxels:
             means = scipy.sparse.csr_array(self.means[some])
             missing = self.coefficients[some, : stacked.shape[2]].transpose(0, 2, 1) - _times(means, stacked)
             weighted = self.weight[some, None, None] * missing
-            lost += _weighed(missing, weighted, self.num_frames)
+            lost += _weighted_product(missing, weighted, self.num_frames)
             missed += _times(means.T, weighted)
         return missed, lost
 
@@ -131,7 +131,7 @@ class _State:
     """Loop of a solution, with its cost and the negative gradient of the cost."""
 
     solution: Solution
-    stacked: Stacked  # spectrum of the poses
+    stacked: Spectra  # spectrum of the poses
     growth: Complex64[np.ndarray, "E K"]  # weighted growth of edges
     downhill: Solution
     cost: float
@@ -147,14 +147,14 @@ class _Problem:
         target: Target,
         voxels: _Voxels,
         about: Float32[np.ndarray, "B 3"],
-        prices: Prices,
+        factors: CostFactors,
     ) -> None:
         self.skeleton, self.voxels, num_bones = skeleton, voxels, len(skeleton)
         at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
-        ends, self.length, self.scale = matrices.edge_ends(skeleton, weights, target)
-        self.scale = self.scale * np.sqrt(prices[1])
-        self.vectors = (ends @ voxels.placing).tocsr()  # [E, 4B]
-        self.price = STRETCH * len(voxels.coefficients) / max(len(target.fitted_edges), 1)
+        ends, self.length, self.scale = matrices.edge_differences(skeleton, weights, target)
+        self.scale = self.scale * np.sqrt(factors[1])
+        self.vectors = (ends @ voxels.skinning).tocsr()  # [E, 4B]
+        self.price = STRETCH_COST * len(voxels.coefficients) / max(len(target.fitted_edges), 1)
         self.bends = np.zeros(num_bones, np.bool_)
         self.stretches = np.unique(self.vectors.indices % num_bones)  # bones that affect edges
         self.bends[self.stretches] = True
@@ -163,19 +163,19 @@ class _Problem:
         for level in reversed(skeleton.levels):
             self.bends[skeleton.above[level][self.bends[level]]] = True
 
-        turning = matrices.turning(about.astype(np.float64))
+        jacobian = matrices.turn_jacobian(about.astype(np.float64))
         whole = scipy.sparse.eye_array(4 * num_bones).tocsr()
-        moves, chain = matrices.linear(skeleton, whole, there, feet=0, swing=turning)
-        growth, _ = matrices.linear(skeleton, self.vectors, there, feet=0, swing=turning)
+        moves, chain = matrices.linearise(skeleton, whole, there, feet=0, swing=jacobian)
+        growth, _ = matrices.linearise(skeleton, self.vectors, there, feet=0, swing=jacobian)
         along = self._lengthening(there) @ growth
-        across = matrices.cross(skeleton.directions.astype(np.float64))
-        self.side_swing = -across @ _QUARTER @ across
-        side_growth, side_chain = matrices.linear(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
+        across = matrices.skew(skeleton.directions.astype(np.float64))
+        self.side_swing = -across @ _GENERATOR @ across
+        side_growth, side_chain = matrices.linearise(skeleton, self.vectors, at_rest, feet=2, swing=self.side_swing)
         aside = self._lengthening(at_rest) @ side_growth
-        apart = matrices.apart(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
+        apart = matrices.coupling(skeleton, weights, target, voxels.means[:, :num_bones].sum(axis=0, dtype=np.float64))
         price = np.ones(apart.shape[0])
-        price[: 3 * (num_bones - 1)] = np.repeat(np.broadcast_to(prices[0], num_bones)[1:], 3)  # children are first
-        prior = self.price * FROM_SIDE * (aside.T @ aside) + apart.T @ scipy.sparse.diags_array(price) @ apart
+        price[: 3 * (num_bones - 1)] = np.repeat(np.broadcast_to(factors[0], num_bones)[1:], 3)  # children are first
+        prior = self.price * SIDE_WIND_SHARE * (aside.T @ aside) + apart.T @ scipy.sparse.diags_array(price) @ apart
         fixed = np.full(9 * num_bones, _ANCHOR)
         fixed[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _FIXED
         side_chain = side_chain[np.repeat(self.bends, 3)]
@@ -193,39 +193,39 @@ class _Problem:
 
     def _lengthening(self, pose: Poses) -> scipy.sparse.csr_array:
         """Return the matrix from displacements of edge vectors [m] to weighted growth [E, 3E]."""
-        vectors = self.vectors @ matrices.stacked(pose)[..., 0]
+        vectors = self.vectors @ matrices.stack_poses(pose)[..., 0]
         along = vectors * (self.scale / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None]
         count = len(along)
         ends = 3 * np.arange(count + 1)
         return scipy.sparse.csr_array((along.ravel(), np.arange(3 * count), ends), shape=(count, 3 * count))
 
-    def read(self, solution: Solution, stacked: Stacked, growth: Complex64[np.ndarray, "E K"]) -> _State:
+    def read(self, solution: Solution, stacked: Spectra, growth: Complex64[np.ndarray, "E K"]) -> _State:
         """Set each bone's target from its voxels' residuals in a simulated loop."""
         missed, lost = self.voxels.read(stacked)
-        self.wanted = _times(self.voxels.moments, stacked) + missed
-        self.lost = lost + self._weighed(stacked, self.wanted) + self._weighed(stacked, missed)
+        self.goal = _times(self.voxels.moments, stacked) + missed
+        self.lost = lost + self._weighted_product(stacked, self.goal) + self._weighted_product(stacked, missed)
         return self._state(solution, stacked, growth, missed, lost)
 
     def state(self, solution: Solution) -> _State:
         """Simulate a loop of the rig, and compare its spectrum with the target."""
-        stacked, growth = self.played(solution)
-        missing = self.wanted - _times(self.voxels.moments, stacked)
-        lost = self.lost - self._weighed(stacked, self.wanted) - self._weighed(stacked, missing)
+        stacked, growth = self.simulate(solution)
+        missing = self.goal - _times(self.voxels.moments, stacked)
+        lost = self.lost - self._weighted_product(stacked, self.goal) - self._weighted_product(stacked, missing)
         return self._state(solution, stacked, growth, missing, lost)
 
     def _state(
-        self, solution: Solution, stacked: Stacked, growth: Complex64[np.ndarray, "E K"], missing: Stacked, lost: float
+        self, solution: Solution, stacked: Spectra, growth: Complex64[np.ndarray, "E K"], missing: Spectra, lost: float
     ) -> _State:
         priced = _times(self.prior, solution)
         downhill = _times(self.moves.T, missing.reshape(-1, solution.shape[1]))
         downhill -= np.float32(self.price) * _times(self.along.T, growth) + priced
-        cost = lost + self.price * self._weighed(growth, growth) + self._weighed(solution, priced)
+        cost = lost + self.price * self._weighted_product(growth, growth) + self._weighted_product(solution, priced)
         return _State(solution=solution, stacked=stacked, growth=growth, downhill=downhill, cost=cost)
 
-    def _weighed(self, one: np.ndarray, other: np.ndarray) -> float:
-        return _weighed(one, other, self.voxels.num_frames)
+    def _weighted_product(self, one: np.ndarray, other: np.ndarray) -> float:
+        return _weighted_product(one, other, self.voxels.num_frames)
 
-    def played(self, solution: Solution) -> tuple[Stacked, Complex64[np.ndarray, "E K"]]:
+    def simulate(self, solution: Solution) -> tuple[Spectra, Complex64[np.ndarray, "E K"]]:
         """Simulate a loop; return the spectra of the bones' poses and of the weighted growth of edges."""
         poses_at_once = 500_000  # 50 MB; twelve times as many are accumulated at once
         num_bones, num_frequencies = len(self.skeleton), solution.shape[1]
@@ -244,7 +244,7 @@ class _Problem:
                     self.skeleton, np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
                 )
                 theirs = Poses(rotation=now.rotation[:, self.stretches], place_m=now.place_m[:, self.stretches])
-                vectors = self.their_vectors @ matrices.stacked(theirs).reshape(-1, 3 * len(some))
+                vectors = self.their_vectors @ matrices.stack_poses(theirs).reshape(-1, 3 * len(some))
                 vectors = vectors.reshape(-1, 3, len(some))
                 length = np.sqrt(np.einsum("ecf,ecf->ef", vectors, vectors)) - self.length[:, None]
                 growth += (length * self.scale[:, None]).astype(np.float32) @ wave[some]
@@ -255,16 +255,16 @@ class _Problem:
         return stacked.reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
 
     def step(self, state: _State) -> Solution:
-        """Compute the step to the minimum of the linearised cost, with rotations limited to `MOST_STEP_RAD`."""
+        """Compute the step to the minimum of the linearised cost, with rotations limited to `MAX_STEP_RAD`."""
         downhill = state.downhill.view(np.float32).astype(np.float64)
         step = np.ascontiguousarray(self.factor.solve(downhill), np.float32).view(np.complex64)
         turns = step[3 * len(self.skeleton) : 6 * len(self.skeleton)].reshape(len(self.skeleton), 3, -1)
         size = np.sqrt((np.abs(turns) ** 2 @ bin_weights(step.shape[1], self.voxels.num_frames)).sum(axis=1))
-        turns *= np.minimum(1, MOST_STEP_RAD / np.maximum(size, 1e-12))[:, None, None]
+        turns *= np.minimum(1, MAX_STEP_RAD / np.maximum(size, 1e-12))[:, None, None]
         turns[GROUND] = 0
         return step
 
-    def prices(self, growth: Complex64[np.ndarray, "E K"]) -> Prices:
+    def factors(self, growth: Complex64[np.ndarray, "E K"]) -> CostFactors:
         """Return cost factors of rotations and edges, above 1 if one edge in twenty grows by more than `strained`.
 
         Growth is the loop's root mean square relative to length: wood breaks at 0.01; noise of voxels exceeds that.
@@ -288,7 +288,7 @@ class _Problem:
         """Return the solution with the feet's displacements in a side wind computed from its rotations."""
         skeleton, above = self.skeleton, self.skeleton.above
         foot = skeleton.foot_m.astype(np.float64)
-        lever = (-matrices.cross(foot - foot[above]) @ self.side_swing[above]).astype(np.float32)
+        lever = (-matrices.skew(foot - foot[above]) @ self.side_swing[above]).astype(np.float32)
         turns = solution[3 * len(skeleton) : 6 * len(skeleton)].reshape(len(skeleton), 3, -1)
         moved = np.zeros_like(turns)
         for level in skeleton.levels:
@@ -318,7 +318,7 @@ def _times(
     return np.asarray(product).view(np.complex64).reshape(-1, *values.shape[1:])
 
 
-def _weighed(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
+def _weighted_product(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
     """Weighted scalar product of spectra, summed in float32 within chunks and in float64 over chunks."""
     often = bin_weights(one.shape[-1], num_frames)
     pair = [values.reshape(-1, len(often)).view(np.float32) for values in (one, other)]

@@ -8,14 +8,14 @@ from jaxtyping import Complex64, Float32, Float64, Int, Int32
 
 from dynamictree.rig.pose import Poses, Skeleton, Weights
 
-APART = 0.2
+TURN_COST = 0.2
 """Cost of a bone's rotation relative to its parent, in units of moving a voxel at its end as far. Measured on six grown
 trees (docs/decisions/modal.md): 1 suppresses flutter, 0.05 rotates bones without data."""
-APART_BESIDE = 3.0
+TURN_COST_ACROSS_EDGES = 3.0
 """The same relative to another bone connected by edges, as in a crown that is one surface."""
-IN_SURFACE = 10.0
+STRETCH_FACTOR_IN_CROWN = 10.0
 """Factor of the edges' cost in a one-surface crown: it has no cards, which rotate freely, and stretched by 22 %."""
-MOST_EDGES = 60_000  # number of edges used of a larger mesh, evenly chosen, since stretch is a mean
+MAX_EDGES = 60_000  # number of edges used of a larger mesh, evenly chosen, since stretch is a mean
 _SHORTEST_EDGE = 0.25  # [voxels]; shorter edges have no higher weight
 
 
@@ -32,12 +32,12 @@ class Target:
 
     @property
     def fitted_edges(self) -> Int32[np.ndarray, "F 2"]:
-        """At most `MOST_EDGES` of the edges, evenly chosen."""
-        return self.edges[:: -(-max(len(self.edges), 1) // MOST_EDGES)]
+        """At most `MAX_EDGES` of the edges, evenly chosen."""
+        return self.edges[:: -(-max(len(self.edges), 1) // MAX_EDGES)]
 
 
-def placing(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "N 3"]) -> scipy.sparse.csr_array:
-    """Return the skinning matrix [N, 4B] for `stacked` poses: shares, then shares times each arm."""
+def skinning_matrix(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "N 3"]) -> scipy.sparse.csr_array:
+    """Return the skinning matrix [N, 4B] for `stack_poses`: shares, then shares times each arm."""
     num_bones, (num_points, width) = len(skeleton), weights.rows.shape
     arm = points[:, None].astype(np.float64) - skeleton.foot_m[weights.rows]  # [N, W, 3]
     values = np.concatenate([np.ones((num_points, width, 1)), arm], axis=2) * weights.shares[:, :, None]
@@ -47,13 +47,13 @@ def placing(skeleton: Skeleton, weights: Weights, points: Float32[np.ndarray, "N
     return scipy.sparse.csr_array((values[used], (row, columns[used])), shape=(num_points, 4 * num_bones))
 
 
-def stacked(pose: Poses) -> Float64[np.ndarray, "B4 3 T"]:
-    """Stack feet and columns of the rotations, which `placing` multiplies."""
+def stack_poses(pose: Poses) -> Float64[np.ndarray, "B4 3 T"]:
+    """Stack feet and columns of the rotations, which `skinning_matrix` multiplies."""
     parts = [pose.place_m, *(pose.rotation[..., column] for column in range(3))]
     return np.concatenate([part.transpose(1, 2, 0) for part in parts])
 
 
-def edge_ends(
+def edge_differences(
     skeleton: Skeleton, weights: Weights, target: Target
 ) -> tuple[scipy.sparse.csr_array, Float64[np.ndarray, " E"], Float64[np.ndarray, " E"]]:
     """Return differences [E, N] of the edges that can grow, their lengths [m] and the weights of their growth."""
@@ -63,31 +63,31 @@ def edge_ends(
     single = (weights.shares[edges, 0] == 1).all(axis=1)
     can_grow = (length > 0) & ~(single & (one[:, 0] == other[:, 0]))
     edges, length = edges[can_grow], length[can_grow]
-    dear = np.sqrt(np.where(skeleton.in_surface[weights.rows[edges, 0]].all(axis=1), IN_SURFACE, 1))
+    dear = np.sqrt(np.where(skeleton.in_surface[weights.rows[edges, 0]].all(axis=1), STRETCH_FACTOR_IN_CROWN, 1))
     scale = dear * target.voxel_m / np.maximum(length, _SHORTEST_EDGE * target.voxel_m)
     signs = np.tile([1.0, -1.0], len(edges))
     shape = (len(edges), len(target.points))
     return scipy.sparse.csr_array((signs, edges.ravel(), 2 * np.arange(len(edges) + 1)), shape=shape), length, scale
 
 
-def turning(theta: Float64[np.ndarray, "B 3"]) -> Float64[np.ndarray, "B 3 3"]:
+def turn_jacobian(theta: Float64[np.ndarray, "B 3"]) -> Float64[np.ndarray, "B 3 3"]:
     """Return the matrices from a change of θ to the small rotation [rad] of R(θ)."""
     cosine = (1 / np.sqrt(1 + (theta**2).sum(axis=1)))[:, None, None]
     outer = theta[:, :, None] * theta[:, None, :]
-    return np.asarray(cosine * np.eye(3) - cosine**3 / (1 + cosine) * outer + cosine**2 / (1 + cosine) * cross(theta))
+    return np.asarray(cosine * np.eye(3) - cosine**3 / (1 + cosine) * outer + cosine**2 / (1 + cosine) * skew(theta))
 
 
-def linear(
-    skeleton: Skeleton, placing: scipy.sparse.csr_array, pose: Poses, *, feet: int, swing: Float64[np.ndarray, "B 3 3"]
+def linearise(
+    skeleton: Skeleton, skin: scipy.sparse.csr_array, pose: Poses, *, feet: int, swing: Float64[np.ndarray, "B 3 3"]
 ) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
-    """Linearise the displacements of the rows of `placing` [m] and the feet's gaps from their parents [m].
+    """Linearise the displacements of the rows of `skin` [m] and the feet's gaps from their parents [m].
 
     The small rotations are `swing` θ; `feet` is the block of the unknowns with the displacements of the feet.
     """
     num_bones, above = len(skeleton), skeleton.above
     rotation = pose.rotation[0]
-    carries = placing[:, :num_bones].tocoo()
-    arms = placing[:, num_bones:].tocoo()
+    carries = skin[:, :num_bones].tocoo()
+    arms = skin[:, num_bones:].tocoo()
     column, bone = np.divmod(arms.col, num_bones)
     keys, pair = np.unique(arms.row * np.int64(num_bones) + bone, return_inverse=True)
     row, bone = np.divmod(keys, num_bones)
@@ -95,9 +95,9 @@ def linear(
     arm = np.stack([np.bincount(pair, turned[:, i], len(keys)) for i in range(3)], axis=1)
     one = np.eye(3)
     moves = _blocks(
-        (placing.shape[0], num_bones),
+        (skin.shape[0], num_bones),
         (carries.row, feet * num_bones + carries.col, carries.data[:, None, None] * one),
-        (row, num_bones + bone, -cross(arm) @ swing[bone]),
+        (row, num_bones + bone, -skew(arm) @ swing[bone]),
     )
     foot, each = skeleton.foot_m.astype(np.float64), np.arange(num_bones)
     between = np.einsum("bij,bj->bi", rotation[above], foot - foot[above])
@@ -106,12 +106,12 @@ def linear(
         (num_bones, num_bones),
         (each, feet * num_bones + each, np.broadcast_to(one, swing.shape)),
         (each, feet * num_bones + above, -has_parent * one),
-        (each, num_bones + above, has_parent * cross(between) @ swing[above]),
+        (each, num_bones + above, has_parent * skew(between) @ swing[above]),
     )
     return moves, chain
 
 
-def apart(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarray) -> scipy.sparse.csr_array:
+def coupling(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarray) -> scipy.sparse.csr_array:
     """Build the weighted differences of neighbours' rotations, times the length of the shorter bone [m]; 9B columns."""
     stiff = 0.007  # cost per voxel beyond; with 0.008 a branch's foot leaves the bark by 0.3 % of the height
     beyond, num_bones, parent, one_voxel = voxels.copy(), len(skeleton), skeleton.parent, target.voxel_m**2
@@ -123,7 +123,7 @@ def apart(skeleton: Skeleton, weights: Weights, target: Target, voxels: np.ndarr
     ].T
     child = np.arange(1, num_bones)
     one, other = np.concatenate([child, first]), np.concatenate([parent[1:], second])
-    price = np.repeat([APART, APART_BESIDE], [len(child), len(first)])
+    price = np.repeat([TURN_COST, TURN_COST_ACROSS_EDGES], [len(child), len(first)])
     carried = np.append(beyond[child], np.zeros(len(first)))
     square = (skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1)
     square = np.minimum(square[one], square[other])
@@ -143,8 +143,8 @@ def _blocks(
     return scipy.sparse.csr_array((values, (rows, columns)), shape=(3 * shape[0], 9 * shape[1]))
 
 
-def cross(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """Return the matrices of the cross products v ×."""
+def skew(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
+    """Return the skew-symmetric matrices of the cross products v ×."""
     x, y, z = vectors.T
     zero = np.zeros(len(vectors))
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

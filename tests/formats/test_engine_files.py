@@ -13,8 +13,8 @@ from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, texture_layout, vertex_texture_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.mesh import TriangleMesh
-from dynamictree.rig.rig import in_bytes
-from dynamictree.rig.skin import played
+from dynamictree.rig.rig import quantise_shares
+from dynamictree.rig.skin import joint_poses
 from dynamictree.rotation import unit_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from tests.formats.meshes import trunk_and_crown
@@ -86,14 +86,14 @@ def random_skin(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 
         parent=np.array([-1, 0, 1], np.int32),
         joint_m=rng.normal(size=(3, 3)).astype(np.float32),
         rows=np.tile(np.array([0, 1, 2, 0], np.int32), (mesh.num_vertices, 1)),
-        weights=in_bytes(weights),
+        weights=quantise_shares(weights),
         turns=(np.rint(32767 * turns) / 32767).astype(np.float32).reshape(num_frames, 3, 4),
     )
 
 
 def posed(mesh: TriangleMesh, skin: Skin) -> np.ndarray:
     """Displacement of the vertices over the loop, its first frame once more: [T + 1, N, 3]."""
-    stance = played(skin)
+    stance = joint_poses(skin)
     arm = mesh.vertices[:, None] - skin.joint_m[skin.rows]
     places = np.einsum("tnjab,njb->tnja", stance.rotation[:, skin.rows], arm) + stance.place_m[:, skin.rows]
     moved = (skin.weights[:, :, None] * places).sum(axis=2) - mesh.vertices
