@@ -7,7 +7,7 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float64, Int32, Int64
 
-from dynamictree.modal.reach import CARRIES, HANGS, Reach
+from dynamictree.modal.reach import ROLE_CARRIED, ROLE_CARRIER, Reach
 from dynamictree.parallel import compiled
 from dynamictree.rig.pose import GROUND, Skeleton, Weights
 from dynamictree.rig.rig import Rig
@@ -77,9 +77,9 @@ def _local(above, foot, end, weights, kind, own):
     for b in range(1, len(own)):
         a = above[b]
         shift[b] = shift[a] + np.cross(own[a], foot[b] - foot[a])  # displacement of the foot without locality
-        if kind[b] == HANGS:
+        if kind[b] == ROLE_CARRIED:
             turns[b] = own[b]
-        elif kind[b] == CARRIES:
+        elif kind[b] == ROLE_CARRIER:
             arm = end[b] - foot[b]
             gain = (weights[b] - weights[a]) / max((arm**2).sum(), 1e-12)
             turns[b] = weights[b] * own[b] + gain * np.cross(arm, shift[b])

@@ -144,10 +144,10 @@ def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
         return finite("force_n", drag.force_n)
     assert drag.displacement_m is not None
     wanted = finite("displacement_m", drag.displacement_m)
-    give = compliance(system, drag.at)
-    if np.trace(give) <= 0:
+    tensor = compliance(system, drag.at)
+    if np.trace(tensor) <= 0:
         raise InputError("the tree does not move at the point that is dragged; aim higher, or at a branch")
-    softness, axes = np.linalg.eigh(give)
+    softness, axes = np.linalg.eigh(tensor)
     damped = softness / (softness**2 + (stiff_share * softness[-1]) ** 2)  # [N/m]
     return np.asarray(axes @ (damped * (axes.T @ wanted)))
 

@@ -51,7 +51,7 @@ class Joints:
         return np.asarray(np.sqrt(share @ system.omega**2 / share.sum(axis=1)))
 
     @cached_property
-    def give(self) -> Float64[np.ndarray, " J"]:
+    def compliance(self) -> Float64[np.ndarray, " J"]:
         """Bend of each joint per moment and per metre to the next, see `pull.py`."""
         tube, most, power = 0.6, 3, 8  # strains of branches are below `tube`, those in one-surface crowns above
         heaviest, by_weight = np.zeros_like(self.parent), np.argsort(self.num_carried, kind="stable")
@@ -78,7 +78,7 @@ def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V
     """Find the joints of a mesh's bones; `shapes` are those of the voxels."""
     skeleton, edges = bones.skeleton, edges_of(mesh.faces)
     ends = bones.of_vertex[edges]
-    of_bone = _together(skeleton, bones.stem, np.unique(np.sort(bones.stem[ends]), axis=0))
+    of_bone = _joint_of_bones(skeleton, bones.stem, np.unique(np.sort(bones.stem[ends]), axis=0))
     parent_bone = np.where(skeleton.parent < 0, -1, of_bone[skeleton.above])
     outermost = parent_bone != of_bone  # bones whose parent has another joint
     size = 1.0 + bones.num_carried
@@ -93,13 +93,13 @@ def joints_of(bones: Bones, mesh: TriangleMesh, shapes: Complex64[np.ndarray, "V
         place_m=place,
         of_bone=of_bone,
         of_voxel=of_voxel,
-        num_carried=_beyond(parent, np.bincount(of_voxel, minlength=count)),
-        moved=_moved(parent, of_voxel, shapes),
+        num_carried=_sum_beyond(parent, np.bincount(of_voxel, minlength=count)),
+        moved=_motion_beyond(parent, of_voxel, shapes),
         strain=_strain(parent, place, of_bone[ends], mesh.vertices[edges].astype(np.float64)),
     )
 
 
-def _beyond(parent: Int32[np.ndarray, " J"], own: np.ndarray) -> np.ndarray:
+def _sum_beyond(parent: Int32[np.ndarray, " J"], own: np.ndarray) -> np.ndarray:
     """Sum values over each joint and all joints that it carries."""
     total = own.copy()
     for joint in range(len(parent) - 1, 0, -1):
@@ -107,7 +107,7 @@ def _beyond(parent: Int32[np.ndarray, " J"], own: np.ndarray) -> np.ndarray:
     return total
 
 
-def _moved(
+def _motion_beyond(
     parent: Int32[np.ndarray, " J"], of_voxel: Int32[np.ndarray, " V"], shapes: Complex64[np.ndarray, "V M 3"]
 ) -> Float64[np.ndarray, "J M"]:
     """Compute each mode's squared motion of the voxels beyond a joint, relative to the joint [m²]."""
@@ -119,13 +119,13 @@ def _moved(
     for joint in range(1, len(parent)):
         if count[joint] == 0:
             mean[joint] = mean[parent[joint]]
-    square = _beyond(parent, member @ (np.abs(shapes) ** 2).sum(axis=2))
-    cross = (mean.conj() * _beyond(parent, total)).real.sum(axis=2)
-    apart = square - 2 * cross + _beyond(parent, count)[:, None] * (np.abs(mean) ** 2).sum(axis=2)
+    square = _sum_beyond(parent, member @ (np.abs(shapes) ** 2).sum(axis=2))
+    cross = (mean.conj() * _sum_beyond(parent, total)).real.sum(axis=2)
+    apart = square - 2 * cross + _sum_beyond(parent, count)[:, None] * (np.abs(mean) ** 2).sum(axis=2)
     return np.asarray(np.maximum(apart, 0) + absolute * square)
 
 
-def _together(
+def _joint_of_bones(
     skeleton: Skeleton, stem: Int32[np.ndarray, " B"], joined: Int32[np.ndarray, "P 2"]
 ) -> Int32[np.ndarray, " B"]:
     """Return each bone's joint, numbered by depth; `joined` are pairs of bones connected by edges."""

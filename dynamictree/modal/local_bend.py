@@ -35,8 +35,8 @@ def joints_step(system: ModalSystem, omega: Float64[np.ndarray, " n"], dt_s: flo
     return exact_oscillator(omega, np.full(len(omega), system.damping_ratio.min()), dt_s)
 
 
-def swing(step: Step, begin: Bend, pull: Float64[np.ndarray, "T n 3"]) -> tuple[Float64[np.ndarray, "T n 3"], Bend]:
-    """Compute bends at times 0, dt, … and the state after the last step; `pull` is κ* of each step."""
+def drive(step: Step, begin: Bend, pull: Float64[np.ndarray, "T n 3"]) -> tuple[Float64[np.ndarray, "T n 3"], Bend]:
+    """Compute driven bends at times 0, dt, … and the state after the last step; `pull` is κ* of each step."""
     state = State(q=begin.turn.T.astype(np.complex128), q_dot=begin.rate.T + 0j)
     stiffness = (1 - step.A[0, 0]) / step.B[0]  # ω²
     frames, final = run(step, state, stiffness * pull.transpose(0, 2, 1) + 0j)
@@ -45,7 +45,7 @@ def swing(step: Step, begin: Bend, pull: Float64[np.ndarray, "T n 3"]) -> tuple[
     return turns, Bend(turn=last, rate=rate)
 
 
-def ring(step: Step, bend: Bend) -> Bend:
+def free_step(step: Step, bend: Bend) -> Bend:
     """Advance released joints by one step."""
     (a, b), (c, d) = step.A[..., None]
     return Bend(turn=a * bend.turn + b * bend.rate, rate=c * bend.turn + d * bend.rate)

@@ -34,7 +34,7 @@ def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shape
         "bone_of_voxel": bones.of_voxel,
         "joint_parent": joints.parent,
         "joint_place_m": joints.place_m.astype(np.float32),
-        "joint_give": joints.give.astype(np.float32),
+        "joint_give": joints.compliance.astype(np.float32),
         "joint_of_bone": joints.of_bone,
     }
     if not shapes:

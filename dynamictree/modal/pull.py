@@ -7,7 +7,7 @@ of all bends that bring the point to its target x*:
 
 with g_i = |r_i| / (carried_i² Π_f s_f), |r_i| the length to the next joint and carried_i the number of voxels beyond:
 the compliance of a beam whose cross-section is that of all branches it carries, over its share s_f of the stem at each
-fork where it branches off; far less where a bend would tear a one-surface crown (`Joints.give`). So a trunk stands
+fork where it branches off; far less where a bend would tear a one-surface crown (`Joints.compliance`). A trunk stands
 while its twig is pulled, and no joint folds. The dragged point is at
 
     x = x_0 + Σ_i (A_i - 1) s_i,      A_i = A_{i+1} exp[κ_i]×,      i counts from the tip, and A is 1 beyond the last
@@ -32,9 +32,9 @@ from dynamictree.modal.force import CarriedPoint
 from dynamictree.modal.joints import Joints, cross_matrix, exponential
 from dynamictree.parallel import compiled
 
-STEP_RAD = 0.5  # largest rotation of a joint per iteration
-SETTLED_RAD, STUCK_RAD = 1e-3, 1e-6  # full step that is the last; shortened step that ends the search
-LARGEST_BEND_RAD = 0.4  # κ_max
+MAX_STEP_RAD = 0.5  # largest rotation of a joint per iteration
+CONVERGED_RAD, MIN_STEP_RAD = 1e-3, 1e-6  # full step that is the last; shortened step that ends the search
+MAX_BEND_RAD = 0.4  # κ_max
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class Grip:
     """Point that can be pulled, prepared once for any target."""
 
     segments_m: Float64[np.ndarray, "n 3"]  # s, segments at rest
-    give: Float64[np.ndarray, " n"]  # g, compliances
+    compliance: Float64[np.ndarray, " n"]  # g, compliances
     tolerance: float  # ε, compliance of the constraint
 
 
@@ -71,14 +71,14 @@ def grip_at(joints: Joints, chain: Int64[np.ndarray, " n"], point: CarriedPoint)
     if len(chain) > 1:
         segments[1:] += carried[:-1, None] * (place[:-1] - place[1:])
     ends = np.concatenate([at[None], place])[: len(chain)]
-    give = joints.give[chain] * np.linalg.norm(ends - place, axis=1)
-    return grip_of(segments, give)
+    compliance = joints.compliance[chain] * np.linalg.norm(ends - place, axis=1)
+    return grip_of(segments, compliance)
 
 
-def grip_of(segments_m: Float64[np.ndarray, "n 3"], give: Float64[np.ndarray, " n"]) -> Grip:
+def grip_of(segments_m: Float64[np.ndarray, "n 3"], compliance: Float64[np.ndarray, " n"]) -> Grip:
     """Create a grip from the segments at rest and their compliances."""
-    compliance = float(2 * give @ (np.cumsum(segments_m, axis=0) ** 2).sum(axis=1))  # value at rest
-    return Grip(segments_m=segments_m, give=give, tolerance=3e-7 * compliance)
+    of_point = float(2 * compliance @ (np.cumsum(segments_m, axis=0) ** 2).sum(axis=1))  # value at rest
+    return Grip(segments_m=segments_m, compliance=compliance, tolerance=3e-7 * of_point)
 
 
 def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np.ndarray, "n 3"] | None = None) -> Pull:
@@ -92,8 +92,8 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Float64[np
 
 def equilibrium(grip: Grip, target_m: Float64[np.ndarray, " 3"], bend: Float64[np.ndarray, "n 3"]) -> Pull:
     """Find the bend of least energy with the point at a reachable target, starting from a first guess."""
-    give = np.maximum(grip.give, 1e-14 * grip.give.sum())  # a joint without length is rigid
-    bend, reached = _settled(grip.segments_m, give, grip.tolerance, target_m, bend)
+    compliance = np.maximum(grip.compliance, 1e-14 * grip.compliance.sum())  # a joint without length is rigid
+    bend, reached = _solve(grip.segments_m, compliance, grip.tolerance, target_m, bend)
     return Pull(bend=bend, reached_m=reached, beyond_m=0.0)
 
 
@@ -122,34 +122,34 @@ def _within_length(
 
 @compiled
 @no_type_check  # numba cannot compile a type-checked function
-def _settled(segments, give, tolerance, target, bends):
+def _solve(segments, compliance, tolerance, target, bends):
     """Iterate to the equilibrium; return the bends and the point's displacement."""
-    rounds, force, price, longest = 120, np.zeros(3), 0.0, STEP_RAD
-    before, arms, reached, energy = _stance(segments, give, bends)
+    rounds, force, price, longest = 120, np.zeros(3), 0.0, MAX_STEP_RAD
+    before, arms, reached, energy = _forward(segments, compliance, bends)
     for _ in range(rounds):
         gap = target - reached
-        turns, moved = _turns(before, arms, bends, give, force)
+        turns, moved = _turns(before, arms, bends, compliance, force)
         force = np.linalg.solve(moved[:, :3] + tolerance * np.eye(3), gap + moved[:, 3])
-        step = _bent(before, bends, turns, force)
+        step = _bend_steps(before, bends, turns, force)
         price = max(price, 1.5 * np.linalg.norm(force))  # penalty of the gap, above the constraint's multiplier
         size = np.sqrt((step**2).sum(axis=1).max())
-        further = bends + min(1.0, longest / max(size, STUCK_RAD)) * step
-        tried = _stance(segments, give, further)
+        further = bends + min(1.0, longest / max(size, MIN_STEP_RAD)) * step
+        tried = _forward(segments, compliance, further)
         if tried[3] - energy > price * (np.linalg.norm(gap) - np.linalg.norm(target - tried[2])):
             longest = 0.3 * min(longest, size)
-            if longest < STUCK_RAD:
+            if longest < MIN_STEP_RAD:
                 break
             continue
         bends, (before, arms, reached, energy) = further, tried
-        if size <= min(longest, SETTLED_RAD):
+        if size <= min(longest, CONVERGED_RAD):
             break
-        longest = min(STEP_RAD, 2 * longest)
+        longest = min(MAX_STEP_RAD, 2 * longest)
     return bends, reached
 
 
 @compiled
 @no_type_check
-def _stance(segments, give, bends):
+def _forward(segments, compliance, bends):
     """Return the frame before each joint [n, 3, 3], the rotated segments, the point's displacement, and E."""
     before, arms = np.empty((len(bends), 3, 3)), np.empty_like(segments)
     frame, moved = np.eye(3), np.zeros(3)
@@ -159,21 +159,21 @@ def _stance(segments, give, bends):
         arms[i] = frame @ segments[i]
         moved += arms[i] - segments[i]
     square = (bends**2).sum(axis=1)
-    return before, arms, moved, 0.5 * (square * (1 + (square / LARGEST_BEND_RAD**2) ** 2 / 3) / give).sum()
+    return before, arms, moved, 0.5 * (square * (1 + (square / MAX_BEND_RAD**2) ** 2 / 3) / compliance).sum()
 
 
 @compiled
 @no_type_check
-def _turns(before, arms, bends, give, force):
+def _turns(before, arms, bends, compliance, force):
     """Compute θ of each segment for a force along each axis and for the moments [n, 3, 4], and the point's motions."""
     n = len(arms)
-    folded = ((bends**2).sum(axis=1) / LARGEST_BEND_RAD**2) ** 2
-    stiffness = (1 + 5 * folded) / give
+    folded = ((bends**2).sum(axis=1) / MAX_BEND_RAD**2) ** 2
+    stiffness = (1 + 5 * folded) / compliance
     turns = np.empty((n, 3, 4))  # first the right-hand sides, then the solution
     tension = np.empty(n)  # geometric stiffness of the segments up to this one
     below = np.zeros(3)
     for i in range(n):
-        moment = before[i] @ bends[i] * (1 + folded[i]) / give[i]
+        moment = before[i] @ bends[i] * (1 + folded[i]) / compliance[i]
         turns[i, :, :3] = cross_matrix(arms[i])
         turns[i, :, 3] = moment - below
         below = moment
@@ -192,7 +192,7 @@ def _turns(before, arms, bends, give, force):
 
 @compiled
 @no_type_check
-def _bent(before, bends, turns, force):
+def _bend_steps(before, bends, turns, force):
     """Compute the step of each κ under a force."""
     step, below = np.empty_like(bends), np.zeros(3)
     for i in range(len(bends) - 1, -1, -1):

@@ -6,7 +6,7 @@ c(b) is the length of the path along the bones from the middle of the pushed bon
 
 - steps outward from the pushed bone cost nothing: bones that it carries move with it;
 - steps towards the root cost their length: its carriers move less the nearer they are to the root;
-- steps outward from these cost `OUTWARD` times their length: other branches barely move;
+- steps outward from these cost `OUTWARD_COST` times their length: other branches barely move;
 - no path leads across the ground.
 
 A point's plain response is w Σ_k φ_k q_k. A bone on the path to the root rotates so that its end follows it:
@@ -25,8 +25,8 @@ from jaxtyping import Float64, Int8
 from dynamictree.errors import InputError
 from dynamictree.rig.pose import GROUND, Skeleton
 
-OUTWARD = 32.0
-OTHER, CARRIES, HANGS = 0, 1, 2
+OUTWARD_COST = 32.0
+ROLE_OTHER, ROLE_CARRIER, ROLE_CARRIED = 0, 1, 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Reach:
     """Weights and roles of the B bones in a push at one of them."""
 
     weights: Float64[np.ndarray, " B"]
-    kind: Int8[np.ndarray, " B"]  # CARRIES: the pushed bone and its carriers; HANGS: bones that it carries; OTHER
+    kind: Int8[np.ndarray, " B"]  # ROLE_CARRIER (the pushed bone, its carriers), ROLE_CARRIED, ROLE_OTHER
     end_m: Float64[np.ndarray, "B 3"]  # end of each bone; for carriers, the foot of the next bone on the path
 
 
@@ -47,11 +47,11 @@ def reach_of(skeleton: Skeleton, bone: int, falloff_m: float) -> Reach:
     if not (np.isfinite(falloff_m) and falloff_m > 0):
         raise InputError(f"falloff_m is {falloff_m}; it must be positive and finite")
     foot, length = skeleton.foot_m.astype(np.float64), np.linalg.norm(skeleton.reach_m, axis=1).astype(np.float64)
-    cost, kind = np.full(len(skeleton), np.inf), np.full(len(skeleton), OTHER, np.int8)
+    cost, kind = np.full(len(skeleton), np.inf), np.full(len(skeleton), ROLE_OTHER, np.int8)
     end = foot + skeleton.reach_m
     way, at = 0.0, bone
     while at >= 0:
-        cost[at], kind[at] = way, CARRIES
+        cost[at], kind[at] = way, ROLE_CARRIER
         way += (0.5 if at == bone else 1.0) * float(np.linalg.norm(end[at] - foot[at]))
         carrier = int(skeleton.parent[at])
         if carrier >= 0:
@@ -59,8 +59,8 @@ def reach_of(skeleton: Skeleton, bone: int, falloff_m: float) -> Reach:
         at = carrier
     for level in skeleton.levels:
         above = skeleton.parent[level]
-        hangs = (kind[level] == OTHER) & ((above == bone) | (kind[above] == HANGS))
-        kind[level][hangs] = HANGS
-        outward = np.where(hangs, 0, np.where(above == GROUND, np.inf, OUTWARD * length[level]))
-        cost[level] = np.where(kind[level] == CARRIES, cost[level], cost[above] + outward)
+        hangs = (kind[level] == ROLE_OTHER) & ((above == bone) | (kind[above] == ROLE_CARRIED))
+        kind[level][hangs] = ROLE_CARRIED
+        outward = np.where(hangs, 0, np.where(above == GROUND, np.inf, OUTWARD_COST * length[level]))
+        cost[level] = np.where(kind[level] == ROLE_CARRIER, cost[level], cost[above] + outward)
     return Reach(weights=np.exp(-((cost / falloff_m) ** 2)), kind=kind, end_m=end)

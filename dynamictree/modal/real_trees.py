@@ -31,7 +31,7 @@ def height_law_hz(height_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.nda
 def natural_frequency_hz(height_m: float, foliage: float | None) -> float:
     """Return a tree's lowest natural frequency [Hz]; foliage is 0 for bare, 1 for in leaf, None if unknown."""
     bounded = float(np.clip(height_m, *FITTED_HEIGHTS_M))
-    return float(height_law_hz(bounded) * LEAF_SLOWING ** (_or_middle(foliage) - 0.5))
+    return float(height_law_hz(bounded) * LEAF_SLOWING ** (_or_mean(foliage) - 0.5))
 
 
 def learned_law_hz(length_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
@@ -39,7 +39,7 @@ def learned_law_hz(length_m: float | Float64[np.ndarray, "*S"]) -> Float64[np.nd
     return np.asarray(height_law_hz(LEARNED_TO_M) * np.sqrt(LEARNED_TO_M / length_m))
 
 
-def quickening(height_m: float) -> float:
+def speedup_of(height_m: float) -> float:
     """Return the factor by which a small tree sways faster than by the model's 1 / √L; at least 1."""
     max_quickening = 2.5
     height = max(height_m, 1e-3)
@@ -49,11 +49,11 @@ def quickening(height_m: float) -> float:
 def natural_damping(foliage: float | None) -> float:
     """Return the damping ratio after a released pull, between the medians of bare trees and trees in leaf."""
     bare_damping_ratio, leaf_damping_ratio = 0.039, 0.13
-    share = _or_middle(foliage)
+    share = _or_mean(foliage)
     return float(bare_damping_ratio ** (1 - share) * leaf_damping_ratio**share)
 
 
-def _or_middle(foliage: float | None) -> float:
+def _or_mean(foliage: float | None) -> float:
     return UNKNOWN_FOLIAGE if foliage is None else foliage
 
 

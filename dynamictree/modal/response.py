@@ -17,7 +17,7 @@ from dynamictree.modal.force import (
     share_of_steps,
 )
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality, Reached
-from dynamictree.modal.local_bend import Bend, joints_step, swing
+from dynamictree.modal.local_bend import Bend, drive, joints_step
 from dynamictree.modal.step import STEPS, State, run
 from dynamictree.modal.system import ModalSystem
 from dynamictree.requests import Integrator
@@ -88,7 +88,7 @@ def respond(
         UnstableTimestep: the integrator diverges at this dt.
     """
     step = STEPS[integrator](system, dt_s)
-    solved, aims, reached = _solved(system, groups, dt_s, num_frames, None if start == "davis" else bent)
+    solved, aims, reached = _forces_and_bends(system, groups, dt_s, num_frames, None if start == "davis" else bent)
     pushed = np.zeros((num_frames, len(groups), system.num_modes), np.complex128)  # f, [T, G, M]
     for index, group in enumerate(solved):
         for force in group.forces:
@@ -109,7 +109,7 @@ def respond(
     q, final = run(step, begin, pushed / system.modal_mass)
     begun = [_first_bend(start_bends[index : index + 1], aim, pulled=start == "held") for index, aim in enumerate(aims)]
     swings = [
-        _swing(system, bent, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)
+        _bends(system, bent, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)
     ]
     return Answer(
         groups=tuple(groups),
@@ -121,7 +121,7 @@ def respond(
     )
 
 
-def _solved(
+def _forces_and_bends(
     system: ModalSystem, groups: Sequence[ForceGroup], dt_s: float, num_frames: int, bent: InteractiveTree | None
 ) -> tuple[list[ForceGroup], list[Float64[np.ndarray, "T n 3"]], tuple[Reached, ...]]:
     """Return the forces on the modes, and the bends per step of drags by displacement in the bent shape."""
@@ -154,7 +154,7 @@ def _first_bend(given: Sequence[Bend], aim: Float64[np.ndarray, "T n 3"], *, pul
     return Bend(turn=aim[0], rate=straight.rate) if pulled else straight
 
 
-def _swing(
+def _bends(
     system: ModalSystem,
     tree: InteractiveTree | None,
     group: ForceGroup,
@@ -167,11 +167,11 @@ def _swing(
     if pull.shape[1] == 0:
         return pull, begin
     if tree is None:  # the bends are not shown, but continue to swing
-        return swing(joints_step(system, np.full(len(begin.turn), system.omega.min()), dt_s), begin, pull)
+        return drive(joints_step(system, np.full(len(begin.turn), system.omega.min()), dt_s), begin, pull)
     chain = tree.chain(group)
     if not len(chain) == len(begin.turn) == pull.shape[1]:
         raise InputError(f"the state bends {len(begin.turn)} joints; {len(chain)} lie under this place")
-    return swing(joints_step(system, tree.joints.omega(system, chain), dt_s), begin, pull)
+    return drive(joints_step(system, tree.joints.omega(system, chain), dt_s), begin, pull)
 
 
 def _davis(system: ModalSystem, groups: Sequence[ForceGroup]) -> State:

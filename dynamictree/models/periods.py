@@ -6,7 +6,7 @@ of height h with period P, enlarged H / h times, where f(h) = λ f(H): the model
 K bins, motion is flutter of leaves, which do not grow with the tree: for these bins the model generates the tree at its
 own size.
 
-A small tree is faster than the simulator's, by a factor that depends on its height (`modal.real_trees.quickening`). As
+A small tree is faster than the simulator's, by a factor that depends on its height (`modal.real_trees.speedup_of`). As
 the response depends only on k / (f P), its bins are the model's at that multiple of the frequency. For a tree smaller
 than the model learned from, the model generates it enlarged, which is slower, and the motion is scaled down.
 
@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Complex64
 
-from dynamictree.modal.real_trees import height_law_hz, learned_law_hz, loop_times, quickening
+from dynamictree.modal.real_trees import height_law_hz, learned_law_hz, loop_times, speedup_of
 from dynamictree.models.motion_model import Generate, GenerateFromBin, OnStep
 from dynamictree.models.several_trees import share_of_steps
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes
@@ -52,7 +52,7 @@ def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: b
 
     def generate_in_period(voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
         longer, height_m = num_frames / NUM_FRAMES, voxels.grid.height_m
-        quicker = quickening(height_m) if quick_when_small else 1.0
+        quicker = speedup_of(height_m) if quick_when_small else 1.0
         if longer == quicker == 1:
             return generate(voxels, seed=seed, on_step=on_step)
         times = min(max(longer, 1.0), float(loop_times(height_m)))

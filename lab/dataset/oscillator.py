@@ -143,7 +143,7 @@ def in_leaf_hz(
 def simulated_law_hz(length_m: Float64[np.ndarray, "*S"]) -> Float64[np.ndarray, "*S"]:
     """Return the frequency of a stem of REFERENCE_SLENDERNESS: that of real trees of this height; 1 / √L if small.
 
-    `modal.real_trees.quickening` corrects the frequency of small trees.
+    `modal.real_trees.speedup_of` corrects the frequency of small trees.
     """
     return np.asarray(np.where(length_m < LEARNED_TO_M, learned_law_hz(length_m), height_law_hz(length_m)))
 

@@ -14,7 +14,7 @@ from jaxtyping import Complex128, Float64
 
 from dynamictree.modal.force import Contact, Drag, generalised_force
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality, Reached, Rest
-from dynamictree.modal.local_bend import Bend, joints_step, ring
+from dynamictree.modal.local_bend import Bend, free_step, joints_step
 from dynamictree.modal.response import group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, run
 from dynamictree.modal.system import ModalSystem
@@ -166,7 +166,7 @@ class Session:
         pulled_group = self.localities.index(drag.locality) if drag is not None and drag.hold is not None else None
         for index, locality in enumerate(self.localities):
             if len(self.bends[index].turn) and index != pulled_group:
-                self.bends[index] = ring(self.swings[locality], self.bends[index])
+                self.bends[index] = free_step(self.swings[locality], self.bends[index])
         if pulled_group is not None and drag is not None and drag.hold is not None:
             self._follow(pulled_group, drag.hold, moved)
         self.state = moved

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
-from dynamictree.modal.pull import _stance, equilibrium, grip_of
+from dynamictree.modal.pull import _forward, equilibrium, grip_of
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.pose import carried, poses
@@ -71,8 +71,8 @@ def test_a_target_beyond_the_branches_is_approached_without_folding_them(forked)
 def test_of_all_bends_that_bring_the_point_there_the_answer_has_the_least_energy(rng):
     segments, give = rng.normal(size=(6, 3)) + np.array([0, 0, 2]), np.geomspace(1, 0.05, 6)
     target = np.array([2.0, -1.0, -1.5])
-    there = {"type": "eq", "fun": lambda x: _stance(segments, give, x.reshape(6, 3))[2] - target}
-    least = minimize(lambda x: _stance(segments, give, x.reshape(6, 3))[3], np.full(18, 0.1), constraints=there)
+    there = {"type": "eq", "fun": lambda x: _forward(segments, give, x.reshape(6, 3))[2] - target}
+    least = minimize(lambda x: _forward(segments, give, x.reshape(6, 3))[3], np.full(18, 0.1), constraints=there)
     pull = equilibrium(grip_of(segments, give), target, np.zeros((6, 3)))
     np.testing.assert_allclose(pull.reached_m, target, atol=1e-4)
     np.testing.assert_allclose(pull.bend.ravel(), least.x, atol=0.01)
@@ -93,8 +93,8 @@ def test_a_joint_carries_what_grows_on_it(forked):
     stem, tip = (joints.of_voxel[parts[name][-1]] for name in ("stem", "right"))
     assert joints.num_carried[joints.chain(int(parts["right"][-1]))[-1]] > 0.9 * len(tree.system.grid)
     assert joints.num_carried[tip] < joints.num_carried[stem]
-    give = joints.give * joints.num_carried**2
-    assert 2 * give[stem] < give[tip]
+    compliance = joints.compliance * joints.num_carried**2
+    assert 2 * compliance[stem] < compliance[tip]
     assert not set(joints.chain(int(parts["left"][-1]))) & set(joints.of_voxel[parts["right"][6:]].tolist())
 
 

@@ -17,7 +17,7 @@ from dynamictree.modal.real_trees import (
     learned_law_hz,
     loop_period_s,
     natural_frequency_hz,
-    quickening,
+    speedup_of,
 )
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.periods import LEARNED_FROM_M, PERIOD_S, in_period, period_by_height, spread_bins
@@ -115,8 +115,8 @@ def test_a_small_tree_is_faster_by_what_its_height_gives(height_m: float, period
         ),
         strict=True,
     )
-    bin_width = max(1 / period_s, quickening(height_m) / PERIOD_S)  # of the spectrum, or of the model, quickened
-    assert frequency[1] == pytest.approx(quickening(height_m) * frequency[0], abs=bin_width / 2)
+    bin_width = max(1 / period_s, speedup_of(height_m) / PERIOD_S)  # of the spectrum, or of the model, quickened
+    assert frequency[1] == pytest.approx(speedup_of(height_m) * frequency[0], abs=bin_width / 2)
     assert size[1] == pytest.approx(size[0], rel=0.02)  # less what is too fast for the bins
 
 
@@ -149,13 +149,13 @@ def test_the_grid_is_the_model_s() -> None:
 
 @given(st.floats(0.3, 7.9), st.floats(1.01, 1.5))
 def test_the_smaller_of_two_trees_is_faster(height_m: float, taller: float) -> None:
-    paces = [quickening(height) / np.sqrt(height) for height in (height_m, height_m * taller)]
+    paces = [speedup_of(height) / np.sqrt(height) for height in (height_m, height_m * taller)]
     assert paces[0] > paces[1]
 
 
 def test_trees_of_two_to_eight_metres_sway_at_the_pace_of_their_height() -> None:
     for height_m in np.linspace(2, 8, 9):
-        quickened = learned_law_hz(float(height_m)) * quickening(float(height_m))
+        quickened = learned_law_hz(float(height_m)) * speedup_of(float(height_m))
         assert quickened == pytest.approx(height_law_hz(float(height_m)))
 
 
