@@ -92,7 +92,7 @@ def generate(
     `on_step` receives the number of completed sampler steps and their total.
     """
     from dynamictree.models import loaded_once
-    from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
+    from dynamictree.models.periods import PERIOD_S, period_by_height, with_period
     from dynamictree.models.several_trees import generate_trees, with_bands
 
     trained = loaded_once(model)
@@ -101,7 +101,7 @@ def generate(
 
     def in_wind(blowing: Wind, report: Callable[[int, int], None] | None) -> SparseVoxelSpectrum:
         of_one = partial(trained.generate, wind=blowing, num_steps=num_steps)
-        paced = in_period(of_one, period_s, quick_when_small=trained.paced_by_height)
+        paced = with_period(of_one, period_s, quick_when_small=trained.paced_by_height)
         return generate_trees(paced, voxels, seed=seed, on_step=report)
 
     own = wind or Wind()

@@ -103,7 +103,7 @@ def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " 
     return weights
 
 
-def in_steps(
+def quantise(
     modes: Complex64[np.ndarray, "N M 3"],
 ) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
     """Quantise modes to 16 bits; return them and the step size of each."""

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int16
 
 from dynamictree.modal.system import ModalSystem
-from dynamictree.spectrum import in_steps
+from dynamictree.spectrum import quantise
 
 if TYPE_CHECKING:  # modules that import numba
     from dynamictree.modal.bones import Bones
@@ -39,7 +39,7 @@ def mode_tensors(system: ModalSystem, bones: "Bones", joints: "Joints", *, shape
     }
     if not shapes:
         return tensors
-    (steps, scale), (turns, scale_rad) = in_steps(system.shapes), in_steps(bones.shapes)
+    (steps, scale), (turns, scale_rad) = quantise(system.shapes), quantise(bones.shapes)
     return tensors | {
         "shapes": _from_bin_zero(steps),
         "scale_m": np.concatenate([[0], scale]).astype(np.float32),

@@ -43,7 +43,7 @@ def period_by_height(voxels: SurfaceVoxels) -> float:
     return PERIOD_S * max(loop_times(int(height) * voxels.grid.voxel_size_m) for height in heights)
 
 
-def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: bool = True) -> Generate:
+def with_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: bool = True) -> Generate:
     """Return a function that generates spectra of this period, rounded to whole frames, of one tree each.
 
     At 4.17 s, trees that are not small move as the model generates them; `quick_when_small` makes small ones faster.
@@ -65,10 +65,10 @@ def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: b
         own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
         lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
         steps = share_of_steps(on_step, 0, 2 if times > 1 else 1)
-        flutter = generate(_shrunk(voxels, 1 / magnified), seed=seed, lowest_bin=lowest, on_step=steps)
+        flutter = generate(_scaled_down(voxels, 1 / magnified), seed=seed, lowest_bin=lowest, on_step=steps)
         coefficients = _mixed(flutter, flutter_bins)
         if times > 1:
-            sway = generate(_shrunk(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
+            sway = generate(_scaled_down(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
             slow = _mixed(sway, sway_bins)
             coefficients[:, : slow.shape[1]] = slow
         grid = flutter.grid if magnified == 1 else voxels.grid
@@ -130,7 +130,7 @@ def _enlargement(height_m: float, times: float) -> float:
     return max(height_m / float(shorter_m), 1.0)
 
 
-def _shrunk(voxels: SurfaceVoxels, times: float) -> SurfaceVoxels:
+def _scaled_down(voxels: SurfaceVoxels, times: float) -> SurfaceVoxels:
     """Scale a tree down about the origin; moments are in voxels, so they stay."""
     x, y, z = voxels.grid.origin_m
     grid = replace(

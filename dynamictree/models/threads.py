@@ -25,12 +25,12 @@ def best_device() -> torch.device:
     return torch.device("cuda") if torch.cuda.is_available() else CPU
 
 
-def moved_to(device: torch.device, given: Any) -> Any:
+def to_device(device: torch.device, given: Any) -> Any:
     """Move a tensor to a device, or all tensors in a tuple or a dataclass."""
     if isinstance(given, tuple):
-        return tuple(moved_to(device, each) for each in given)
+        return tuple(to_device(device, each) for each in given)
     if is_dataclass(given) and not isinstance(given, type):
-        return replace(given, **{field.name: moved_to(device, getattr(given, field.name)) for field in fields(given)})
+        return replace(given, **{field.name: to_device(device, getattr(given, field.name)) for field in fields(given)})
     return given.to(device) if isinstance(given, Tensor) else given
 
 

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from dynamictree.errors import InputError
 from dynamictree.sparse.level import pyramid
-from dynamictree.sparse.matrices import raise_matrix
+from dynamictree.sparse.matrices import upsample_matrix
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import coarse_moments
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -62,4 +62,4 @@ def coarsened(voxels: SurfaceVoxels, halvings: int) -> tuple[SurfaceVoxels, csr_
     moments = None if voxels.moments is None else coarse_moments(voxels.moments, grid, coarse, owner)
     # a pyramid's coarser rows are in ascending order of coordinates, as the coarse grid's are
     fine = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), halvings + 1)
-    return SurfaceVoxels(grid=coarse, normals=normals, moments=moments), raise_matrix(fine, halvings, 0)
+    return SurfaceVoxels(grid=coarse, normals=normals, moments=moments), upsample_matrix(fine, halvings, 0)

@@ -13,7 +13,7 @@ from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth, carried, p
 from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
 from dynamictree.rig.turn_fit import fit_turns
 from dynamictree.rig.turn_matrices import Target
-from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, in_steps, iter_motion
+from dynamictree.spectrum import SparseVoxelSpectrum, from_motion, iter_motion, quantise
 from dynamictree.voxel.voxelize import surface_average, voxel_trees
 
 BONES_PER_VOXEL = 4
@@ -121,7 +121,7 @@ def _rig_of_tree(mesh: Surface, spectrum: SparseVoxelSpectrum, report: Callable[
         voxel_m=float(np.ptp(mesh.vertices[np.unique(moving.faces)], axis=0).max()) / FINENESS,
     )
     with single_thread():  # the products are too small for several BLAS threads
-        steps, step_rad = in_steps(fit_turns(bones.skeleton, bones.vertices, target, report))
+        steps, step_rad = quantise(fit_turns(bones.skeleton, bones.vertices, target, report))
     parts = steps * step_rad[:, None, None]  # the file's rounded values, so that its readers show the same positions
     turns = parts[..., 0] + 1j * parts[..., 1]
     voxels = _strongest(mean, bones.vertices, len(bones.skeleton))

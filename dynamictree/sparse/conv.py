@@ -48,7 +48,7 @@ class _PairwiseConv(torch.autograd.Function):
         assert isinstance(level, SparseLevel)
         ctx.save_for_backward(features, weight)
         ctx.level = level  # type: ignore[attr-defined]
-        return _walk(features, weight, level)
+        return _convolve(features, weight, level)
 
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor | None, Tensor, None]:
@@ -56,7 +56,7 @@ class _PairwiseConv(torch.autograd.Function):
         level: SparseLevel = ctx.level  # type: ignore[attr-defined]
         gradient = gradients[0].contiguous()
         # gradients of tap i flow back through the opposite tap
-        to_features = _walk(gradient, weight.flip(0).transpose(1, 2), level) if ctx.needs_input_grad[0] else None  # type: ignore[attr-defined]
+        to_features = _convolve(gradient, weight.flip(0).transpose(1, 2), level) if ctx.needs_input_grad[0] else None  # type: ignore[attr-defined]
         to_weight = torch.empty_like(weight)
         torch.mm(_flat(features).T, _flat(gradient), out=to_weight[CENTRE])
         for tap, (first, second) in enumerate(level.pairs):
@@ -71,7 +71,7 @@ class _PairwiseConv(torch.autograd.Function):
         return to_features, to_weight, None
 
 
-def _walk(features: Tensor, weight: Tensor, level: SparseLevel) -> Tensor:
+def _convolve(features: Tensor, weight: Tensor, level: SparseLevel) -> Tensor:
     shape = (*features.shape[1:-1], weight.shape[-1])
     out = (_flat(features) @ weight[CENTRE]).view(-1, *shape)  # [V, *inner, D]
     for tap, (first, second) in enumerate(level.pairs):

@@ -1,6 +1,6 @@
 """Sparse matrices between fine voxels and the coarser nodes of the diffusion, and for noise smooth along the tree.
 
-They are built once per tree: `pool_matrix` (mean over a node's voxels), `raise_matrix` (back, smooth, and only over
+They are built once per tree: `pool_matrix` (mean over a node's voxels), `upsample_matrix` (back, smooth, and only over
 touching voxels) and `unit_rows` (rows of unit length, so that white noise keeps unit variance).
 """
 
@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from dynamictree.sparse.level import Pyramid, SparseLevel
 
-LIFT_STEPS = 2
+UPSAMPLE_STEPS = 2
 """Steps of diffusion over touching voxels that turn the nearest node's value into a smooth field."""
 
 
@@ -47,7 +47,7 @@ def sparse_rows(matrix: csr_array) -> SparseRows:
     )
 
 
-def touching(level: SparseLevel) -> csr_array:
+def neighbour_means(level: SparseLevel) -> csr_array:
     """Return the matrix of means over each voxel and those of its 26 neighbours that are occupied."""
     first, second = (torch.cat([pair[side] for pair in level.pairs]).numpy() for side in (0, 1))
     own, shape = np.arange(len(level)), (len(level), len(level))
@@ -63,12 +63,12 @@ def link_matrices(links: Int64[Tensor, "L 2"], size: int) -> tuple[csr_array, cs
     return _row_normalised(down), _row_normalised(csr_array(down.T))
 
 
-def raise_matrix(grids: Pyramid, coarse: int, fine: int, *, steps: int = LIFT_STEPS) -> csr_array:
+def upsample_matrix(grids: Pyramid, coarse: int, fine: int, *, steps: int = UPSAMPLE_STEPS) -> csr_array:
     """Return [V_fine, V_coarse]: nearest interpolation, smoothed by `steps` at every level; rows sum to one."""
     matrix = csr_array(eye_array(len(grids.levels[coarse]), format="csr", dtype=np.float32))
     for depth in range(coarse - 1, fine - 1, -1):
         matrix = csr_array(matrix[grids.parents[depth].numpy()])
-        smooth = touching(grids.levels[depth])
+        smooth = neighbour_means(grids.levels[depth])
         for _ in range(steps):
             matrix = csr_array(smooth @ matrix)
     return matrix

@@ -17,10 +17,10 @@ MIN_RESOLUTION, MAX_RESOLUTION = 32, 512
 MAX_PIECES = 30_000_000
 """Limit of pieces of faces: 3 GB at 100 bytes each, measured. The largest meshes have 10 million at 512³."""
 
-_LEAST_AREA = 1e-16
+_MIN_AREA = 1e-16
 """Share of the area of the cube's face; smaller pieces are rounding errors of faces that touch the voxel."""
 
-_CANCELLED = 0.2
+_MIN_NORMAL = 0.2
 """Length of the mean unit normal below which a voxel's surface is two-sided, such as a leaf card with a back."""
 
 
@@ -143,7 +143,7 @@ def surface_pieces(
     corners = corners[solid]
     _refuse_too_much(corners)
     pieces = cut_faces(corners, resolution)
-    least = _LEAST_AREA * resolution**2
+    least = _MIN_AREA * resolution**2
     large = pieces.areas > least
     x, y, z = np.floor(corners).astype(np.int64).reshape(-1, 3).T
     corner_keys: Int64[np.ndarray, " C"] = (x * resolution + y) * resolution + z
@@ -157,7 +157,7 @@ def surface_pieces(
 
 def _has_area(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Bool[np.ndarray, " F"]:
     doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    enough: Bool[np.ndarray, " F"] = doubled > 2 * _LEAST_AREA * resolution**2
+    enough: Bool[np.ndarray, " F"] = doubled > 2 * _MIN_AREA * resolution**2
     return enough
 
 
@@ -184,7 +184,7 @@ def _mean_normals(
     total = np.bincount(rows, pieces.areas, minlength=num_voxels)
     mean = np.stack([np.bincount(rows, pieces.areas * normals[:, i], num_voxels) for i in range(3)], axis=1)
     length = np.linalg.norm(mean, axis=1) / total
-    two_sided = np.flatnonzero(length < _CANCELLED)
+    two_sided = np.flatnonzero(length < _MIN_NORMAL)
     if len(two_sided):
         mean[two_sided] = _shared_direction(grid, pieces, rows, normals, two_sided)
     unit_mean: Float32[np.ndarray, "V 3"] = (mean / np.linalg.norm(mean, axis=1, keepdims=True)).astype(np.float32)

@@ -48,7 +48,7 @@ def leaf_frequencies(count: int, rng: np.random.Generator) -> Float64[np.ndarray
     return drawn
 
 
-def line(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, "M J"]:
+def resonance(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, "M J"]:
     """Return the amplitude of each leaf at each frequency of a loop; the squares sum to 1."""
     offset = (frequency_hz - own_hz[:, None]) / (LINE_WIDTH * own_hz[:, None])
     amplitude = np.sqrt(1 / (1 + offset**2)) * (frequency_hz >= SLOWEST_HZ)
@@ -67,7 +67,7 @@ def unit_turns(
         for rows in (len(twigs), len(twig))
     )
     together = np.sqrt(TWIG_SHARE) * of_twig[own] + np.sqrt(1 - TWIG_SHARE) * of_leaf
-    return np.asarray(0.5 * together * line(frequency_hz, own_hz)[:, None], np.complex64)
+    return np.asarray(0.5 * together * resonance(frequency_hz, own_hz)[:, None], np.complex64)
 
 
 def turn_modes(

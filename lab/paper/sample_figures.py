@@ -9,7 +9,7 @@ from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.sampler import linear_schedule, sample_ddim
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperNetwork
-from dynamictree.models.threads import moved_to
+from dynamictree.models.threads import to_device
 from lab.paper.examples import PaperExample, batch_of
 
 
@@ -18,10 +18,10 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
     """Return roughness ratio, error of ln size, and correlation of ln amplitude, over k ≥ 1 of one tree."""
     assert isinstance(network, PaperNetwork)
     preset, device = network.preset, network.frequency_sizes.device
-    batch = moved_to(device, batch_of([example], preset))
+    batch = to_device(device, batch_of([example], preset))
     bins = torch.arange(1, preset.num_frequencies, device=device)
     truth = pack_channels(batch.spectrum[:, 1:])  # [V, J, 6]
-    condition, schedule = network.condition(batch.inputs), moved_to(device, linear_schedule())
+    condition, schedule = network.condition(batch.inputs), to_device(device, linear_schedule())
 
     def predict_clean(noisy: Tensor, step: int) -> Tensor:
         return denoise(network, noisy, step, bins, condition, batch.inputs)

@@ -21,7 +21,7 @@ from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import LocalSmoothness
 from dynamictree.diffusion.sampler import linear_schedule
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
-from dynamictree.models.threads import moved_to
+from dynamictree.models.threads import to_device
 from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
 from lab.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
@@ -116,14 +116,14 @@ def train_paper(
     trainer = Trainer(network.to(device), plan.options())
     trainer.resume(folder / "checkpoint.safetensors")
     batches = _batches(cache, plan, first_pass=trainer.step * trainer.options.accumulate)
-    schedule = moved_to(device, linear_schedule())
+    schedule = to_device(device, linear_schedule())
 
     def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
         batch = next(batches)
         shape = (plan.micro_trees, plan.frequencies_per_tree)
         bins = [rng.permutation(plan.preset.num_frequencies)[: shape[1]] for _ in range(shape[0])]
         frequency = torch.from_numpy(np.stack(bins)).to(device)
-        batch = moved_to(device, batch)
+        batch = to_device(device, batch)
         return paper_loss(
             network,
             batch,

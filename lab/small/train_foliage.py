@@ -9,7 +9,7 @@ from jaxtyping import Float16, Float32
 from torch import Tensor
 
 from dynamictree.models.small.features import TreeFeatures, turn_features
-from dynamictree.models.small.foliage import ARM, NUM_PARTS, FoliageNetwork, seen
+from dynamictree.models.small.foliage import ARM, NUM_PARTS, FoliageNetwork, foliage_inputs
 from dynamictree.sparse.level import Pyramid
 from lab.dataset.shards import StoredTree
 from lab.small.examples import example_of
@@ -79,7 +79,7 @@ def foliage_examples(stored: Iterable[StoredTree], *, resolution: int = 128) -> 
 def standardise_foliage(network: FoliageNetwork, trees: Sequence[FoliageExample]) -> None:
     """Set the means and deviations of the inputs and the targets."""
     some = trees[:STANDARDISED_ON]
-    inputs = torch.cat([seen(one.tree())[::7] for one in some])
+    inputs = torch.cat([foliage_inputs(one.tree())[::7] for one in some])
     targets = torch.cat([one.targets[::7].float() for one in some])
     network.mean.copy_(inputs.mean(dim=0))
     network.deviation.copy_(inputs.std(dim=0) + MIN_DEVIATION)

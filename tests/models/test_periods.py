@@ -20,7 +20,7 @@ from dynamictree.modal.real_trees import (
     speedup_of,
 )
 from dynamictree.models.motion_model import OnStep
-from dynamictree.models.periods import LEARNED_FROM_M, PERIOD_S, in_period, period_by_height, spread_bins
+from dynamictree.models.periods import LEARNED_FROM_M, PERIOD_S, period_by_height, spread_bins, with_period
 from dynamictree.models.several_trees import generate_trees
 from dynamictree.requests import PAPER_PERIOD_S, AnimateParams, ExportParams
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum
@@ -62,7 +62,7 @@ def of_simulator(
 @pytest.mark.parametrize("bare", [False, True])
 @pytest.mark.parametrize(("height_m", "times"), [(10.0, 2), (16.0, 3), (40.0, 4)])
 def test_the_motion_is_that_of_the_simulator_with_the_longer_period(height_m: float, times: int, bare: bool) -> None:
-    spectrum = in_period(partial(of_simulator, bare=bare), times * PERIOD_S)(rod(height_m), seed=0)
+    spectrum = with_period(partial(of_simulator, bare=bare), times * PERIOD_S)(rod(height_m), seed=0)
     moved = np.abs(spectrum.coefficients[-1, 1:NUM_FREQUENCIES, 0])
     wanted = simulated(float(height_law_hz(height_m)), times=times, bare=bare)
     truth = wanted[: NUM_FREQUENCIES - 1] * rod(height_m).grid.centres_m[-1, 2]
@@ -72,7 +72,7 @@ def test_the_motion_is_that_of_the_simulator_with_the_longer_period(height_m: fl
 
 @pytest.mark.parametrize(("height_m", "quick_when_small"), [(9.0, True), (3.0, False)])
 def test_the_period_of_the_model_gives_what_the_model_gives(height_m: float, quick_when_small: bool) -> None:
-    spectrum = in_period(of_simulator, PERIOD_S, quick_when_small=quick_when_small)(rod(height_m), seed=0)
+    spectrum = with_period(of_simulator, PERIOD_S, quick_when_small=quick_when_small)(rod(height_m), seed=0)
     np.testing.assert_array_equal(spectrum.coefficients, of_simulator(rod(height_m), seed=0).coefficients)
     assert pytest.approx(PERIOD_S) == PAPER_PERIOD_S
 
@@ -97,7 +97,7 @@ def test_bins_keep_their_power(longer: float, seed: int) -> None:
 @pytest.mark.parametrize("period_s", [2.0, 3.0, 6.25, 30.0])
 def test_a_tree_in_any_period_keeps_its_size_and_its_frequency(period_s: float) -> None:
     as_it_is, spectrum = (
-        in_period(of_simulator, period, quick_when_small=False)(rod(3.0), seed=0) for period in (PERIOD_S, period_s)
+        with_period(of_simulator, period, quick_when_small=False)(rod(3.0), seed=0) for period in (PERIOD_S, period_s)
     )
     assert spectrum.period_s == pytest.approx(period_s, abs=0.5 / 24)
     size, frequency = zip(*(moments(one) for one in (as_it_is, spectrum)), strict=True)
@@ -110,7 +110,7 @@ def test_a_tree_in_any_period_keeps_its_size_and_its_frequency(period_s: float) 
 def test_a_small_tree_is_faster_by_what_its_height_gives(height_m: float, period_s: float) -> None:
     size, frequency = zip(
         *(
-            moments(in_period(of_simulator, period, quick_when_small=quick)(rod(height_m), seed=0))
+            moments(with_period(of_simulator, period, quick_when_small=quick)(rod(height_m), seed=0))
             for period, quick in ((PERIOD_S, False), (period_s, True))
         ),
         strict=True,
@@ -128,7 +128,7 @@ def test_a_tree_too_small_for_the_model_moves_as_a_larger_one_made_smaller(heigh
         heights.append(voxels.grid.voxel_size_m * SIDE)
         return of_simulator(voxels, **how)
 
-    spectrum = in_period(noted, PERIOD_S)(rod(height_m), seed=0)
+    spectrum = with_period(noted, PERIOD_S)(rod(height_m), seed=0)
     assert heights == pytest.approx([LEARNED_FROM_M])
     assert spectrum.grid.voxel_size_m == pytest.approx(height_m / SIDE)
     sizes = [np.sqrt(moments(one)[0]) / height_m for one in (of_simulator(rod(height_m), seed=0), spectrum)]
@@ -143,7 +143,7 @@ def test_the_grid_is_the_model_s() -> None:
         grid=replace(coarse.grid, voxel_size_m=coarse.grid.voxel_size_m / 2, resolution=2 * SIDE),
         normals=coarse.normals,
     )
-    paced = in_period(lambda voxels, **how: of_simulator(coarse, **how), 6.25, quick_when_small=False)
+    paced = with_period(lambda voxels, **how: of_simulator(coarse, **how), 6.25, quick_when_small=False)
     assert paced(fine, seed=0).grid is coarse.grid
 
 
@@ -173,7 +173,7 @@ def test_several_trees_share_the_period_of_the_tallest_and_sway_each_at_its_own_
     both = SurfaceVoxels(grid=grid, normals=np.tile(np.float32([1, 0, 0]), (len(grid), 1)), tree=tree)
     period_s = period_by_height(both)
     assert period_s == pytest.approx(loop_period_s(20.0))
-    spectrum = generate_trees(in_period(of_simulator, period_s), both, seed=0)
+    spectrum = generate_trees(with_period(of_simulator, period_s), both, seed=0)
     fastest = [
         spectrum.frequencies_hz[1 + np.abs(spectrum.coefficients[row, 1:, 0]).argmax()] for row in (SIDE - 1, -1)
     ]

@@ -13,7 +13,7 @@ from dynamictree.wind.flutter import (
     TWIG_SHARE,
     TWIST_RAD,
     leaf_frequencies,
-    line,
+    resonance,
     turn_modes,
 )
 
@@ -36,7 +36,7 @@ def test_leaves_have_frequencies_of_their_own_in_the_measured_range(rng) -> None
     assert SLOWEST_HZ <= own.min() < 2.1
     assert 7.8 < own.max() <= FASTEST_HZ
     frequency = np.fft.rfftfreq(100, 1 / 24)
-    shape = line(frequency, own)
+    shape = resonance(frequency, own)
     np.testing.assert_allclose((shape**2).sum(axis=1), 1)
     assert (shape[:, frequency < SLOWEST_HZ] == 0).all()
     assert (np.abs(frequency[shape.argmax(axis=1)] - own) < 0.25).all()

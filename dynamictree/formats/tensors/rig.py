@@ -10,7 +10,7 @@ from dynamictree.errors import FormatError
 from dynamictree.formats.tensors.container import MAX_FRAMES, facts_of, read_tensors, take_tensor, write_tensors
 from dynamictree.rig.pose import Skeleton, Weights
 from dynamictree.rig.rig import BONES_PER_VOXEL, Rig
-from dynamictree.spectrum import in_steps
+from dynamictree.spectrum import quantise
 
 FORMAT, VERSION = "tree-rig", "1"
 
@@ -21,7 +21,7 @@ class _Facts(BaseModel):
 
 def write_rig(rig: Rig, stream: ByteWriter) -> None:
     """Write a rig; `read_rig` restores rigs of `rig_of` exactly, as these are quantised like the file."""
-    turns, steps = in_steps(rig.turns)
+    turns, steps = quantise(rig.turns)
     tensors = {
         "parent": rig.skeleton.parent,
         "foot_m": rig.skeleton.foot_m,

@@ -13,11 +13,11 @@ from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, unit_positions
-from dynamictree.models.threads import best_device, moved_to, run_on_cores
+from dynamictree.models.threads import best_device, run_on_cores, to_device
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
 from dynamictree.models.wind import wind_axes, wind_sizes
 from dynamictree.sparse.level import Pyramid, pyramid
-from dynamictree.sparse.matrices import raise_matrix
+from dynamictree.sparse.matrices import upsample_matrix
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -86,7 +86,7 @@ class PaperModel(MotionModel):
     ) -> Float32[Tensor, "V J 6"]:
         """Sample spectra of unit size. Frequencies are independent, so bands of them run on all cores."""
         device = self.network.frequency_sizes.device
-        inputs, schedule = moved_to(device, (inputs, linear_schedule()))
+        inputs, schedule = to_device(device, (inputs, linear_schedule()))
         condition = self.network.condition(inputs)
         band = max(1, MAX_ACTIVATIONS // (len(condition) * self.network.preset.unet.base))
         bands = torch.split(torch.arange(len(bins)), min(band, BAND) if device.type == "cpu" else band)
@@ -117,5 +117,5 @@ def _on_output_grid(
     )
     if target == halvings:
         return grid, coefficients.astype(np.complex64)
-    raised = raise_matrix(grids, halvings, target) @ coefficients.reshape(len(coefficients), -1)
+    raised = upsample_matrix(grids, halvings, target) @ coefficients.reshape(len(coefficients), -1)
     return grid, raised.reshape(-1, *coefficients.shape[1:]).astype(np.complex64)

@@ -115,7 +115,7 @@ class AmplitudeNetwork(nn.Module):
         leant, dropped = self.second_order(hidden).float().T
         zeros, ones = torch.zeros_like(leant), torch.ones_like(leant)
         log_drag, log_gust = _log_wind(wind)
-        growth = _growth(saturation.float(), log_drag[:, None])
+        growth = _log_gain(saturation.float(), log_drag[:, None])
         growth = growth * torch.stack([ones, ones, 1 + leant.sigmoid()], dim=1)[:, None]
         log_amplitude = START + sizes[:, 1:] + growth + log_gust[:, None]
         size = (2 * (log_amplitude.detach() - log_gust[:, None])).exp().sum(dim=(1, 2)).sqrt()
@@ -180,7 +180,7 @@ def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
     return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
 
 
-def moving(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]) -> Float32[Tensor, "V J 3"]:
+def above_floor(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]) -> Float32[Tensor, "V J 3"]:
     """Return A over the height, without the floor of ln A in training, so that still parts are exactly still.
 
     Args:
@@ -195,7 +195,7 @@ def _log_wind(wind: Float32[Tensor, "R 2"]) -> tuple[Float32[Tensor, "R 1"], Flo
     return DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED)), wind[:, 1:].clamp_min(MIN_GUST).log()
 
 
-def _growth(log_saturation: Float32[Tensor, "R J 3"], log_drag: Float32[Tensor, "R 1 1"]) -> Float32[Tensor, "R J 3"]:
+def _log_gain(log_saturation: Float32[Tensor, "R J 3"], log_drag: Float32[Tensor, "R 1 1"]) -> Float32[Tensor, "R J 3"]:
     """Return ln of tanh(s d) / s."""
     bent = (log_saturation + log_drag).exp().clamp(*BENT)
     return log_drag + (bent.tanh() / bent).log()

@@ -17,10 +17,10 @@ from dynamictree.sparse.level import Pyramid
 from dynamictree.sparse.matrices import (
     SparseRows,
     link_matrices,
-    raise_matrix,
+    neighbour_means,
     sparse_rows,
-    touching,
     unit_rows,
+    upsample_matrix,
 )
 
 STEPS_ALONG = (1, 2, 4, 8)
@@ -63,6 +63,6 @@ def field_matrices(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> tuple[csr_arr
         walked = csr_array(step @ walked)  # not by squares, as nodes that bear many have long rows
         if count in STEPS_ALONG:
             along.append(walked)
-    coarser = [raise_matrix(grids, depth, 0) for depth in (1, 2)]
+    coarser = [upsample_matrix(grids, depth, 0) for depth in (1, 2)]
     whole = csr_array(np.ones((size, 1), np.float32))
-    return tuple(unit_rows(field) for field in (white, touching(grids.levels[0]), *along, *coarser, whole))
+    return tuple(unit_rows(field) for field in (white, neighbour_means(grids.levels[0]), *along, *coarser, whole))

@@ -17,7 +17,7 @@ from torch import Tensor
 from dynamictree.models.small.surface_shape import surface_features
 from dynamictree.models.small.voxel_skeleton import Skeleton, section_radius, skeleton_of, skip_short
 from dynamictree.sparse.level import Pyramid, batch_pyramids, pyramid, turn_pyramid
-from dynamictree.sparse.matrices import touching
+from dynamictree.sparse.matrices import neighbour_means
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.graph import voxel_graph
@@ -59,12 +59,12 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     area_m2 = moments[:, AREA][:, 0].astype(np.float64) * grid.voxel_size_m**2 if has_moments else None
     height_m = grid.height_m
     with ThreadPoolExecutor(1) as pool:  # surface and skeleton run in parallel
-        seen = pool.submit(surface_features, grid, moments, touching(grids.levels[0]), has_moments=has_moments)
+        seen = pool.submit(surface_features, grid, moments, neighbour_means(grids.levels[0]), has_moments=has_moments)
         graph = voxel_graph(grid, [(first.numpy(), second.numpy()) for first, second in grids.levels[0].pairs])
         skeleton = skeleton_of(grid, graph)
         chain = _chain(grid, skeleton)
         chain_scalars, chain_vectors = _along_chain(grid, skeleton, chain, height_m)
-        scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
+        scalars = np.concatenate([_scalars(grid, skeleton, height_m), _voxel_counts(grids), chain_scalars], axis=1)
         own_vectors = np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1)
         vectors = np.concatenate([own_vectors, chain_vectors], axis=1)
         chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
@@ -192,7 +192,7 @@ def _along_chain(
     return np.stack(scalars, axis=1).astype(np.float32), np.stack(vectors, axis=1).astype(np.float32)
 
 
-def _crowding(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
+def _voxel_counts(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
     """Return logarithms of the number of touching voxels, and of voxels per ancestor at three coarser levels."""
     level = grids.levels[0]
     touching = torch.bincount(torch.cat([side for pair in level.pairs for side in pair]), minlength=len(level))

@@ -17,7 +17,7 @@ from dynamictree.sparse.level import Pyramid, SparseLevel
 from dynamictree.sparse.pool import average_pool, upsample
 
 STEM_AXIS, NORMAL = 1, 3  # indices into `TreeFeatures.vectors`
-NUM_SEEN = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
+NUM_INPUTS = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
 NUM_PARTS = 10
 """Leaf share; distance from the leaf's base, the same over the leaf's length, ln length, all times leaf share; stem
 level; ln length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances are over the
@@ -56,7 +56,7 @@ class FoliageNetwork(nn.Module):
     def __init__(self, *, widths: tuple[int, int, int] = (24, 48, 64)) -> None:
         super().__init__()
         fine, middle, coarse = widths
-        self.enter = nn.Linear(NUM_SEEN, fine)
+        self.enter = nn.Linear(NUM_INPUTS, fine)
         self.down = nn.ModuleList([ResConv(fine), ResConv(fine), ResConv(middle), ResConv(coarse)])
         self.up = nn.ModuleList([ResConv(coarse), ResConv(middle), ResConv(fine)])
         self.widen = nn.ModuleList([nn.Linear(fine, middle), nn.Linear(middle, coarse)])
@@ -64,8 +64,8 @@ class FoliageNetwork(nn.Module):
         self.head = nn.Sequential(
             nn.LayerNorm(fine), nn.Linear(fine, 4 * fine), nn.SiLU(), nn.Linear(4 * fine, NUM_FOLIAGE_VALUES)
         )
-        self.register_buffer("mean", torch.zeros(NUM_SEEN))
-        self.register_buffer("deviation", torch.ones(NUM_SEEN))
+        self.register_buffer("mean", torch.zeros(NUM_INPUTS))
+        self.register_buffer("deviation", torch.ones(NUM_INPUTS))
         self.register_buffer("told_mean", torch.zeros(NUM_FOLIAGE_VALUES))
         self.register_buffer("told_deviation", torch.ones(NUM_FOLIAGE_VALUES))
 
@@ -79,7 +79,7 @@ class FoliageNetwork(nn.Module):
         """Predict the same values, with mean 0 and deviation 1 over the training set."""
         grids: Pyramid = tree.grids
         levels = grids.levels
-        fine = self.enter(((seen(tree) - self.mean) / self.deviation).clamp(-CLIP, CLIP)).float()
+        fine = self.enter(((foliage_inputs(tree) - self.mean) / self.deviation).clamp(-CLIP, CLIP)).float()
         fine = self.down[1](self.down[0](fine, levels[0]), levels[0])
         middle = self.widen[0](average_pool(fine, grids.parents[0], len(levels[1]))).float()
         middle = self.down[2](middle, levels[1])
@@ -91,16 +91,16 @@ class FoliageNetwork(nn.Module):
         return foliage_values
 
 
-def seen(tree: TreeFeatures) -> Float32[Tensor, "V F"]:
+def foliage_inputs(tree: TreeFeatures) -> Float32[Tensor, "V F"]:
     """Return the inputs: scalars of the tree and of its surface, and functions of normals and stem axes that do not
     depend on their sign, which is arbitrary.
     """
     axis, normal = tree.vectors[:, STEM_AXIS], tree.vectors[:, NORMAL]
     together = (axis * normal).sum(dim=1, keepdim=True).square()
     upper = tree.tensors[..., *SYMMETRIC].flatten(1)  # [V, 6 R]
-    own = [tree.scalars, _squares(normal), _squares(axis), together, axis[:, 2:], tree.surface, upper]
+    own = [tree.scalars, _second_moments(normal), _second_moments(axis), together, axis[:, 2:], tree.surface, upper]
     return torch.cat(own, dim=1)
 
 
-def _squares(vectors: Float32[Tensor, "V 3"]) -> Float32[Tensor, "V 6"]:
+def _second_moments(vectors: Float32[Tensor, "V 3"]) -> Float32[Tensor, "V 6"]:
     return torch.cat([vectors.square(), vectors * vectors.roll(1, dims=1)], dim=1)

@@ -16,7 +16,7 @@ from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.small.denoiser import DenoiserCondition, denoise
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import MAX_NETWORK_VOXELS, PreparedTree, prepare_tree
-from dynamictree.models.threads import best_device, moved_to, run_on_cores
+from dynamictree.models.threads import best_device, run_on_cores, to_device
 from dynamictree.models.voxel_resolution import halvings_between
 from dynamictree.models.wind import MIN_SPEED
 from dynamictree.spectrum import Wind
@@ -104,7 +104,7 @@ class SmallModel(MotionModel):
         bands = [slice(k, k + band) for k in range(first, preset.num_frequencies - 1, band)]
         frequency = torch.arange(1, preset.num_frequencies)[None]
         given = (prepared.nodes, prepared.wind, frequency, prepared.node_log_amplitude, prepared.neighbourhood)
-        nodes, wind, frequency, log_size, around = moved_to(device, given)
+        nodes, wind, frequency, log_size, around = to_device(device, given)
         condition = self.network.denoiser.condition(
             nodes, wind, frequency=frequency, log_amplitude=log_size, neighbourhood=around
         )

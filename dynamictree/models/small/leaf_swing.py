@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from dynamictree.models.small.foliage import ARM, ARM_SCALE
-from dynamictree.models.small.spread import power_of
+from dynamictree.models.small.spread import squared_magnitude
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_GAIN = 2.0
@@ -71,4 +71,4 @@ def arms_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O
 
 
 def _size(vectors: Complex64[Tensor, "V K 3"]) -> Float32[Tensor, "V K"]:
-    return power_of(vectors).sum(dim=2).sqrt()
+    return squared_magnitude(vectors).sum(dim=2).sqrt()

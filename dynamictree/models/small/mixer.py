@@ -19,10 +19,10 @@ from dynamictree.models.small.features import TreeFeatures
 from dynamictree.sparse.matrices import (
     SparseRows,
     link_matrices,
+    neighbour_means,
     pool_matrix,
-    raise_matrix,
     sparse_rows,
-    touching,
+    upsample_matrix,
 )
 
 NUM_NEAR = 4
@@ -41,11 +41,11 @@ def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
     """Build the operators of one tree, given at its nodes (see `coarsen_features`)."""
     grids, size = nodes.grids, len(nodes.scalars)
     pools = [pool_matrix(grids, depth, 0) for depth in (1, 2)]
-    raises = [raise_matrix(grids, depth, depth - 1, steps=1) for depth in (1, 2)]
+    raises = [upsample_matrix(grids, depth, depth - 1, steps=1) for depth in (1, 2)]
     pools.append(csr_array(np.full((1, size), 1 / size, np.float32)))
     raises.append(csr_array(np.ones((len(grids.levels[2]), 1), np.float32)))
     own = eye_array(size, dtype=np.float32)
-    near = vstack([own, touching(grids.levels[0]), *link_matrices(nodes.links, size)], format="csr")
+    near = vstack([own, neighbour_means(grids.levels[0]), *link_matrices(nodes.links, size)], format="csr")
     node_by_node = np.arange(NUM_NEAR * size).reshape(NUM_NEAR, size).T.ravel()
     return Neighbourhood(
         near=sparse_rows(csr_array(near[node_by_node])),

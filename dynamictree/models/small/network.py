@@ -3,7 +3,7 @@
 The field of a motion is √(1 - ρ²) lift(u) + ρ n, with u and n of unit variance. u is on the nodes (level `top` of the
 pyramid, 32³ of a 128³ grid). n is noise per leaf, for motion smaller than a node; ρ² is its share, per frequency, in a
 voxel that is all leaf; wood moves like its nodes. A spectrum has the field's phases, and sizes that spread about A like
-the field's (`spread.sized`). The size over the whole crown depends only on shape and wind: more wind moves it further.
+the field's (`spread.with_spread`). Shape and wind alone decide the whole crown's size: more wind moves it further.
 """
 
 from dataclasses import dataclass, field

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from dynamictree.diffusion.channels import unpack_channels
-from dynamictree.models.small.amplitude import moving
+from dynamictree.models.small.amplitude import above_floor
 from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
 from dynamictree.models.small.features import (
     NUM_WIND,
@@ -23,10 +23,10 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import at_speed, log_surplus, of_unit_power, sized
+from dynamictree.models.small.spread import at_speed, log_surplus, to_unit_power, with_spread
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
-from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
+from dynamictree.sparse.matrices import SparseRows, neighbour_means, sparse_rows, unit_rows, upsample_matrix
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -69,10 +69,10 @@ class PreparedTree:
         """Combine lean and sway by the network's formula, leaves swinging: over the height, in the wind's frame."""
         for lift in self.lifts:
             whitened = lift.apply(whitened)
-        nodes = of_unit_power(unpack_channels(whitened))
-        leaf = of_unit_power(unpack_channels(self.leaf_lift.apply(white)))
+        nodes = to_unit_power(unpack_channels(whitened))
+        leaf = to_unit_power(unpack_channels(self.leaf_lift.apply(white)))
         field = (1 - self.leaf_share).sqrt() * nodes + self.leaf_share.sqrt() * leaf
-        moving = sized(field, self.spread) * self.amplitude
+        moving = with_spread(field, self.spread) * self.amplitude
         return self.leaves.swing(torch.cat([self.lean[:, None].to(moving.dtype), moving], dim=1))
 
     def to_metres(self, relative: Complex64[Tensor, "V K 3"]) -> Complex64[np.ndarray, "X K 3"]:
@@ -104,12 +104,12 @@ def prepare_tree(
     nodes = coarsen_features(tree, top)
     with ThreadPoolExecutor(1) as pool:  # runs in parallel to the foliage network, which has one core
         noise = pool.submit(noise_basis, nodes.grids, nodes.links)
-        lift = pool.submit(raise_matrix, tree.grids, top - 1, 0)
+        lift = pool.submit(upsample_matrix, tree.grids, top - 1, 0)
         foliage_values = network.foliage(tree)
     from_cells = lift.result()
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
     spread = at_speed(network.spread, air[0, 0])
-    rms = moving(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
+    rms = above_floor(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / fixed_share).square()).exp()  # [V]
     leaves = leaves_of(coarse.grid, foliage_values, free, axes)
     return PreparedTree(
@@ -119,12 +119,12 @@ def prepare_tree(
         noise=noise.result(),
         neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
-        lean=sparse_rows(touching(tree.grids.levels[0])).apply(lean) * free[:, None],
+        lean=sparse_rows(neighbour_means(tree.grids.levels[0])).apply(lean) * free[:, None],
         amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
         spread=spread,
         leaf_share=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
         leaves=leaves,
-        lifts=(sparse_rows(raise_matrix(tree.grids, top, top - 1)), sparse_rows(from_cells)),
+        lifts=(sparse_rows(upsample_matrix(tree.grids, top, top - 1)), sparse_rows(from_cells)),
         leaf_lift=sparse_rows(csr_array(unit_rows(from_cells)[leaves.base.numpy()])),
         network=network,
         axes=axes,

@@ -30,19 +30,19 @@ def log_surplus(spread: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
     return np.euler_gamma * spread + torch.lgamma(1 + spread)
 
 
-def power_of(field: Complex64[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
+def squared_magnitude(field: Complex64[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
     """Compute |z|² without the square root of |z|."""
     power: Tensor = torch.view_as_real(field).square().sum(dim=-1)
     return power
 
 
-def of_unit_power(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
+def to_unit_power(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
     """Scale a field to a mean square of 1."""
-    return field / power_of(field).mean(dim=0).clamp_min(torch.finfo(torch.float32).tiny).sqrt()
+    return field / squared_magnitude(field).mean(dim=0).clamp_min(torch.finfo(torch.float32).tiny).sqrt()
 
 
-def sized(field: Complex64[Tensor, "V J 3"], spread: Float32[Tensor, "J 3"]) -> Complex64[Tensor, "V J 3"]:
+def with_spread(field: Complex64[Tensor, "V J 3"], spread: Float32[Tensor, "J 3"]) -> Complex64[Tensor, "V J 3"]:
     """Change the spread of the sizes of a complex normal field, at a mean square of 1; phases stay."""
-    field = of_unit_power(field)
-    power = power_of(field) + 1e-2  # bounds the steepness near zeros, where the phase turns within a voxel
+    field = to_unit_power(field)
+    power = squared_magnitude(field) + 1e-2  # bounds the steepness near zeros, where the phase turns within a voxel
     return field * torch.exp(((spread - 1) * power.log() - torch.lgamma(1 + spread)) / 2)

@@ -27,7 +27,7 @@ def surface_features(
     Args:
         grid: grid of the moments.
         moments: see `voxel.moments`.
-        touching: mean over touching voxels, see `sparse.matrices.touching`.
+        touching: mean over touching voxels, see `sparse.matrices.neighbour_means`.
         has_moments: whether the moments are those of a mesh.
     """
     centre = grid.coords.mean(axis=0)

@@ -11,11 +11,11 @@ from safetensors.torch import save_file
 from dynamictree.errors import Cancelled, CheckpointError, InputError
 from dynamictree.models import MotionModel, load_model
 from dynamictree.models.motion_model import Sampling
-from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS, moving
+from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS, above_floor
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, gusts_at
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from dynamictree.models.small.spread import log_surplus, sized
+from dynamictree.models.small.spread import log_surplus, with_spread
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.weights_file import write_weights
 from dynamictree.models.wind import REFERENCE_SPEED
@@ -98,9 +98,9 @@ def test_the_motion_does_not_depend_on_the_number_of_cores(
 
 def test_what_is_at_the_floor_of_the_training_stands_exactly_still() -> None:
     gust = torch.tensor([[math.log(REFERENCE_SPEED), 0.3]])  # where the drag is 1
-    still = moving(torch.full((2, 15, 3), math.log(0.299 * FLOOR)), gust)
+    still = above_floor(torch.full((2, 15, 3), math.log(0.299 * FLOOR)), gust)
     assert (still == 0).all()
-    assert moving(torch.full((1, 15, 3), -5.0), gust) == pytest.approx(math.exp(-5.0), rel=1e-4)
+    assert above_floor(torch.full((1, 15, 3), -5.0), gust) == pytest.approx(math.exp(-5.0), rel=1e-4)
 
 
 def test_what_hardly_moves_hardly_leans() -> None:
@@ -238,7 +238,7 @@ def test_sizes_get_their_spread_and_phases_stay(spread: float) -> None:
     generator = torch.Generator().manual_seed(0)
     field = torch.randn(100_000, 1, 3, dtype=torch.complex64, generator=generator)
     alike = torch.full((1, 3), spread)
-    drawn = sized(field, alike)
+    drawn = with_spread(field, alike)
     torch.testing.assert_close(drawn.angle(), field.angle(), atol=1e-3, rtol=0)
     assert drawn.abs().square().mean().log().item() == pytest.approx(0, abs=0.06)
     assert drawn.abs().log().mean().item() == pytest.approx(-log_surplus(alike)[0, 0].item() / 2, abs=0.06)

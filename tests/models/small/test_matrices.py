@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, noise_basis
 from dynamictree.models.small.features import TreeFeatures, coarsen_features, turn_features
 from dynamictree.models.small.mixer import MixerBlock, batch_neighbourhoods, neighbourhood
-from dynamictree.sparse.matrices import link_matrices, pool_matrix, raise_matrix, sparse_rows, touching
+from dynamictree.sparse.matrices import link_matrices, neighbour_means, pool_matrix, sparse_rows, upsample_matrix
 from dynamictree.sparse.pool import pool_to, upsample
 
 
@@ -25,9 +25,9 @@ def test_pool_matrix_is_pooling_and_raising_keeps_constants(tree: TreeFeatures) 
     values = torch.randn(len(tree.scalars), 3)
     pooled = pool_matrix(tree.grids, 1, 0) @ values.numpy()
     torch.testing.assert_close(torch.from_numpy(pooled), pool_to(values, tree.grids, 1))
-    raised = raise_matrix(tree.grids, 2, 0)
+    raised = upsample_matrix(tree.grids, 2, 0)
     np.testing.assert_allclose(raised @ np.ones(raised.shape[1]), 1, rtol=1e-5)
-    nearest = raise_matrix(tree.grids, 1, 0, steps=0) @ pooled
+    nearest = upsample_matrix(tree.grids, 1, 0, steps=0) @ pooled
     torch.testing.assert_close(torch.from_numpy(nearest), upsample(torch.from_numpy(pooled), tree.grids.parents[0]))
 
 
@@ -40,7 +40,7 @@ def test_links_average_over_bearers_and_borne() -> None:
 
 def test_touching_reaches_neighbours_only(tree: TreeFeatures) -> None:
     level = tree.grids.levels[0]
-    rows, columns = touching(level).nonzero()
+    rows, columns = neighbour_means(level).nonzero()
     assert (level.coords[rows] - level.coords[columns]).abs().max() == 1
 
 
