@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict
 
 from dynamictree.errors import DynamicTreeError, FormatError, InputError
 from dynamictree.formats.film import ffmpeg_program
-from dynamictree.reconstruct.film_photos import Stretch, write_sharp_frames
+from dynamictree.reconstruct.film_photos import FrameRange, write_sharp_frames
 from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.photos import Given, OnPhoto, Photo, PhotoFile, read_photos
 from jobs.storage.parser_process import FOLDER, child_environment
@@ -39,7 +39,7 @@ class Request(BaseModel):
     photos: tuple[PhotoFile, ...] = ()
     root: Path | None = None
     film: Path | None = None
-    wanted: int | tuple[Stretch, ...] = 0  # number of frames to choose, or their stretches
+    wanted: int | tuple[FrameRange, ...] = 0  # number of frames to choose, or their stretches
 
 
 class Answer(BaseModel):
@@ -69,7 +69,7 @@ def read_confined(
 
 
 def write_confined_frames(
-    video: Path, folder: Path, wanted: int | Sequence[Stretch], on_work: Callable[[], None]
+    video: Path, folder: Path, wanted: int | Sequence[FrameRange], on_work: Callable[[], None]
 ) -> list[Path]:
     """Run `write_sharp_frames` in a confined child. An exception of `on_work` ends the child and passes through.
 

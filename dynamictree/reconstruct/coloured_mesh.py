@@ -14,10 +14,10 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import MeshLook, TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
-from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
+from dynamictree.reconstruct.fusion import EMPTY_SURFACE, Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.scene import CLUSTER_GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
-from dynamictree.reconstruct.surface_choice import BESIDE, best_mesh
+from dynamictree.reconstruct.surface_choice import NEAR_SHARE, best_mesh
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
 
@@ -30,9 +30,9 @@ def stereo_surface(scene: Scene) -> Surface:
     """Fuse the depth maps into the subject's surface; empty if they show none."""
     voxels = 128  # number along the longest side
     if scene.subject is None:
-        return NOTHING
+        return EMPTY_SURFACE
     fused = fuse(scene.depths.views, scene.depths.depths, scene.subject, resolution=voxels)
-    return main_cluster(above(fused, scene.cut), GAP)
+    return main_cluster(above(fused, scene.cut), CLUSTER_GAP)
 
 
 def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
@@ -54,7 +54,7 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     except (InputError, ValueError) as error:
         problem = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
         raise ReconstructionError(f"{problem}; {ADVICE}") from error
-    return main_cluster(Surface(mesh.vertices, mesh.faces), GAP)
+    return main_cluster(Surface(mesh.vertices, mesh.faces), CLUSTER_GAP)
 
 
 def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequence[str]) -> tuple[TriangleMesh, str]:
@@ -66,9 +66,9 @@ def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequenc
     meshes = {}
     stereo = stereo_surface(scene)
     if len(stereo.faces) >= LEAST_FACES:
-        meshes["stereo"] = coloured(stereo, scene)
+        meshes["stereo"] = finished_mesh(stereo, scene)
     try:
-        meshes["splat"] = coloured(splat_surface(table, scene), scene)
+        meshes["splat"] = finished_mesh(splat_surface(table, scene), scene)
     except ReconstructionError:
         if not meshes:
             raise
@@ -77,7 +77,7 @@ def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequenc
     return meshes[name], name
 
 
-def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
+def finished_mesh(surface: Surface, scene: Scene) -> TriangleMesh:
     """Decimate, smooth and colour a surface in the scene's frame.
 
     Raises:
@@ -166,13 +166,13 @@ def mesh_of_plant(
         mesh = mesh_of_cloud(scene.subset(own), cells_along=CELLS, max_faces=MAX_FACES, one_skin=True)
     except (InputError, MeshError, ValueError) as error:
         raise InputError(f"{int(own.sum())} Gaussians have no surface: {error}; choose more of the scene") from error
-    surface = main_cluster(Surface(mesh.vertices, mesh.faces), GAP * radius_m)
+    surface = main_cluster(Surface(mesh.vertices, mesh.faces), CLUSTER_GAP * radius_m)
     if len(surface.faces) < 50:
         raise InputError(f"the surface has {len(surface.faces)} faces; 50 are needed; choose more of the scene")
     assert mesh.look.vertex_colors is not None
     colors = mesh.look.vertex_colors[cKDTree(mesh.vertices).query(surface.vertices)[1]]
     if whole.look.vertex_colors is not None:
-        gap, nearest = cKDTree(whole.vertices).query(surface.vertices, distance_upper_bound=BESIDE * radius_m)
+        gap, nearest = cKDTree(whole.vertices).query(surface.vertices, distance_upper_bound=NEAR_SHARE * radius_m)
         near = np.isfinite(gap)
         colors[near] = whole.look.vertex_colors[np.asarray(nearest)[near]]
     return TriangleMesh(vertices=surface.vertices, faces=surface.faces, look=MeshLook(vertex_colors=colors))

@@ -16,7 +16,7 @@ _SAME, _MOST = np.log(1.03), np.log(2.5)
 """Logarithms of gains: photos within the first are left unchanged; gains are clipped to the second."""
 
 
-def evenly_exposed(model: SparseModel) -> SparseModel:
+def equalise_exposure(model: SparseModel) -> SparseModel:
     """Return the model with photos of equal exposure and white balance; unchanged if they differ by less than 3 %."""
     log_gain = log_gains(model)
     if np.abs(log_gain).max(initial=0) < _SAME:

@@ -21,7 +21,7 @@ _REDUCED = "force_original_aspect_ratio=decrease:flags=lanczos"
 
 
 @dataclass(frozen=True)
-class Stretch:
+class FrameRange:
     """Range of a film's frames, from `first` up to `end`, from which `count` frames are to be chosen."""
 
     first: int
@@ -29,13 +29,13 @@ class Stretch:
     count: int
 
 
-WriteFrames = Callable[[Path, Path, int | Sequence[Stretch], Callable[[], None]], list[Path]]
+WriteFrames = Callable[[Path, Path, int | Sequence[FrameRange], Callable[[], None]], list[Path]]
 
 
 def write_sharp_frames(
     video: Path,
     folder: Path,
-    wanted: int | Sequence[Stretch] = PHOTOS_OF_VIDEO,
+    wanted: int | Sequence[FrameRange] = PHOTOS_OF_VIDEO,
     on_work: Callable[[], None] = lambda: None,
 ) -> list[Path]:
     """Write sharp frames of a film as `frame-00123.png` (frame number), rotated as players show it; return the paths.
@@ -55,7 +55,7 @@ def write_sharp_frames(
     if isinstance(wanted, int) and not MIN_PHOTOS <= wanted <= MAX_PHOTOS:
         raise InputError(f"{wanted} frames are asked for; a reconstruction takes {MIN_PHOTOS} to {MAX_PHOTOS} photos")
     sharpness = _sharpness(video, on_work)
-    stretches = [Stretch(0, len(sharpness), wanted)] if isinstance(wanted, int) else wanted
+    stretches = [FrameRange(0, len(sharpness), wanted)] if isinstance(wanted, int) else wanted
     if isinstance(wanted, int) and len(sharpness) < wanted:
         raise InputError(
             f"{video.name} has {len(sharpness)} frames, {wanted} are to be chosen; "
@@ -90,7 +90,7 @@ def frame_of(name: str) -> int:
     return int(name.removeprefix("frame-").removesuffix(".png"))
 
 
-def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) -> list[Stretch]:
+def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) -> list[FrameRange]:
     """List the ranges of a film that need more frames: next to frames without a camera, and where the walk was fast.
 
     Args:
@@ -107,7 +107,7 @@ def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) 
                 continue
         count = min(max(2, int(angle / filled_deg)), second - first - 1)
         if count > 0:
-            stretches.append(Stretch(first + 1, second, count))
+            stretches.append(FrameRange(first + 1, second, count))
     return stretches
 
 
@@ -179,7 +179,7 @@ class FilmPhotos:
         self._add(stretches)
         return self._frames()
 
-    def _add(self, wanted: int | Sequence[Stretch]) -> None:
+    def _add(self, wanted: int | Sequence[FrameRange]) -> None:
         """Write frames to a temporary folder, and move them once they are complete."""
         unfinished = self.folder.with_name(f"{self.folder.name}.unfinished")
         rmtree(unfinished, ignore_errors=True)

@@ -40,7 +40,7 @@ class _Volume(NamedTuple):
     voxel: float
 
 
-NOTHING = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+EMPTY_SURFACE = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 
 
 def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box: Box, *, resolution: int) -> Surface:
@@ -58,7 +58,7 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
     whole = minimum_filter(observed, size=2, mode="constant", cval=0)
     crossed = minimum_filter(distance, size=2, mode="nearest") < 0
     if not (whole & crossed & (maximum_filter(distance, size=2, mode="nearest") > 0)).any():
-        return NOTHING
+        return EMPTY_SURFACE
     # "descent" turns faces outward where the inside is negative (skimage's text says the opposite; tested)
     vertices, faces, _, _ = marching_cubes(distance, 0.0, mask=whole, gradient_direction="descent")  # type: ignore[no-untyped-call]
     return Surface((box.low + (vertices + 0.5) * voxel).astype(np.float32), faces.astype(np.int32))
@@ -75,7 +75,7 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
     piece_of_face = connected_parts(surface.faces, len(surface.vertices))[surface.faces[:, 0]]
     large = np.flatnonzero((np.bincount(piece_of_face) >= speck_faces)[piece_of_face])
     if len(large) == 0:
-        return NOTHING
+        return EMPTY_SURFACE
     centres = surface.vertices[surface.faces[large]].mean(axis=1)
     cells = ((centres - centres.min(axis=0)) / gap).astype(int)
     occupied = np.zeros(cells.max(axis=0) + 1, bool)

@@ -23,18 +23,18 @@ from dynamictree.reconstruct.cameras import pairs_to_match
 from dynamictree.reconstruct.input_cameras import InputCamera
 from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, placed_markers
 from dynamictree.reconstruct.photos import Photo
-from dynamictree.reconstruct.refine_poses import refined
+from dynamictree.reconstruct.refine_poses import refine_poses
 
 DATABASES = ("features.db", "features-whole.db")
 """Databases of features within masks (everywhere if there are none), and of features everywhere despite masks."""
 MAX_MEMORY_BYTES = 12 * 2**30
 _SEED = 1
-_ENOUGH, _FEW = 0.9, 0.5  # [share of the photos]
+_GOOD_SHARE, _POOR_SHARE = 0.9, 0.5  # [share of the photos]
 _POINT_THRESHOLDS = (  # options of COLMAP's triangulation
     *("create_max_angle_error", "continue_max_angle_error"),
     *("merge_max_reproj_error", "complete_max_reproj_error"),
 )
-_FLOWN = 30  # [median distance of the cameras from their middle]; a camera farther away is wrong
+_MAX_DISTANCE = 30  # [median distance of the cameras from their middle]; a camera farther away is wrong
 
 
 def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | None) -> None:
@@ -47,7 +47,7 @@ def map_photos(folder: Path, photos: list[Photo], given: list[InputCamera] | Non
     most = 0.9 if given is None and masked else 1.0  # share of the progress: a second search is rare
     search = _Search(folder=folder, photos=photos, given=given, part=(0.0, most))
     model = search.model()
-    if given is None and masked and (model is None or model.num_reg_images() < _FEW * len(photos)):
+    if given is None and masked and (model is None or model.num_reg_images() < _POOR_SHARE * len(photos)):
         unmasked = [replace(photo, masked=False) for photo in photos]
         whole_search = replace(search, photos=unmasked, part=(most, 1.0), database_name=DATABASES[1])
         whole = whole_search.model()
@@ -168,11 +168,11 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
     for attempt, (min_inliers, min_ratio) in enumerate(pose_inliers):
         models = _map_once(search, attempt, min_inliers, min_ratio)
         for model in models.values():
-            leave_out_loose(model)
+            leave_out_unreliable(model)
         best = max(
             [*models.values(), *([best] if best else [])], key=pycolmap.Reconstruction.num_reg_images, default=None
         )
-        if best is not None and best.num_reg_images() >= _ENOUGH * len(search.photos):
+        if best is not None and best.num_reg_images() >= _GOOD_SHARE * len(search.photos):
             break
     return best
 
@@ -203,12 +203,12 @@ def _with_points(search: _Search, given: list[InputCamera]) -> pycolmap.Reconstr
         return result
 
     positions = {name: -pose[:, :3].T @ pose[:, 3] for name, pose in poses.items()}
-    result = refined(triangulated(model), positions, triangulated)
+    result = refine_poses(triangulated(model), positions, triangulated)
     search.tell("cameras", 1, 1)
     return result
 
 
-def leave_out_loose(model: pycolmap.Reconstruction) -> None:
+def leave_out_unreliable(model: pycolmap.Reconstruction) -> None:
     """Remove photos that see few points, or whose camera is far from the others: their poses are unreliable."""
     least_points = 50  # points that a photo must see; those of the orbit above see 200 and more
     posed = [image for image in model.images.values() if image.has_pose]
@@ -216,7 +216,7 @@ def leave_out_loose(model: pycolmap.Reconstruction) -> None:
         return
     positions = np.array([image.projection_center() for image in posed])
     away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    for image, flown in zip(posed, away > _FLOWN * np.median(away), strict=True):
+    for image, flown in zip(posed, away > _MAX_DISTANCE * np.median(away), strict=True):
         if flown or image.num_points3D < least_points:
             model.deregister_frame(image.frame_id)
 
@@ -249,7 +249,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     chosen, undistorted = folder / "chosen", folder / "undistorted"
     chosen.mkdir(exist_ok=True)
     for camera in model.cameras.values():
-        straighten(camera)
+        replace_weak_lens(camera)
     model.write(chosen)
     pycolmap.undistort_images(undistorted, chosen, folder / "photos", num_threads=threads, jpeg_quality=95)
     if masked:
@@ -293,7 +293,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     error_px = model.compute_mean_reprojection_error()
     being_written = folder / "views.part"
     with pycolmap.Database.open(search.database) as database:
-        left_out = reasons(database, {str(view["name"]) for view in views})
+        left_out = failure_reasons(database, {str(view["name"]) for view in views})
     markers = [asdict(marker) for marker in placed_markers(sightings)]
     document = {"reprojection_error_px": error_px, "views": views, "left_out": left_out, "markers": markers}
     being_written.write_text(json.dumps(document))
@@ -301,7 +301,7 @@ def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[s
     search.tell("undistort", 1, 1)
 
 
-def straighten(camera: pycolmap.Camera) -> None:
+def replace_weak_lens(camera: pycolmap.Camera) -> None:
     """Replace a lens whose distortion is below a tenth of a pixel everywhere with a pinhole, in place.
 
     COLMAP copies photos of a pinhole camera; it resamples all others, a pixel smaller and shifted by half a pixel.
@@ -321,7 +321,7 @@ def _end_with_parent() -> None:
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
-def reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, str]:
+def failure_reasons(database: pycolmap.Database, placed: Container[str]) -> dict[str, str]:
     """Explain, for each photo that is not `placed`, why it has no camera; by its name in the database."""
     images = database.read_all_images()
     others = [image.image_id for image in images if image.name in placed]

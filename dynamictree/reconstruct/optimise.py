@@ -76,7 +76,7 @@ def optimise(
     while state.step < schedule.num_steps:
         on_step(state)
         rng = np.random.default_rng([1, state.step])
-        shrink = _shrink(schedule, state.step)
+        shrink = _size_divisor(schedule, state.step)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
         _one_step(state, levels.target(state.step, shrink), task, schedule, degree, rng)
         if levels.held_out and state.step % schedule.check_every == 0:
@@ -94,12 +94,12 @@ def _one_step(
     drawing = draw(cloud_of(state.table, degree), target.camera, width=width, height=height)
     behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
     rendered, wanted = (np.empty((3, height, width), np.float32) for _ in range(2))
-    in_bands(_compose, height, drawing.picture, target.photo, _given(target.alpha), behind, rendered, wanted)
+    in_bands(_compose, height, drawing.picture, target.photo, _plane_or_empty(target.alpha), behind, rendered, wanted)
     loss = picture_loss(rendered, wanted, ssim_share=SSIM_SHARE)
-    depth = _given(target.depth)
+    depth = _plane_or_empty(target.depth)
     share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps) / max(np.count_nonzero(depth), 1)
     gradient = np.empty_like(drawing.picture)
-    in_bands(_back, height, drawing.picture, loss.gradient, behind, depth, np.float32(share), gradient)
+    in_bands(_loss_gradient, height, drawing.picture, loss.gradient, behind, depth, np.float32(share), gradient)
     gradients = gradients_of(drawing, gradient, width=state.table.shape[1])
     half_size = np.array([0.5 * width, 0.5 * height], np.float32)
     state.pull[0] += np.hypot(*(half_size * gradients.centres_px).T)
@@ -111,7 +111,7 @@ def _one_step(
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
 
 
-def _given(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w"]:
+def _plane_or_empty(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w"]:
     return np.zeros((0, 0), np.float32) if plane is None else plane
 
 
@@ -132,7 +132,7 @@ def _compose(first, end, picture, photo, alpha, behind, rendered, wanted):
 
 @compiled_fused
 @no_type_check
-def _back(first, end, picture, loss, behind, depth, share, gradient):
+def _loss_gradient(first, end, picture, loss, behind, depth, share, gradient):
     """Compute the loss's gradient by the drawn picture: that of the planes, plus that of the mean relative depth error.
 
     The depth error is Σ w (z − z*) / z*, where z* is known; it leaves opacity alone.
@@ -167,17 +167,17 @@ def _rates(schedule: Schedule, state: SplatState, task: SplatTask) -> Float32[np
     return rates
 
 
-def _shrink(schedule: Schedule, step: int) -> int:
+def _size_divisor(schedule: Schedule, step: int) -> int:
     share = step / schedule.num_steps
     return next((smaller for until, smaller in schedule.coarser if share < until), 1)
 
 
 def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
     """Return the mean PSNR over the photos [dB]."""
-    return float(np.mean([psnr(drawn(table, target, sh_degree), on_black(target)) for target in targets]))
+    return float(np.mean([psnr(render_target(table, target, sh_degree), on_black(target)) for target in targets]))
 
 
-def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> Float32[np.ndarray, "H W 3"]:
+def render_target(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> Float32[np.ndarray, "H W 3"]:
     """Render the Gaussians for a target, on black."""
     height, width = target.photo.shape[:2]
     picture = draw(cloud_of(table, sh_degree), target.camera, width=width, height=height).picture
@@ -194,12 +194,12 @@ class _Levels:
     """Photos at every size of the schedule, in random order, shuffled anew after each epoch."""
 
     def __init__(self, task: SplatTask, schedule: Schedule) -> None:
-        self.held_out = [smaller(target, schedule.side_px) for target in task.held_out]
+        self.held_out = [downscaled(target, schedule.side_px) for target in task.held_out]
         sides = {1: schedule.side_px, **{by: schedule.side_px // by for _, by in schedule.coarser}}
         self._targets: dict[int, list[Target]] = {by: [] for by in sides}
         for target in task.targets:
             for by, side in sides.items():
-                self._targets[by].append(smaller(target, side))
+                self._targets[by].append(downscaled(target, side))
 
     def target(self, step: int, shrink: int) -> Target:
         targets = self._targets[shrink]
@@ -207,7 +207,7 @@ class _Levels:
         return targets[int(np.random.default_rng([2, turn]).permutation(len(targets))[place])]
 
 
-def smaller(target: Target, side_px: int) -> Target:
+def downscaled(target: Target, side_px: int) -> Target:
     """Reduce a target to at most `side_px` pixels per side."""
     height, width = target.photo.shape[:2]
     by = min(1.0, side_px / max(height, width))

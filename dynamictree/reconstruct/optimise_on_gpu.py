@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from dynamictree.gaussian.cuda import world_to_camera_matrix
 from dynamictree.gaussian.rasterize_kernel import NEAR_M, PIXEL_PX2
-from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, smaller
+from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, downscaled
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, WINDOW, psnr
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import COLOR, LOG_SCALE, LOGIT, MEAN, QUATERNION, REST
@@ -56,8 +56,8 @@ def optimise_on_gpu(
     )
     strategy.check_sanity(params, optimizers)
     running = strategy.initialize_state()
-    targets = [smaller(target, schedule.side_px) for target in task.targets]
-    held_out = [smaller(target, schedule.side_px) for target in task.held_out]
+    targets = [downscaled(target, schedule.side_px) for target in task.targets]
+    held_out = [downscaled(target, schedule.side_px) for target in task.held_out]
     while state.step < schedule.num_steps:
         on_step(state)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
@@ -65,7 +65,7 @@ def optimise_on_gpu(
             step = STEPS * state.step + part
             turn, place = divmod(step, len(targets))
             target = targets[int(np.random.default_rng([2, turn]).permutation(len(targets))[place])]
-            picture, wanted, information = _drawn(params, target, degree)
+            picture, wanted, information = _render(params, target, degree)
             loss = _loss(picture, wanted)
             loss = loss + regularity * (params["opacities"].sigmoid().mean() + params["scales"].exp().mean())
             loss.backward()
@@ -104,7 +104,7 @@ def _table(params: torch.nn.ParameterDict) -> Float[np.ndarray, "G P"]:
     return table
 
 
-def _drawn(params: torch.nn.ParameterDict, target: Target, degree: int) -> tuple[Picture, Picture, dict[str, Any]]:
+def _render(params: torch.nn.ParameterDict, target: Target, degree: int) -> tuple[Picture, Picture, dict[str, Any]]:
     """Render a target; return the picture and the photo, both on one random colour if the photo has a mask."""
     device, (height, width) = params["means"].device, target.photo.shape[:2]
     seen, alpha, information = gsplat.rasterization(
@@ -146,5 +146,5 @@ def _loss(picture: Picture, photo: Picture) -> Float[torch.Tensor, ""]:
 
 def _mean_psnr(params: torch.nn.ParameterDict, targets: list[Target], degree: int) -> float:
     with torch.no_grad():
-        pairs = [_drawn(params, target, degree)[:2] for target in targets]
+        pairs = [_render(params, target, degree)[:2] for target in targets]
     return float(np.mean([psnr(a.clamp(0, 1).cpu().numpy(), b.cpu().numpy()) for a, b in pairs]))

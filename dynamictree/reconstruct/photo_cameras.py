@@ -85,7 +85,7 @@ def camera_of_photo(views: list[PhotoCamera], name: str) -> PhotoCamera:
     return matching[0]
 
 
-def evenly(items: Sequence[Item], most: int) -> list[Item]:
+def evenly_chosen(items: Sequence[Item], most: int) -> list[Item]:
     """Choose at most so many items, evenly in their order."""
     return [items[row] for row in np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)]
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from dynamictree.files import opened
 from dynamictree.formats.tensors.container import read_tensors, write_tensors
-from dynamictree.reconstruct.photo_cameras import evenly
+from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.views import View
 
 PHOTO_PREVIEWS = "photos.safetensors"
@@ -33,7 +33,7 @@ def write_photo_previews(views: Sequence[View], folder: Path, *, needed: Collect
     """
     named = {row for row, view in enumerate(views) if view.source in needed}
     others = [row for row in range(len(views)) if row not in named]
-    chosen = [views[row] for row in sorted({*named, *evenly(others, max(MOST_PHOTOS - len(named), 0))})]
+    chosen = [views[row] for row in sorted({*named, *evenly_chosen(others, max(MOST_PHOTOS - len(named), 0))})]
     tensors = {f"photo_{number}": _jpeg(view.image) for number, view in enumerate(chosen)}
     names = json.dumps([view.source for view in chosen])
     with (folder / PHOTO_PREVIEWS).open("wb") as stream:

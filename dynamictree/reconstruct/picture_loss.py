@@ -10,8 +10,8 @@ from dynamictree.parallel import compiled_fused, in_bands
 SSIM_SHARE = 0.2  # λ of Kerbl et al.
 _RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
-_BELL = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
-WINDOW = (_BELL / _BELL.sum()).astype(np.float32)
+_GAUSSIAN = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
+WINDOW = (_GAUSSIAN / _GAUSSIAN.sum()).astype(np.float32)
 """SSIM's separable Gaussian window along one axis."""
 _W = tuple(WINDOW)
 _TAPS = 2 * _RADIUS + 1

@@ -19,9 +19,9 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.photo_requests import Scribble
-from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly_chosen
 from dynamictree.reconstruct.plant_proposal import Proposal, propose
-from dynamictree.reconstruct.scribbles import marked
+from dynamictree.reconstruct.scribbles import labels_of_strokes
 
 _NEIGHBOURS = 10
 
@@ -47,7 +47,7 @@ def plant_of(
     if masked and not scribbles:
         return every
     proposal = Proposal(near=every, background=~every, central=every) if masked else propose(cloud, views)
-    strokes = marked(
+    strokes = labels_of_strokes(
         cloud,
         views,
         scribbles,
@@ -197,7 +197,7 @@ def faint_floaters(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np
     return floaters
 
 
-def camouflaged(
+def background_coloured(
     cloud: GaussianCloud, own: Bool[np.ndarray, " G"], views: Sequence[PhotoCamera]
 ) -> Bool[np.ndarray, " G"]:
     """Return a mask of chosen Gaussians that have the colour of what is behind them in every view.
@@ -209,7 +209,7 @@ def camouflaged(
     rows = np.flatnonzero(own)
     color, rest = lab_of(cloud), cloud.subset(~own)
     largest = np.full(cloud.num_gaussians, -1.0)  # difference; negative if not chosen or outside of all views
-    for view in (view.reduced(side_px) for view in evenly(views, most_views)):
+    for view in (view.reduced(side_px) for view in evenly_chosen(views, most_views)):
         behind = render_on_cpu(rest, view.camera, width=view.width, height=view.height)
         x, y, depth = view.camera.project(cloud.means[rows].astype(np.float64), view.width, view.height).T
         seen = (depth > 0) & (x >= 0) & (x < view.width) & (y >= 0) & (y < view.height)

@@ -10,7 +10,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.planes import NEIGHBOURS, Direction, Plane, Points, best_plane, fit_plane, flat_points
 from dynamictree.plant.still import touching_groups
 from dynamictree.plant.still_cloud import find_still_gaussians
-from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly, focus_of
+from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly_chosen, focus_of
 
 _NEAR = 0.85  # share of the cameras' distance from their focus; Gaussians farther away are background
 _WHOLE = 0.7  # share of an object's Gaussians that must lie in most photos
@@ -36,7 +36,7 @@ def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     faint = 0.05  # opacity of nearly invisible Gaussians
     wide = 0.15  # share of the cameras' distance; wider Gaussians are background
     in_picture = 0.5  # share of the photos that must contain the plant; floors and walls extend beyond them
-    chosen = evenly(views, most_views)
+    chosen = evenly_chosen(views, most_views)
     focus, distance = focus_of(chosen)
     means = cloud.means.astype(np.float64)
     away = np.linalg.norm(means - focus, axis=1)

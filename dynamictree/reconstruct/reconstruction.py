@@ -17,7 +17,7 @@ from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnin
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import best_mesh_of
 from dynamictree.reconstruct.draft import Draft, OnFile
-from dynamictree.reconstruct.exposure import evenly_exposed
+from dynamictree.reconstruct.exposure import equalise_exposure
 from dynamictree.reconstruct.film_photos import Film, FilmPhotos, WriteFrames, write_sharp_frames
 from dynamictree.reconstruct.input_cameras import files_with_cameras
 from dynamictree.reconstruct.markers import metres_per_unit
@@ -32,9 +32,9 @@ from dynamictree.reconstruct.scene import Scene, find_scene
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import cloud_of
-from dynamictree.reconstruct.surface_choice import of_the_mesh
+from dynamictree.reconstruct.surface_choice import gaussians_near_mesh
 from dynamictree.reconstruct.views import SparseModel, read_model
-from dynamictree.reconstruct.work_folder import DEPTHS, PHOTOS, SPLAT, TIMES, alone_in_work, extend_work
+from dynamictree.reconstruct.work_folder import DEPTHS, PHOTOS, SPLAT, TIMES, extend_work, locked_work_folder
 
 _LEAST_GAUSSIANS = 50
 
@@ -101,7 +101,7 @@ def reconstruct(
             )
             photos, root = frames.first(), frames.folder
         listed = list_photos(photos, root, side_px=options.photo_px)
-        stack.enter_context(alone_in_work(path, _sources(listed, root), options))
+        stack.enter_context(locked_work_folder(path, _sources(listed, root), options))
         expected_s = expected_seconds(len(listed), options)
         half = 1.0 if frames is None else 0.5  # a film's cameras are searched twice, the second time with more frames
         expected_s["cameras"] /= half
@@ -113,7 +113,7 @@ def reconstruct(
             model = _find_cameras(listed, root, path, clock, callbacks.read_photos, part=(half, 1.0))
         write_cameras([view.photo_camera for view in model.views], folder, scale="unknown")
         callbacks.on_file(folder / "cameras.json")
-        model = evenly_exposed(model)
+        model = equalise_exposure(model)
         with clock.stage("depth") as report:
             scene = find_scene(
                 model, max_views=options.max_views, saved=path / DEPTHS, on_model=draft.show_points, on_progress=report
@@ -190,7 +190,7 @@ def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, 
     Raises:
         ReconstructionError: there are too few, which means that the cameras are wrong.
     """
-    own = of_the_mesh(scene, mesh, radius=1.0)
+    own = gaussians_near_mesh(scene, mesh, radius=1.0)
     if own.sum() < _LEAST_GAUSSIANS:
         raise ReconstructionError(
             f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; "

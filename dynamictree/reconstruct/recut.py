@@ -15,10 +15,10 @@ from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
-from dynamictree.reconstruct.plant_cut import camouflaged, faint_floaters, plant_of
+from dynamictree.reconstruct.plant_cut import background_coloured, faint_floaters, plant_of
 from dynamictree.reconstruct.report import PlantQuality, plant_quality, write_report_picture
 from dynamictree.reconstruct.result import Reconstruction
-from dynamictree.reconstruct.surface_choice import of_the_mesh
+from dynamictree.reconstruct.surface_choice import gaussians_near_mesh
 
 
 def recut(
@@ -84,7 +84,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
     """Cut the reconstruction to the plant's Gaussians and mesh."""
     scene, radius_m = finished.scene, finished.report["radius_m"]
     if not choice.cuts:
-        return replace(finished, own=of_the_mesh(scene, finished.mesh, radius=radius_m))
+        return replace(finished, own=gaussians_near_mesh(scene, finished.mesh, radius=radius_m))
     own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene, *choice.box_m)
     if choice.scribbles or choice.only_plant:
         masked = bool(finished.report.get("held_out_masked_psnr_db"))
@@ -98,13 +98,13 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
         _require_plant(own)
         on_progress(0.6)
         if not masked:  # masks leave no floaters, but twigs that look like them
-            own &= ~camouflaged(scene, own, finished.cameras)
+            own &= ~background_coloured(scene, own, finished.cameras)
             own &= ~faint_floaters(scene, own)
         on_progress(0.8)
     mesh = mesh_of_plant(scene, own, finished.mesh, radius_m)
     finished.report["mesh_by"] = "splat"
     if not (choice.scribbles or choice.only_plant):
-        own &= of_the_mesh(scene, mesh, radius=radius_m)
+        own &= gaussians_near_mesh(scene, mesh, radius=radius_m)
     _require_plant(own)
     return replace(finished, own=own, mesh=mesh)
 

@@ -16,7 +16,7 @@ ENOUGH_POINTS = 50
 Triangulate = Callable[[pycolmap.Reconstruction, float], pycolmap.Reconstruction]
 
 
-def refined(
+def refine_poses(
     model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], triangulate: Triangulate
 ) -> pycolmap.Reconstruction:
     """Adjust poses if the mean reprojection error exceeds 0.5 px; if it still does, also focal lengths and distortion.

@@ -12,7 +12,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.camera_circle import camera_circle, circle_picture
-from dynamictree.reconstruct.photo_cameras import evenly
+from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.photo_previews import read_photo_previews
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.result import Reconstruction
@@ -38,7 +38,7 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
 def photos_to_compare(held_out: Sequence[str]) -> list[str]:
     """Choose the held-out photos for `report.png`, evenly."""
     most_rows = 6  # number held out of 50 photos; more rows are hard to view
-    return evenly(held_out, most_rows)
+    return evenly_chosen(held_out, most_rows)
 
 
 def write_report_picture(result: Reconstruction, folder: Path) -> None:
@@ -76,7 +76,7 @@ def plant_quality(result: Reconstruction, folder: Path) -> PlantQuality | None:
     previews, scene, plant = read_photo_previews(folder), result.scene, result.own
     cameras = {one.photo: one.camera for one in result.cameras}
     names = [name for name in photos_to_compare(result.report["held_out"]) if name in previews]
-    photos = [(cameras[name], shrunk(previews[name], plant_side_px)) for name in names]
+    photos = [(cameras[name], downscaled_picture(previews[name], plant_side_px)) for name in names]
     values = []
     for camera, photo in photos:
         height, width = photo.shape[:2]
@@ -99,14 +99,14 @@ def comparison_row(
     mesh: TriangleMesh, scene: GaussianCloud, camera: Camera, photo: UInt8[np.ndarray, "H W 3"]
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Draw a photo, the splat and the mesh side by side, from the same camera and at the same size."""
-    small = shrunk(photo, _REPORT_SIDE_PX)
+    small = downscaled_picture(photo, _REPORT_SIDE_PX)
     height, width = small.shape[:2]
     splat = render_cloud(scene, camera, width=width, height=height).over((0.0, 0.0, 0.0))
     surface = Renderer(mesh, Look(width=width, height=height, ground=False)).picture(camera=camera)
     return np.concatenate([small, splat, surface], axis=1)
 
 
-def shrunk(picture: UInt8[np.ndarray, "H W 3"], side_px: int) -> UInt8[np.ndarray, "h w 3"]:
+def downscaled_picture(picture: UInt8[np.ndarray, "H W 3"], side_px: int) -> UInt8[np.ndarray, "h w 3"]:
     """Reduce a picture to at most `side_px` pixels per side."""
     image = Image.fromarray(picture)
     image.thumbnail((side_px, side_px), Image.Resampling.LANCZOS)

@@ -9,13 +9,13 @@ import numpy as np
 from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.depth import DepthMaps, find_depths, load_depths, outside_sky, save_depths
 from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
-from dynamictree.reconstruct.photo_cameras import evenly
+from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel
 
 LEAST_FACES = 200  # faces of a surface
-GAP = 0.06  # share of the region's radius; pieces closer together belong together
+CLUSTER_GAP = 0.06  # share of the region's radius; pieces closer together belong together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ def _subject(depths: DepthMaps, cut: float) -> Box | None:
     box_margin = 0.08  # share of the shape's extent, since thin ends have no depth
     voxels = 128  # number along the longest side
     region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
-    surface = main_cluster(above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), GAP)
+    surface = main_cluster(above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), CLUSTER_GAP)
     if len(surface.faces) < LEAST_FACES:
         return None
     low, high = (corner(surface.vertices, axis=0).astype(np.float64) for corner in (np.min, np.max))
@@ -87,7 +87,7 @@ def _subject(depths: DepthMaps, cut: float) -> Box | None:
 
 
 def _evenly_chosen(model: SparseModel, max_views: int) -> SparseModel:
-    chosen = evenly(range(len(model.views)), max_views)
+    chosen = evenly_chosen(range(len(model.views)), max_views)
     row_of = np.full(len(model.views), -1)
     row_of[chosen] = np.arange(len(chosen))
     seen = model.seen[row_of[model.seen[:, 0]] >= 0]

@@ -16,7 +16,7 @@ from dynamictree.reconstruct.photo_cameras import PhotoCamera, camera_of_photo
 from dynamictree.render.camera import Camera
 
 
-def marked(
+def labels_of_strokes(
     cloud: GaussianCloud,
     views: list[PhotoCamera],
     scribbles: Sequence[Scribble],

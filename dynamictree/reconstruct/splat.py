@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from dynamictree.gaussian.cuda import gsplat_is_there
 from dynamictree.reconstruct.depth import DepthMaps
-from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, drawn, on_black, optimise, smaller
+from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, downscaled, on_black, optimise, render_target
 from dynamictree.reconstruct.picture_loss import psnr, ssim
 from dynamictree.reconstruct.result import SplatFigures
 from dynamictree.reconstruct.sky import Foreground
@@ -119,8 +119,8 @@ def camera_extent(views: Sequence[View]) -> float:
 def _figures(
     state: SplatState, table: Float32[np.ndarray, "G P"], held_out: list[View], schedule: Schedule
 ) -> SplatFigures:
-    targets = [smaller(_target(view, None, None), schedule.side_px) for view in held_out]
-    pairs = [(drawn(table, target, schedule.sh_degree), on_black(target)) for target in targets]
+    targets = [downscaled(_target(view, None, None), schedule.side_px) for view in held_out]
+    pairs = [(render_target(table, target, schedule.sh_degree), on_black(target)) for target in targets]
     inside = [None if target.alpha is None else target.alpha > _INSIDE for target in targets]
     masked = [
         (picture[mask], photo[mask]) for (picture, photo), mask in zip(pairs, inside, strict=True) if mask is not None

@@ -154,7 +154,7 @@ def _agree(
 
 @compiled
 @no_type_check
-def _chance(x, y, number):
+def _hash_random(x, y, number):
     """Return a pseudo-random number in [0, 1), a hash of the pixel and a counter."""
     bits = np.uint32(x) * np.uint32(0x9E3779B1) ^ np.uint32(y) * np.uint32(0x85EBCA77)
     bits ^= np.uint32(number) * np.uint32(0xC2B2AE3D)
@@ -203,11 +203,11 @@ def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
                 else:
                     number = (seed * 64 + sweep) * 64 + trial * 4
                     wide = np.float32(0.3) if trial == 4 and sweep < 4 else spread * np.float32(0.08)
-                    new_inverse += wide * (most - least) * (_chance(x, y, number) - _HALF)
+                    new_inverse += wide * (most - least) * (_hash_random(x, y, number) - _HALF)
                     if trial != 5:
                         tilt = np.float32(2) * steepest * inverse * spread
-                        new_right += tilt * (_chance(x, y, number + 1) - _HALF)
-                        new_down += tilt * (_chance(x, y, number + 2) - _HALF)
+                        new_right += tilt * (_hash_random(x, y, number + 1) - _HALF)
+                        new_down += tilt * (_hash_random(x, y, number + 2) - _HALF)
                 limit = steepest * new_inverse
                 if not least <= new_inverse <= most or abs(new_right) > limit or abs(new_down) > limit:
                     continue

@@ -10,11 +10,11 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.picture_loss import psnr
-from dynamictree.reconstruct.report import shrunk
+from dynamictree.reconstruct.report import downscaled_picture
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer
 
-BESIDE = 0.02  # share of the region's radius; farthest distance of a mesh's Gaussian from it
+NEAR_SHARE = 0.02  # share of the region's radius; farthest distance of a mesh's Gaussian from it
 
 
 def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: Sequence[View], radius: float) -> str:
@@ -32,10 +32,10 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
     """
     if len(meshes) == 1:
         return next(iter(meshes))
-    own = np.any([of_the_mesh(scene, mesh, radius=radius) for mesh in meshes.values()], axis=0)
+    own = np.any([gaussians_near_mesh(scene, mesh, radius=radius) for mesh in meshes.values()], axis=0)
     scores: dict[str, list[float]] = {name: [] for name in meshes}
     for view in views:
-        photo = shrunk(view.image, 320).astype(np.float32) / 255
+        photo = downscaled_picture(view.image, 320).astype(np.float32) / 255
         height, width = photo.shape[:2]
         drawn = {name: _drawn(mesh, view, width, height) for name, mesh in meshes.items()}
         behind = render_on_cpu(scene.subset(~own), view.camera, width=width, height=height).over((0.0, 0.0, 0.0))
@@ -59,11 +59,11 @@ def _drawn(
     return of_face[face], face >= 0
 
 
-def of_the_mesh(cloud: GaussianCloud, mesh: TriangleMesh, *, radius: float) -> Bool[np.ndarray, " G"]:
+def gaussians_near_mesh(cloud: GaussianCloud, mesh: TriangleMesh, *, radius: float) -> Bool[np.ndarray, " G"]:
     """Select Gaussians near the mesh that are neither wide nor faint; `radius` is that of the region."""
     faintest = 0.02
     largest = 0.15  # share of the region's radius; wider Gaussians belong to the background
-    distance = cKDTree(mesh.vertices).query(cloud.means, distance_upper_bound=BESIDE * radius)[0]
+    distance = cKDTree(mesh.vertices).query(cloud.means, distance_upper_bound=NEAR_SHARE * radius)[0]
     narrow = cloud.scales.max(axis=1) < largest * radius
     chosen: Bool[np.ndarray, " G"] = np.isfinite(distance) & narrow & (cloud.opacity > faintest)
     return chosen

@@ -28,7 +28,7 @@ _RESULTS = {"photos.key": _OF_PHOTOS, "depths.key": ("depths.npz",), "splat.key"
 
 
 @contextmanager
-def alone_in_work(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> Iterator[None]:
+def locked_work_folder(path: Path, sources: Iterable[Path], options: ReconstructOptions) -> Iterator[None]:
     """Lock a folder, and delete its results that belong to other inputs.
 
     Args:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.coloured_mesh import coloured, photo_colors, stereo_surface
+from dynamictree.reconstruct.coloured_mesh import finished_mesh, photo_colors, stereo_surface
 from dynamictree.reconstruct.depth import stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
@@ -224,7 +224,7 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
     )
     scene = find_scene(replace(model, views=blank))
     with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
-        coloured(stereo_surface(scene), scene)
+        finished_mesh(stereo_surface(scene), scene)
 
 
 def test_what_masks_show_remains_where_stereo_sees_only_a_part(orbit, rng):

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dynamictree.reconstruct.exposure import evenly_exposed, log_gains
+from dynamictree.reconstruct.exposure import equalise_exposure, log_gains
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
 from tests.reconstruct.conftest import sparse_model
@@ -52,12 +52,12 @@ def test_gains_are_those_of_the_camera() -> None:
 
 
 def test_photos_are_brought_into_one_light() -> None:
-    assert np.abs(log_gains(evenly_exposed(uneven()))).max() < 0.02
+    assert np.abs(log_gains(equalise_exposure(uneven()))).max() < 0.02
 
 
 def test_photos_in_one_light_stay_as_they_are() -> None:
     model = photographed(ALIKE)
-    assert evenly_exposed(model) is model
+    assert equalise_exposure(model) is model
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02])
@@ -65,4 +65,4 @@ def test_a_photo_of_few_points_stays_as_it_is(share: float) -> None:
     model, dark = photographed(ALIKE), photographed(((0.5,) * 3, *ALIKE[1:]))
     few = model.seen[:, 0] > 0
     few[np.flatnonzero(~few)[: int(share * NUM_POINTS)]] = True
-    assert np.array_equal(evenly_exposed(replace(dark, seen=model.seen[few])).views[0].image, dark.views[0].image)
+    assert np.array_equal(equalise_exposure(replace(dark, seen=model.seen[few])).views[0].image, dark.views[0].image)

@@ -13,7 +13,7 @@ from dynamictree.reconstruct import Callbacks, Progress, reconstruct, reconstruc
 from dynamictree.reconstruct.film_photos import (
     Film,
     FilmPhotos,
-    Stretch,
+    FrameRange,
     chosen_frames,
     frame_name,
     frame_of,
@@ -47,14 +47,14 @@ class Recorder:
     """Writes empty frames, and remembers what was wanted."""
 
     def __init__(self) -> None:
-        self.wanted: list[int | Sequence[Stretch]] = []
+        self.wanted: list[int | Sequence[FrameRange]] = []
 
     def write(
-        self, film: Path, folder: Path, wanted: int | Sequence[Stretch], on_work: Callable[[], None]
+        self, film: Path, folder: Path, wanted: int | Sequence[FrameRange], on_work: Callable[[], None]
     ) -> list[Path]:
         on_work()
         self.wanted.append(wanted)
-        parts = [Stretch(frame, frame, 1) for frame in FRAMES] if isinstance(wanted, int) else wanted
+        parts = [FrameRange(frame, frame, 1) for frame in FRAMES] if isinstance(wanted, int) else wanted
         frames = [part.first + row for part in parts for row in range(part.count)]
         folder.mkdir()
         paths = [folder / frame_name(frame) for frame in frames]
@@ -119,7 +119,7 @@ def test_a_walk_that_was_registered_all_around_needs_no_more(photos: FilmPhotos,
 
 
 def test_a_fast_walk_is_sampled_more_closely_and_neither_neighbours_nor_what_was_not_walked_are_asked_for() -> None:
-    assert stretches_to_fill([0, 20, 40], {0: 350.0, 20: 35.0, 40: 50.0}) == [Stretch(1, 20, 4)]
+    assert stretches_to_fill([0, 20, 40], {0: 350.0, 20: 35.0, 40: 50.0}) == [FrameRange(1, 20, 4)]
     assert stretches_to_fill([0, 1, 2], {0: 0.0}) == []
     half = [frame for frame in FRAMES if frame < 155]
     assert stretches_to_fill(half, {frame: 360 * frame / 310 for frame in half}) == []

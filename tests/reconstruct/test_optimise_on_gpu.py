@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from dynamictree.gaussian.cuda import gsplat_is_there
-from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, drawn, mean_psnr
+from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, mean_psnr, render_target
 from dynamictree.reconstruct.picture_loss import picture_loss
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOGIT, MEAN, table_of_points
@@ -96,7 +96,7 @@ def task(rng) -> SplatTask:
     """Photos of Gaussians, cut out; the last one is held out."""
     truth = table_of(rng)
     targets = [Target(camera=camera, photo=np.zeros((HEIGHT, WIDTH, 3), np.float32)) for camera in CAMERAS]
-    targets = [replace(target, photo=drawn(truth, target, 1)) for target in targets]
+    targets = [replace(target, photo=render_target(truth, target, 1)) for target in targets]
     return SplatTask(targets=targets[:3], held_out=targets[3:], extent=2.5)
 
 

@@ -17,10 +17,10 @@ from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
 from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
-from dynamictree.reconstruct.plant_cut import camouflaged, faint_floaters, minimum_cut, plant_of
+from dynamictree.reconstruct.plant_cut import background_coloured, faint_floaters, minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
 from dynamictree.reconstruct.recut import recut
-from dynamictree.reconstruct.scribbles import _pixels, marked, weights_at
+from dynamictree.reconstruct.scribbles import _pixels, labels_of_strokes, weights_at
 from dynamictree.reconstruct.splat_table import cloud_of, table_of_points
 from tests.reconstruct.planted import Planted, coloured, on_lawn, potted, stroke_across, write_planted
 
@@ -79,14 +79,14 @@ def test_a_stroke_overrules_the_proposal() -> None:
     bench, tree = stroke_across(planted, BENCH), stroke_across(planted, 0)
     strokes = [bench.model_copy(update={"plant": True}), tree.model_copy(update={"plant": False})]
     own = plant_of(planted.scene, list(planted.views), strokes)
-    under = marked(planted.scene, list(planted.views), strokes)
+    under = labels_of_strokes(planted.scene, list(planted.views), strokes)
     assert own[under > 0].all()
     assert not own[under < 0].any()
 
 
 def test_only_gaussians_that_are_seen_are_under_a_stroke() -> None:
     planted = on_lawn()
-    under = marked(planted.scene, list(planted.views), [stroke_across(planted, BENCH)])
+    under = labels_of_strokes(planted.scene, list(planted.views), [stroke_across(planted, BENCH)])
     assert set(np.unique(under)) == {-1, 0}
     owners = planted.owner[under < 0]
     assert (owners == BENCH).mean() > 0.8  # the rest hangs before it
@@ -134,7 +134,7 @@ def test_a_stroke_on_no_photo_and_one_on_nothing_are_refused() -> None:
         plant_of(planted.scene, views, [Scribble(photo="no.jpg", plant=True, points=((0.5, 0.5),))])
     empty = coloured(planted.scene.subset(planted.owner == 5), (0.8, 0.8, 0.8))
     with pytest.raises(InputError, match="nothing is seen under the strokes of the plant"):
-        marked(empty, views, [Scribble(photo="00.jpg", plant=True, points=((0.01, 0.99),))])
+        labels_of_strokes(empty, views, [Scribble(photo="00.jpg", plant=True, points=((0.01, 0.99),))])
 
 
 def test_the_command_cuts_by_strokes_and_meshes_the_plant_alone(tmp_path) -> None:
@@ -242,7 +242,7 @@ def test_a_rim_in_the_colour_of_the_backdrop_is_not_the_plant(rng: np.random.Gen
     rim = coloured(replace(tree, means=near), (0, 0, 0))
     cloth = replace(rim.subset(np.arange(9)), means=10 * near[:9], scales=np.full((9, 3), 3, np.float32))
     own = np.repeat([True, True, False], [len(near), len(near), 9])
-    hidden = camouflaged(joined([tree, rim, cloth]), own, potted().views)
+    hidden = background_coloured(joined([tree, rim, cloth]), own, potted().views)
     assert hidden[len(near) :][own[len(near) :]].mean() > 0.99
     assert hidden[: len(near)].mean() < 0.01
 

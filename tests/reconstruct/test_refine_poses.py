@@ -11,9 +11,9 @@ from skimage.transform import SimilarityTransform
 
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.input_cameras import InputCamera
-from dynamictree.reconstruct.mapping import straighten
+from dynamictree.reconstruct.mapping import replace_weak_lens
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
-from dynamictree.reconstruct.refine_poses import ENOUGH_POINTS, ENOUGH_PX, refined
+from dynamictree.reconstruct.refine_poses import ENOUGH_POINTS, ENOUGH_PX, refine_poses
 from dynamictree.reconstruct.views import SparseModel
 from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
 from tests.reconstruct.test_input_cameras import FOCAL
@@ -77,7 +77,7 @@ def test_few_points_move_no_camera(num_points: int, moved: bool) -> None:
         posed.update_point_3d_errors()
         return posed
 
-    result = refined(same_points(model), given, same_points)
+    result = refine_poses(same_points(model), given, same_points)
     change = [np.linalg.norm(image.projection_center() - given[image.name]) for image in result.images.values()]
     assert (max(change) > 1e-4) == moved
     assert max(change) < 1
@@ -86,6 +86,6 @@ def test_few_points_move_no_camera(num_points: int, moved: bool) -> None:
 @pytest.mark.parametrize(("bend", "straight"), [(0.0, True), (1e-5, True), (-1e-4, True), (-0.02, False)])
 def test_photos_of_a_straight_lens_are_not_resampled(bend, straight):
     camera = pycolmap.Camera(**{**LENS, "params": [FOCAL, WIDTH / 2, HEIGHT / 2, bend]})
-    straighten(camera)
+    replace_weak_lens(camera)
     of_photo = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
     assert ((of_photo.width, of_photo.height) == (WIDTH, HEIGHT)) == straight

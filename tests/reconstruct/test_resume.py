@@ -17,7 +17,7 @@ from dynamictree.photo_requests import MIN_PHOTOS, LearningParams, Quality
 from dynamictree.reconstruct import ReconstructOptions, mapping
 from dynamictree.reconstruct.options import options_of
 from dynamictree.reconstruct.photos import Photo, list_photos, prepare_photos
-from dynamictree.reconstruct.work_folder import alone_in_work
+from dynamictree.reconstruct.work_folder import locked_work_folder
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_input_cameras import write_transforms
 
@@ -116,7 +116,7 @@ def test_results_outlast_what_they_do_not_depend_on(tmp_path):
 
     def left(quality: Quality, splat_steps: int | None = None) -> set[str]:
         options = options_of(LearningParams(quality=quality, splat_steps=splat_steps))
-        with alone_in_work(work, [photo], options):
+        with locked_work_folder(work, [photo], options):
             there = {name for name in results if (work / name).exists()}
             for name in results:
                 (work / name).touch()
@@ -133,9 +133,9 @@ def test_results_outlast_what_they_do_not_depend_on(tmp_path):
 
 def test_two_runs_do_not_share_a_work_folder(tmp_path):
     with (
-        alone_in_work(tmp_path / "work", [], ReconstructOptions()),
+        locked_work_folder(tmp_path / "work", [], ReconstructOptions()),
         pytest.raises(InputError, match="another process is at work in"),
-        alone_in_work(tmp_path / "work", [], ReconstructOptions()),
+        locked_work_folder(tmp_path / "work", [], ReconstructOptions()),
     ):
         pass
 

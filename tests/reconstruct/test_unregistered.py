@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dynamictree.reconstruct.mapping import leave_out_loose, reasons
+from dynamictree.reconstruct.mapping import failure_reasons, leave_out_unreliable
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def six_photos(num_points: int) -> pycolmap.SyntheticDatasetOptions:
 def test_each_photo_without_a_camera_has_its_reason(database: pycolmap.Database) -> None:
     names = [image.name for image in database.read_all_images()]
     placed = set(names) - {names[0], "stranger.png", "dark.png"}
-    sentences = reasons(database, placed)
+    sentences = failure_reasons(database, placed)
     assert set(sentences) == set(names) - placed
     assert "it has 3 features" in sentences["dark.png"]
     assert "it shares 0 points" in sentences["stranger.png"]
@@ -48,7 +48,7 @@ def test_a_camera_that_flew_away_is_none(away: int, stays: bool) -> None:
     model.frame(one.frame_id).set_cam_from_world(
         one.camera_id, pycolmap.Rigid3d(pose.rotation, -pose.rotation.matrix() @ there)
     )
-    leave_out_loose(model)
+    leave_out_unreliable(model)
     assert {image.name for image in model.images.values() if image.has_pose} == set(places) - (
         set() if stays else {one.name}
     )
