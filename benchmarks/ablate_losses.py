@@ -19,7 +19,7 @@ from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.paper.unet import UNetShape
 from lab.dataset.sample import make_sample
-from lab.dataset.shards import store, write_shard
+from lab.dataset.shards import stored_tree, write_shard
 from lab.paper.examples import PaperExample, paper_example
 from lab.paper.sample_figures import sample_figures
 from lab.paper.train import PaperTraining, train_paper
@@ -52,7 +52,7 @@ PRESET = PaperPreset(
 
 def run() -> dict[str, object]:
     torch.set_num_threads(1)
-    stored = [store(make_sample(seed, "sapling"), resolutions=(128,)) for seed in range(NUM_TREES + NUM_JUDGED)]
+    stored = [stored_tree(make_sample(seed, "sapling"), resolutions=(128,)) for seed in range(NUM_TREES + NUM_JUDGED)]
     judged = [paper_example(tree, PRESET) for tree in stored[NUM_TREES:]]
     with TemporaryDirectory() as name:
         folder = Path(name)

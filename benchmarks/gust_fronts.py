@@ -17,8 +17,8 @@ from lab.dataset.motion import vertex_spectrum
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from lab.dataset.wind import sway
-from lab.evaluation.laws import HEIGHTS_M, MOST_PLACES
-from lab.evaluation.motion_statistics import Motion, off_trunk, velocity
+from lab.evaluation.laws import HEIGHTS_M, MAX_POINTS
+from lab.evaluation.motion_statistics import Motion, velocity, without_trunk_motion
 
 WIND = Wind(speed_m_s=8.0, gust=0.3)
 WIDE_M = 4.0
@@ -57,13 +57,13 @@ def _summary(rows: list[tuple[float, float]]) -> dict[str, float]:
 
 
 def _statistics(places: Float32[np.ndarray, "N 3"], spectrum: np.ndarray, period_s: float) -> tuple[float, float]:
-    some = np.random.default_rng(0).permutation(len(places))[:MOST_PLACES]
+    some = np.random.default_rng(0).permutation(len(places))[:MAX_POINTS]
     moving = spectrum[some].copy()
     moving[:, 0] = 0
     motion = to_motion(moving, 2 * moving.shape[1]).astype(np.float64)
     if np.ptp(places[some, 0]) < WIDE_M:
         return float("nan"), kurtosis(motion)
-    return gust_lag(places[some, 0], off_trunk(places[some], motion), period_s), kurtosis(motion)
+    return gust_lag(places[some, 0], without_trunk_motion(places[some], motion), period_s), kurtosis(motion)
 
 
 def kurtosis(motion: Motion) -> float:

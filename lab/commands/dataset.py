@@ -89,11 +89,11 @@ def filter_trees(
     from dataclasses import asdict
 
     from lab.dataset.filter import measure, rejections
-    from lab.dataset.records import iter_seen
+    from lab.dataset.records import iter_measured
     from lab.dataset.sample import make_sample
 
     if folder is not None:
-        measures = [tree.measures for tree in iter_seen(folder) if species in (None, tree.species)]
+        measures = [tree.measures for tree in iter_measured(folder) if species in (None, tree.species)]
         trees = len(measures)
         if trees == 0:
             raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
@@ -103,7 +103,7 @@ def filter_trees(
             for index in range(trees):
                 measures.append(measure(make_sample(first_seed + index, species), limits))
                 report("trees", index + 1, trees, 0.0)
-    counts = rejections(one.broken(limits) for one in measures)
+    counts = rejections(one.violated(limits) for one in measures)
     rates = {f"rejected {rule}": f"{count} of {trees} ({100 * count / trees:.2f} %)" for rule, count in counts.items()
              if rule not in ("seen", "accepted")}  # fmt: skip
     worst = {name: max(getattr(one, name) for one in measures) for name in asdict(measures[0])}
@@ -126,15 +126,15 @@ def sheet(
 ) -> None:
     """Draw pages of trees with motion strips, and a review file to mark trees as rejected in."""
     from dynamictree.render import write_png
-    from lab.dataset.records import iter_seen
+    from lab.dataset.records import iter_measured
     from lab.dataset.review import all_accepted, write_review
     from lab.dataset.sample import make_sample
-    from lab.dataset.sheet import page
+    from lab.dataset.sheet import draw_sheet
 
     output.mkdir(parents=True, exist_ok=True)
     seeds: Sequence[int] = range(first_seed, first_seed + trees)
     if folder is not None:
-        accepted = (tree for tree in iter_seen(folder) if not tree.broken and species in (None, tree.species))
+        accepted = (tree for tree in iter_measured(folder) if not tree.violated and species in (None, tree.species))
         seeds = [tree.seed for tree in accepted if tree.seed >= first_seed][:trees]
     notes: dict[int, str] = {}
     files = []
@@ -144,7 +144,7 @@ def sheet(
             notes |= {sample.seed: sample.species for sample in samples}
             files.append(output / f"sheet-{start // rows:04d}.png")
             with files[-1].open("wb") as stream:
-                write_png(page(samples), stream)
+                write_png(draw_sheet(samples), stream)
             report("trees", min(start + rows, len(seeds)), len(seeds), 0.0)
     review = output / "review.txt"
     if not review.exists():  # never overwrite a person's review

@@ -148,11 +148,11 @@ def _embedder(clip: Path | None) -> "ClipEmbedder | None":
 def _laws_of(path: Path, reading: Reading, model: str, seed: int) -> dict[str, Any]:
     from dynamictree.commands.input_files import read_source
     from dynamictree.commands.options import shape_file
-    from lab.evaluation.laws import judged, measure_generated
+    from lab.evaluation.laws import measure_generated, satisfied_laws
 
     path = shape_file(path)
     measured = measure_generated(path.name, _motion_of(read_source(path, reading)[0], model=model, seed=seed))
-    return {"tree": asdict(measured), "laws": judged(measured)}
+    return {"tree": asdict(measured), "laws": satisfied_laws(measured)}
 
 
 def _motion_of(shape: "TriangleMesh", *, model: str, seed: int) -> "Callable[[Wind], SparseVoxelSpectrum]":

@@ -105,7 +105,7 @@ def train(
     if dry_run:
         typer.echo(resolved)
         return
-    shards = _in_turn([sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset])
+    shards = _interleave([sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset])
     if not shards:
         raise InputError(f"there are no shards in {dataset[0]}; bake some with `dynamictree dataset generate`")
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,7 @@ def train(
     typer.echo(json.dumps({"weights": weights}) if as_json else weights)
 
 
-def _in_turn(folders: list[list[str]]) -> list[str]:
+def _interleave(folders: list[list[str]]) -> list[str]:
     """Interleave lists: the first item of each, then the second of each, until the longest ends."""
     return [shard for row in zip_longest(*folders) for shard in row if shard is not None]
 

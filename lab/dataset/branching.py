@@ -50,7 +50,7 @@ def shape_ratio(shape: Shape, place: Float32[np.ndarray, " M"]) -> Float32[np.nd
     return ratio.astype(np.float32)
 
 
-def turned(
+def rotate(
     vectors: Float[np.ndarray, "M 3"], axes: Float[np.ndarray, "M 3"], angles: Float[np.ndarray, " M"]
 ) -> Float32[np.ndarray, "M 3"]:
     """Rotate vectors about unit axes by angles [rad] (Rodrigues' formula)."""
@@ -60,18 +60,18 @@ def turned(
     return moved.astype(np.float32)
 
 
-def unit(vectors: Float[np.ndarray, "... 3"]) -> Float32[np.ndarray, "... 3"]:
+def normalised(vectors: Float[np.ndarray, "... 3"]) -> Float32[np.ndarray, "... 3"]:
     """Scale vectors to length 1."""
     length = np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
     shortened: Float32[np.ndarray, ...] = vectors / length
     return shortened.astype(np.float32)
 
 
-def across(directions: Float[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
+def perpendicular(directions: Float[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
     """Return a unit vector perpendicular to each direction, horizontal where possible."""
     steep = np.abs(directions[:, 2:]) > 0.999
     reference = np.where(steep, np.array([[1, 0, 0]], np.float32), np.array([[0, 0, 1]], np.float32))
-    return unit(np.cross(reference, directions))
+    return normalised(np.cross(reference, directions))
 
 
 def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
@@ -83,7 +83,7 @@ def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
     away = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1).astype(np.float32)
     lean = np.deg2rad(level.down * rng.uniform(0.2, 1, count) if count > 1 else rng.normal(0, 1.5, count))
     up = np.tile(np.array([0, 0, 1], np.float32), (count, 1))
-    directions = turned(up, unit(np.cross(up, away)), lean.astype(np.float32))
+    directions = rotate(up, normalised(np.cross(up, away)), lean.astype(np.float32))
     lengths = height * level.length * (1 + level.length_var * rng.uniform(-1, 1, count) * (count > 1))
     radii = lengths * species.ratio
     spread = 0.0 if count == 1 else 2.2 * radii.max()
@@ -103,11 +103,11 @@ def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
 def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.Generator) -> Stems:
     """Grow the stems of level `depth` on those of the previous level."""
     level = species.levels[depth]
-    row, ring = _places(species, depth, parents, rng)
+    row, ring = _child_positions(species, depth, parents, rng)
     segment = np.minimum(ring.astype(np.int32), parents.segments - 1)
     share = (ring - segment)[:, None]
     low, high = parents.points[row, segment], parents.points[row, segment + 1]
-    along = unit(high - low)
+    along = normalised(high - low)
     parent_radius = parents.radii[row, segment] * (1 - share[:, 0]) + parents.radii[row, segment + 1] * share[:, 0]
 
     relative = ring / parents.segments  # 0 at the parent's base, 1 at its tip
@@ -118,15 +118,15 @@ def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.G
     within = np.arange(len(row)) - np.maximum.accumulate(np.where(start, np.arange(len(row)), 0))
     phase = rng.uniform(0, 360, int(row.max(initial=0)) + 1)[row]
     azimuth = np.deg2rad(phase + within * level.rotate + rng.uniform(-1, 1, len(row)) * level.rotate_var)
-    side = turned(across(along), along, azimuth.astype(np.float32))
-    direction = turned(along, unit(np.cross(along, side)), np.deg2rad(down).astype(np.float32))
+    side = rotate(perpendicular(along), along, azimuth.astype(np.float32))
+    direction = rotate(along, normalised(np.cross(along, side)), np.deg2rad(down).astype(np.float32))
 
     thick = parents.radii[row, parents.first[row]] * (length / parents.length_m[row]) ** species.ratio_power
     radius = np.clip(thick, MIN_RADIUS_M, np.maximum(CHILD_TO_PARENT_RADIUS * parent_radius, MIN_RADIUS_M))
     return _grow(
         level,
         base=((1 - share) * low + share * high).astype(np.float32),
-        direction=unit(direction),
+        direction=normalised(direction),
         length=length,
         radius=radius.astype(np.float32),
         place=(row, ring),
@@ -134,7 +134,7 @@ def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.G
     )
 
 
-def _places(
+def _child_positions(
     species: Species, depth: int, parents: Stems, rng: np.random.Generator
 ) -> tuple[Int32[np.ndarray, " M"], Float32[np.ndarray, " M"]]:
     """Return each child's parent, and its position there in rings; evenly spread, in ascending order."""
@@ -209,9 +209,9 @@ def _grow(
     for ring in range(segments):
         if ring:
             expected = level.splits + (base_splits[0] / len(base) if ring == fork_ring else 0.0)
-            clones = np.repeat(np.arange(len(points)), _whole(expected, len(points), rng))
+            clones = np.repeat(np.arange(len(points)), _random_integers(expected, len(points), rng))
             if len(clones):
-                direction, forked = _fork(direction, clones, level.split_angle, rng)
+                direction, forked = _spread_clones(direction, clones, level.split_angle, rng)
                 direction = np.concatenate([direction, forked])
                 points = np.concatenate([points, points[clones]])
                 step = np.concatenate([step, step[clones] * rng.uniform(0.8, 1, len(clones))]).astype(np.float32)
@@ -237,12 +237,12 @@ def _grow(
     )
 
 
-def _whole(expected: float, count: int, rng: np.random.Generator) -> Int32[np.ndarray, " M"]:
+def _random_integers(expected: float, count: int, rng: np.random.Generator) -> Int32[np.ndarray, " M"]:
     """Draw integers with mean `expected`."""
     return np.floor(expected + rng.uniform(0, 1, count)).astype(np.int32)
 
 
-def _fork(
+def _spread_clones(
     direction: Float32[np.ndarray, "M 3"],
     clones: Int32[np.ndarray, " C"] | np.ndarray,
     angle: float,
@@ -250,13 +250,13 @@ def _fork(
 ) -> tuple[Float32[np.ndarray, "M 3"], Float32[np.ndarray, "C 3"]]:
     """Spread the source and its clones apart by `angle` degrees, to random sides."""
     numbers = np.bincount(clones, minlength=len(direction))
-    side = turned(across(direction), direction, rng.uniform(0, 2 * np.pi, len(direction)).astype(np.float32))
+    side = rotate(perpendicular(direction), direction, rng.uniform(0, 2 * np.pi, len(direction)).astype(np.float32))
     half = np.deg2rad(angle) * rng.uniform(0.4, 0.6, len(direction))
-    first_direction = turned(direction, side, (-half * (numbers > 0)).astype(np.float32))
+    first_direction = rotate(direction, side, (-half * (numbers > 0)).astype(np.float32))
     order = np.arange(len(clones)) - np.searchsorted(clones, clones)
     turn = (2 * np.pi * (order + 1) / (numbers[clones] + 1)).astype(np.float32)
-    clone_side = turned(side[clones], direction[clones], turn)
-    return first_direction, turned(direction[clones], clone_side, (-half[clones]).astype(np.float32))
+    clone_side = rotate(side[clones], direction[clones], turn)
+    return first_direction, rotate(direction[clones], clone_side, (-half[clones]).astype(np.float32))
 
 
 def _bend(
@@ -265,16 +265,16 @@ def _bend(
     """Bend directions by one segment's share of curvature, random deviation and tropism."""
     total = level.curve if level.curve_back is None or ring < level.segments / 2 else level.curve_back
     count = len(direction)
-    level_axis = across(direction)
-    direction = turned(direction, level_axis, np.full(count, np.deg2rad(total / level.segments), np.float32))
-    wander = turned(across(direction), direction, rng.uniform(0, 2 * np.pi, count).astype(np.float32))
+    level_axis = perpendicular(direction)
+    direction = rotate(direction, level_axis, np.full(count, np.deg2rad(total / level.segments), np.float32))
+    wander = rotate(perpendicular(direction), direction, rng.uniform(0, 2 * np.pi, count).astype(np.float32))
     size = np.deg2rad(level.curve_var) / level.segments * rng.normal(0, 1, count)
-    direction = turned(direction, wander, size.astype(np.float32))
+    direction = rotate(direction, wander, size.astype(np.float32))
     if level.tropism:
         declination = np.arccos(np.clip(direction[:, 2], -1, 1))
         if level.tropism > 0:
             angle = np.minimum(level.tropism * declination / level.segments, declination)
         else:
             angle = np.maximum(level.tropism * (np.pi - declination) / level.segments, declination - np.pi)
-        direction = turned(direction, across(direction), (-angle).astype(np.float32))
-    return unit(direction)
+        direction = rotate(direction, perpendicular(direction), (-angle).astype(np.float32))
+    return normalised(direction)

@@ -7,12 +7,12 @@ import numpy as np
 import trimesh
 from jaxtyping import Float32, Int32
 
-from lab.dataset.branching import Stems, across, turned, unit
+from lab.dataset.branching import Stems, normalised, perpendicular, rotate
 from lab.dataset.leaves import LOWEST_M
 from lab.dataset.species import Foliage
 from lab.dataset.tubes import Surface, own_rings
 
-PLACE = 0.75  # position of the clump's centre [share of the stem's length]
+CENTRE = 0.75  # position of the clump's centre [share of the stem's length]
 ROUGHNESS = 0.12  # relative standard deviation of the radius over vertices
 SIZE_SPREAD = 0.3
 
@@ -45,10 +45,10 @@ def clumps(foliage: Foliage, height_m: float, stems: Sequence[Stems], rng: np.ra
 def _on_level(foliage: Foliage, height_m: float, stems: Stems, first_node: int, rng: np.random.Generator) -> Surface:
     own = own_rings(stems)
     rows = np.arange(len(stems.points))
-    ring = np.clip(np.round(stems.first + PLACE * (stems.segments - stems.first)), 1, stems.segments).astype(np.int32)
+    ring = np.clip(np.round(stems.first + CENTRE * (stems.segments - stems.first)), 1, stems.segments).astype(np.int32)
     node = (first_node + np.cumsum(own).reshape(own.shape) - 1)[rows, ring].astype(np.int32)
-    along = unit(stems.points[rows, ring] - stems.points[rows, ring - 1])
-    side = turned(across(along), along, rng.uniform(0, 2 * np.pi, len(rows)).astype(np.float32))
+    along = normalised(stems.points[rows, ring] - stems.points[rows, ring - 1])
+    side = rotate(perpendicular(along), along, rng.uniform(0, 2 * np.pi, len(rows)).astype(np.float32))
     frame = np.stack([along, side, np.cross(along, side)], axis=1)  # [M, 3, 3]
     ball, faces = _ball()
     longest = stems.length_m.max()

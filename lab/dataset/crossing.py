@@ -10,7 +10,7 @@ import numpy as np
 
 from lab.dataset.species import SPECIES, Foliage, LeafKind, Level, Species
 
-CROSSED = "crossed"
+MIXED_SPECIES = "crossed"
 DEPTHS = ((2, 0.25), (3, 0.6), (4, 0.15))
 """Numbers of branching levels, with the trunk's, and their probabilities."""
 BARE_SHARE = 0.15
@@ -37,12 +37,12 @@ FLARE = (0.02, 0.8)
 """Widening of the trunk at the ground, which differs widely in models of trees."""
 
 
-def crossed_species(rng: np.random.Generator) -> Species:
+def mix_species(rng: np.random.Generator) -> Species:
     """Mix species: the trunk of one, branches and leaves of others; or create a low-poly tree."""
     parents = [species for species in SPECIES.values() if not species.held_out]
     frame = _one_of(parents, rng)
     if rng.random() < CLUMP_SHARE:
-        return _clumped(frame, rng)
+        return _low_poly_species(frame, rng)
     num_levels = int(rng.choice([depth for depth, _ in DEPTHS], p=[share for _, share in DEPTHS]))
     levels, stems = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))], 1.0
     for depth in range(1, num_levels):
@@ -52,37 +52,37 @@ def crossed_species(rng: np.random.Generator) -> Species:
         levels.append(level)
         stems *= level.count
     if rng.random() < HANGING_SHARE:
-        strands = (-_between(HANGING_TROPISM, rng), _between(STRAND_LENGTH, rng))
+        strands = (-_draw(HANGING_TROPISM, rng), _draw(STRAND_LENGTH, rng))
         levels[-1] = replace(levels[-1], tropism=strands[0], length=strands[1], segments=STRAND_SEGMENTS, sides=3)
     return replace(
         frame,
-        name=CROSSED,
+        name=MIXED_SPECIES,
         shape=_one_of(parents, rng).shape,
-        base_size=_between(BARE_TRUNK, rng),
+        base_size=_draw(BARE_TRUNK, rng),
         ratio=frame.ratio * _factor(1.5, rng),
         levels=tuple(levels),
         foliage=_leaves(parents, stems, num_levels, rng),
-        ratio_power=_between(RATIO_POWER, rng),
-        flare=_between(FLARE, rng),
+        ratio_power=_draw(RATIO_POWER, rng),
+        flare=_draw(FLARE, rng),
     )
 
 
-def _clumped(frame: Species, rng: np.random.Generator) -> Species:
+def _low_poly_species(frame: Species, rng: np.random.Generator) -> Species:
     """Create a low-poly tree: a trunk, some branches or none, and closed clumps of foliage."""
     levels = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))]
-    count = _between(CLUMPS, rng)
+    count = _draw(CLUMPS, rng)
     if count >= 1:
         levels.append(replace(_changed(frame.levels[1], rng), count=count, splits=0.0))
     size = CLUMP_SIZE[0] if count >= 1 else CLUMP_SIZE[1]
     return replace(
         frame,
-        name=CROSSED,
-        base_size=_between(BARE_TRUNK, rng),
-        ratio=frame.ratio * _between(STOUTNESS, rng),
+        name=MIXED_SPECIES,
+        base_size=_draw(BARE_TRUNK, rng),
+        ratio=frame.ratio * _draw(STOUTNESS, rng),
         levels=tuple(levels),
-        foliage=replace(frame.foliage, kind="clump", size=_between(size, rng), aspect=_between(CLUMP_ASPECT, rng)),
-        ratio_power=_between(RATIO_POWER, rng),
-        flare=_between(FLARE, rng),
+        foliage=replace(frame.foliage, kind="clump", size=_draw(size, rng), aspect=_draw(CLUMP_ASPECT, rng)),
+        ratio_power=_draw(RATIO_POWER, rng),
+        flare=_draw(FLARE, rng),
     )
 
 
@@ -90,13 +90,13 @@ def _leaves(parents: list[Species], stems: float, num_levels: int, rng: np.rando
     if rng.random() < BARE_SHARE:
         return Foliage(kind="none")
     own = _one_of([species for species in parents if species.foliage.kind != "none"], rng).foliage
-    aspect = _between(LEAF_ASPECT, rng)
+    aspect = _draw(LEAF_ASPECT, rng)
     more = (4.0 if num_levels == 2 else 1.0) / math.sqrt(aspect)  # long branches that bear the leaves
     return replace(
         own,
         kind=KINDS[int(rng.integers(len(KINDS)))],
         count=min(own.count * more * _factor(1.7, rng), MAX_LEAVES / stems),
-        size=_between(LEAF_SIZE, rng),
+        size=_draw(LEAF_SIZE, rng),
         aspect=aspect,
         down=float(rng.uniform(20, 75)),
         droop=float(rng.uniform(0, 0.8)),
@@ -116,10 +116,10 @@ def _changed(level: Level, rng: np.random.Generator) -> Level:
 
 
 def _factor(largest: float, rng: np.random.Generator) -> float:
-    return _between((1 / largest, largest), rng)
+    return _draw((1 / largest, largest), rng)
 
 
-def _between(bounds: tuple[float, float], rng: np.random.Generator) -> float:
+def _draw(bounds: tuple[float, float], rng: np.random.Generator) -> float:
     """Draw between two values, uniform in the logarithm."""
     return math.exp(float(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
 

@@ -29,7 +29,7 @@ class Measures:
     edge_stretch: float
     self_explosion: float
 
-    def broken(self, limits: DatasetLimits) -> tuple[Rule, ...]:
+    def violated(self, limits: DatasetLimits) -> tuple[Rule, ...]:
         """Return the rules that this motion breaks; a non-finite measure breaks its rule."""
         checks: tuple[tuple[Rule, float, float], ...] = (
             ("high-frequency", self.high_frequency, limits.high_frequency),
@@ -92,6 +92,6 @@ def rejections(verdicts: Iterable[tuple[str, ...]]) -> dict[str, int]:
     rules: Counter[str] = Counter(
         {"high-frequency": 0, "root-motion": 0, "edge-stretch": 0, "self-explosion": 0, "accepted": 0, "seen": 0}
     )
-    for broken in verdicts:
-        rules.update(["seen", *broken] if broken else ["seen", "accepted"])
+    for violated in verdicts:
+        rules.update(["seen", *violated] if violated else ["seen", "accepted"])
     return dict(rules)

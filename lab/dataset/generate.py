@@ -25,7 +25,7 @@ from lab.dataset.filter import DEFAULT_LIMITS, measure, rejections
 from lab.dataset.limits import DatasetLimits
 from lab.dataset.review import Verdict
 from lab.dataset.sample import VERSION, Sample, make_sample
-from lab.dataset.shards import StoredTree, store, write_shard
+from lab.dataset.shards import StoredTree, stored_tree, write_shard
 
 SEEDS_PER_TREE = 4  # a shard fails after so many seeds per wanted tree
 PAPER_TREES = 8786  # number of trees in paper appendix A
@@ -160,12 +160,12 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
             continue
         sample = make_sample(seed, recipe.species)
         measures = measure(sample, recipe.limits)
-        broken = () if recipe.review.get(seed) == "accept" else measures.broken(recipe.limits)
-        verdicts.append(broken)
-        if broken:
-            rejected[str(seed)] = {"rules": list(broken), "species": sample.species, "measures": asdict(measures)}
+        violated = () if recipe.review.get(seed) == "accept" else measures.violated(recipe.limits)
+        verdicts.append(violated)
+        if violated:
+            rejected[str(seed)] = {"rules": list(violated), "species": sample.species, "measures": asdict(measures)}
         else:
-            trees.append(store(sample, resolutions=recipe.resolutions))
+            trees.append(stored_tree(sample, resolutions=recipe.resolutions))
             records.append({**facts_of(sample, trees[-1]), "measures": asdict(measures)})
     if len(trees) < recipe.shard_trees(index):
         raise InputError(

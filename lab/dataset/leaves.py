@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from lab.dataset.branching import Stems, across, turned, unit
+from lab.dataset.branching import Stems, normalised, perpendicular, rotate
 from lab.dataset.species import Foliage
 from lab.dataset.tubes import Surface
 
@@ -38,20 +38,20 @@ def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng
     ring = np.minimum((1 - own[row] * (1 - step)) * stems.segments, stems.segments - 1e-3).astype(np.float32)
     segment = ring.astype(np.int32)
     low, high = stems.points[row, segment], stems.points[row, segment + 1]
-    along, share = unit(high - low), (ring - segment)[:, None]
+    along, share = normalised(high - low), (ring - segment)[:, None]
 
     rows = foliage.kind in ("frond", "needle")
     azimuth = within * np.pi if rows else within * np.deg2rad(137.5)
     azimuth = azimuth + rng.normal(0, 0.15 if rows else 0.5, len(row))
-    side = turned(across(along), along, azimuth.astype(np.float32))
+    side = rotate(perpendicular(along), along, azimuth.astype(np.float32))
     down = np.deg2rad(foliage.down * (1 + 0.25 * rng.uniform(-1, 1, len(row))))
     down = np.where(step > 0.999, 0.25 * down, down)  # the last leaf continues the stem
-    axis = unit(along * np.cos(down)[:, None] + side * np.sin(down)[:, None])
-    axis = unit(axis + foliage.droop * rng.uniform(0.5, 1.5, (len(row), 1)) * DOWN)
+    axis = normalised(along * np.cos(down)[:, None] + side * np.sin(down)[:, None])
+    axis = normalised(axis + foliage.droop * rng.uniform(0.5, 1.5, (len(row), 1)) * DOWN)
     length = foliage.size * height_m * rng.uniform(0.7, 1.3, len(row))
     axis[:, 2] = np.where(low[:, 2] + 1.2 * length * axis[:, 2] < 0, np.abs(axis[:, 2]), axis[:, 2])  # keeps z >= 0
-    flat = across(axis)  # horizontal, so that the card faces up
-    normal = turned(np.cross(axis, flat).astype(np.float32), axis, rng.normal(0, 0.5, len(row)).astype(np.float32))
+    flat = perpendicular(axis)  # horizontal, so that the card faces up
+    normal = rotate(np.cross(axis, flat).astype(np.float32), axis, rng.normal(0, 0.5, len(row)).astype(np.float32))
     if foliage.kind == "frond":
         length *= np.sin(np.pi * np.clip(0.12 + 0.8 * step, 0, 1))
     return Leaves(

@@ -12,7 +12,7 @@ def loads_of(levels: tuple[Stems, ...], leaves: tuple[Leaves, ...], *, bare: boo
     """Return the loads by level. In a tree with clumps of foliage, all stems bear as much as the trunk."""
     wood = [np.pi * base_radius(stems).astype(np.float64) ** 2 * stems.length_m / 3 for stems in levels]
     foliage = [np.zeros(len(stems.points)) for stems in levels]
-    weighted = [own[:, None] * middle_of(stems) for own, stems in zip(wood, levels, strict=True)]
+    weighted = [own[:, None] * ring_centre(stems) for own, stems in zip(wood, levels, strict=True)]
     borne = [own.copy() for own in wood]
     for bunch in leaves:
         area = bunch.length_m.astype(np.float64) ** 2
@@ -33,7 +33,7 @@ def loads_of(levels: tuple[Stems, ...], leaves: tuple[Leaves, ...], *, bare: boo
             rooted = stems.first == 0
             whole = foliage[0][rooted].sum() / (base_radius(stems)[rooted] ** 2).sum()
         share = np.clip(section / whole, 0, 1) if whole > 0 and depth else np.full(len(section), 0.0 if bare else 1.0)
-        offset = (weighted[depth] / borne[depth][:, None] - middle_of(stems)) / stems.length_m[:, None]
+        offset = (weighted[depth] / borne[depth][:, None] - ring_centre(stems)) / stems.length_m[:, None]
         far = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True) / WIDEST_LOAD, 1)
         loads.append(
             Load(
@@ -51,7 +51,7 @@ def base_radius(stems: Stems) -> Float32[np.ndarray, " M"]:
     return radius
 
 
-def middle_of(stems: Stems) -> Float64[np.ndarray, "M 3"]:
+def ring_centre(stems: Stems) -> Float64[np.ndarray, "M 3"]:
     """Return the mean position of a stem's own rings [m]."""
     own = np.arange(stems.segments + 1) >= stems.first[:, None]
     middle: Float64[np.ndarray, "M 3"] = (stems.points * own[:, :, None]).sum(axis=1) / own.sum(axis=1)[:, None]

@@ -74,7 +74,7 @@ class Oscillators:
         air_damping = self._air_damping_s(passing)[:, None]
         ratio = omega / self.omega[:, None]  # [C, W]
         damping_ratio = self.damping_ratio + self.omega * air_damping[:, 0] / 2
-        transfer = of_bins(omega, self.omega, damping_ratio)
+        transfer = bin_transfer(omega, self.omega, damping_ratio)
         pushed = (ratio**2 / self.length_m[:, None]) * base_hat
         target = rfft(self.static_angle(passing), axis=2)
         rate = 1j * omega * transfer * (target + pushed)  # rate of the angle under linear drag
@@ -85,7 +85,7 @@ class Oscillators:
 
     def static_angle(self, passing: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
         """Return θ_w, the static angle of a stem under the drag of the passing air [rad]."""
-        return bounded(self.lean[:, None] * drag(passing))
+        return limit_angles(self.lean[:, None] * drag(passing))
 
     def _air_damping_s(self, passing: Float[np.ndarray, "3 C T"]) -> Float64[np.ndarray, " C"]:
         """Return the slope of θ_w over the speed, averaged along and across the wind, times the arm [s]."""
@@ -110,7 +110,7 @@ def oscillators(
     own_hz = (
         stem_frequency_hz(length_m, radius_m, load.foliage)
         if height_m is None
-        else in_leaf_hz(simulated_law_hz(height_m), load.foliage)
+        else foliage_corrected_hz(simulated_law_hz(height_m), load.foliage)
     )
     return Oscillators(
         omega=2 * np.pi * own_hz,
@@ -130,10 +130,10 @@ def stem_frequency_hz(
     length = length_m.astype(np.float64)
     stoutness = np.sqrt(REFERENCE_SLENDERNESS * radius_m / length)
     by_length = simulated_law_hz(length) * np.clip(stoutness, SLOWEST_RATIO, FASTEST_RATIO)
-    return in_leaf_hz(by_length, foliage)
+    return foliage_corrected_hz(by_length, foliage)
 
 
-def in_leaf_hz(
+def foliage_corrected_hz(
     frequency_hz: Float64[np.ndarray, " M"], foliage: Float32[np.ndarray, " M"]
 ) -> Float64[np.ndarray, " M"]:
     """Correct a frequency for the foliage; the law is for half of it, since measured trees were in leaf and bare."""
@@ -166,7 +166,7 @@ def growth_exponent(speed_m_s: Float[np.ndarray, "*S"]) -> Float[np.ndarray, "*S
     return np.asarray(2 + VOGEL_EXPONENT * fast)
 
 
-def bounded(angle: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
+def limit_angles(angle: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
     """Limit angles smoothly to MAX_LEAN_RAD."""
     size = np.maximum(np.sqrt((angle * angle).sum(axis=0)), 1e-9) / MAX_LEAN_RAD
     return np.asarray(angle * (np.tanh(size) / size))
@@ -177,7 +177,7 @@ def frequencies(num_frames: int) -> Float64[np.ndarray, " W"]:
     return np.asarray(2 * np.pi * np.fft.rfftfreq(num_frames, d=1 / FPS))
 
 
-def of_bins(
+def bin_transfer(
     omega: Float64[np.ndarray, " W"], own: Float64[np.ndarray, " C"], damping_ratio: Float64[np.ndarray, " C"]
 ) -> Complex128[np.ndarray, "C W"]:
     """Return the oscillators' transfer function at each bin of a loop: its phase, and its RMS over the bin's width.
@@ -197,11 +197,11 @@ def of_bins(
     return np.asarray(transfer)
 
 
-def filtered(
+def driven_response(
     series: Float[np.ndarray, "C T"],
     omega: Float64[np.ndarray, " C"],
     damping: Float64[np.ndarray, " C"] | float,
 ) -> Float[np.ndarray, "C T"]:
     """Return the response of oscillators with a fixed base."""
-    transfer = of_bins(frequencies(series.shape[1]), omega, np.broadcast_to(damping, omega.shape))
+    transfer = bin_transfer(frequencies(series.shape[1]), omega, np.broadcast_to(damping, omega.shape))
     return np.asarray(irfft(transfer * rfft(series, axis=1), n=series.shape[1], axis=1))

@@ -11,16 +11,16 @@ from lab.dataset.filter import Measures
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeenTree:
+class MeasuredTree:
     """A tree that `generate` grew and measured, accepted or rejected."""
 
     seed: int
     species: str
-    broken: tuple[str, ...]  # broken rules, by the limits of the run
+    violated: tuple[str, ...]  # rules, by the limits of the run
     measures: Measures
 
 
-def iter_seen(folder: Path) -> Iterator[SeenTree]:
+def iter_measured(folder: Path) -> Iterator[MeasuredTree]:
     """Iterate over all measured trees, shard by shard; trees rejected in a review were not measured.
 
     Raises:
@@ -31,14 +31,14 @@ def iter_seen(folder: Path) -> Iterator[SeenTree]:
         raise InputError(f"no shard lies in {folder}; bake one with `dynamictree dataset generate`")
     for path in paths:
         record = json.loads(path.read_bytes())
-        yield from (_seen(tree["seed"], tree) for tree in record["trees"])
-        yield from (_seen(int(seed), tree) for seed, tree in record["rejected"].items() if "measures" in tree)
+        yield from (_measured(tree["seed"], tree) for tree in record["trees"])
+        yield from (_measured(int(seed), tree) for seed, tree in record["rejected"].items() if "measures" in tree)
 
 
-def _seen(seed: int, tree: Mapping[str, Any]) -> SeenTree:
-    return SeenTree(
+def _measured(seed: int, tree: Mapping[str, Any]) -> MeasuredTree:
+    return MeasuredTree(
         seed=seed,
         species=tree["species"],
-        broken=tuple(tree.get("rules", ())),
+        violated=tuple(tree.get("rules", ())),
         measures=Measures(**tree["measures"]),
     )

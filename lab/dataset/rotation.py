@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float32
 
 
-def turn_of(vector: Float32[np.ndarray, "3 ..."]) -> Float32[np.ndarray, "4 ..."]:
+def quaternion_of(vector: Float32[np.ndarray, "3 ..."]) -> Float32[np.ndarray, "4 ..."]:
     """Convert a rotation vector [rad] to a quaternion."""
     angle = np.sqrt((vector * vector).sum(axis=0))
     half = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle
@@ -36,7 +36,7 @@ def to_matrix(quaternion: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "
     return np.stack([np.stack(row) for row in rows])
 
 
-def carried(
+def rotate(
     quaternion: Float32[np.ndarray, "4 ..."], vector: Float32[np.ndarray, "3 ..."]
 ) -> Float32[np.ndarray, "3 ..."]:
     """Rotate a vector by each quaternion."""

@@ -10,7 +10,7 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
-from lab.dataset.crossing import CROSSED, crossed_species
+from lab.dataset.crossing import MIXED_SPECIES, mix_species
 from lab.dataset.motion import Sway, vertex_spectrum
 from lab.dataset.sapling import Tree, grow_tree
 from lab.dataset.species import SPECIES, Species
@@ -59,7 +59,7 @@ def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = No
     Raises:
         InputError: the species is unknown, or the seed is negative.
     """
-    chosen, own_wind, tree, rng = _drawn(seed, species, wind)
+    chosen, own_wind, tree, rng = _draw_tree(seed, species, wind)
     for _ in range(gusts + 1):
         motion = sway(tree, own_wind, rng)
     return Sample(
@@ -108,11 +108,11 @@ def voxel_spectrum(sample: Sample, resolution: int = 128) -> tuple[SurfaceVoxels
     return voxels, spectrum
 
 
-def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, Wind, Tree, np.random.Generator]:
+def _draw_tree(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, Wind, Tree, np.random.Generator]:
     if seed < 0:
         raise InputError(f"the seed is {seed}; it must be 0 or more")
-    if species is not None and species not in (*SPECIES, CROSSED):
-        raise InputError(f"there is no species {species!r}; choose one of {', '.join((*SPECIES, CROSSED))}")
+    if species is not None and species not in (*SPECIES, MIXED_SPECIES):
+        raise InputError(f"there is no species {species!r}; choose one of {', '.join((*SPECIES, MIXED_SPECIES))}")
     rng = np.random.default_rng([GROWTH, seed])
     names = list(SPECIES)
     weights = np.array([HELD_OUT_WEIGHT if SPECIES[name].held_out else 1.0 for name in names])
@@ -122,5 +122,5 @@ def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, 
         direction_deg=round(float(rng.uniform(0, 360)), 2),
         gust=round(float(rng.uniform(*GUST)), 4),
     )
-    chosen = crossed_species(rng) if species == CROSSED else SPECIES[species or drawn]
+    chosen = mix_species(rng) if species == MIXED_SPECIES else SPECIES[species or drawn]
     return chosen, wind or own_wind, grow_tree(chosen, rng), rng

@@ -60,7 +60,7 @@ class StoredTree:
         """Return the spectrum of the motion, at one of the stored resolutions."""
         return SparseVoxelSpectrum(
             grid=self.voxels(resolution).grid,
-            coefficients=unpacked(self.tensors[f"r{resolution}.spectrum"]),
+            coefficients=from_half(self.tensors[f"r{resolution}.spectrum"]),
             model=f"{METADATA}-{VERSION}",
             seed=self.seed,
             wind=self.wind,
@@ -72,18 +72,18 @@ class StoredTree:
         return Skeleton(**{name: self.tensors[f"skeleton.{name}"] for name in fields})
 
 
-def packed(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
+def to_half(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
     """Convert complex values to float16 (re, im)."""
     pairs = np.ascontiguousarray(coefficients).view(np.float32).reshape(*coefficients.shape, 2)
     return pairs.astype(np.float16)
 
 
-def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N K 3"]:
-    """Undo `packed`, up to float16."""
+def from_half(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N K 3"]:
+    """Undo `to_half`, up to float16."""
     return np.ascontiguousarray(pairs.astype(np.float32)).view(np.complex64)[..., 0]
 
 
-def store(sample: Sample, *, resolutions: tuple[int, ...]) -> StoredTree:
+def stored_tree(sample: Sample, *, resolutions: tuple[int, ...]) -> StoredTree:
     """Convert a sample to the form that shards store."""
     tensors: dict[str, np.ndarray] = {
         "vertices": sample.mesh.vertices,
@@ -96,7 +96,7 @@ def store(sample: Sample, *, resolutions: tuple[int, ...]) -> StoredTree:
         voxels, spectrum = voxel_spectrum(sample, resolution)
         tensors[f"r{resolution}.coords"] = voxels.grid.coords.astype(np.int16)
         tensors[f"r{resolution}.normals"] = voxels.normals.astype(np.float16)
-        tensors[f"r{resolution}.spectrum"] = packed(spectrum.coefficients)
+        tensors[f"r{resolution}.spectrum"] = to_half(spectrum.coefficients)
         grids[resolution] = (voxels.grid.origin_m, voxels.grid.voxel_size_m)
     return StoredTree(
         seed=sample.seed,

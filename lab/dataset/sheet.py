@@ -16,7 +16,7 @@ TITLE_PX = 18
 PAPER, INK = (250, 249, 247), (60, 60, 64)
 
 
-def page(samples: Sequence[Sample]) -> UInt8[np.ndarray, "H W 3"]:
+def draw_sheet(samples: Sequence[Sample]) -> UInt8[np.ndarray, "H W 3"]:
     """Draw one row per tree at one scale: rest pose, sway as colours (blue: none, yellow: most), frames of the loop."""
     width, row = CELL_PX * (STRIP + 2), CELL_PX + TITLE_PX
     sheet = Image.new("RGB", (width, row * len(samples)), PAPER)
@@ -28,11 +28,11 @@ def page(samples: Sequence[Sample]) -> UInt8[np.ndarray, "H W 3"]:
             f"wind {wind.speed_m_s:.1f} m/s to {wind.direction_deg:.0f}°, gust {wind.gust:.2f}"
         )
         pen.text((4, index * row + 2), title, fill=INK, font=font)
-        sheet.paste(Image.fromarray(strip_of(sample)), (0, index * row + TITLE_PX))
+        sheet.paste(Image.fromarray(motion_strip(sample)), (0, index * row + TITLE_PX))
     return np.asarray(sheet)
 
 
-def strip_of(sample: Sample) -> UInt8[np.ndarray, "H W 3"]:
+def motion_strip(sample: Sample) -> UInt8[np.ndarray, "H W 3"]:
     """Draw one tree's pictures side by side."""
     look = Look(width=CELL_PX, height=CELL_PX)
     renderer = Renderer(sample.mesh, look)

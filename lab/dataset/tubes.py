@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, Int64
 
-from lab.dataset.branching import Stems, across, unit
+from lab.dataset.branching import Stems, normalised, perpendicular
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,13 +24,13 @@ def own_rings(stems: Stems) -> Bool[np.ndarray, "M P"]:
 
 def ring_axes(stems: Stems) -> tuple[Float32[np.ndarray, "M P 3"], Float32[np.ndarray, "M P 3"]]:
     """Return two unit vectors that span each ring, transported along the stem without twist."""
-    segment = unit(np.diff(stems.points, axis=1))  # [M, R, 3]
-    tangent = unit(np.concatenate([segment[:, :1], segment[:, 1:] + segment[:, :-1], segment[:, -1:]], axis=1))
+    segment = normalised(np.diff(stems.points, axis=1))  # [M, R, 3]
+    tangent = normalised(np.concatenate([segment[:, :1], segment[:, 1:] + segment[:, :-1], segment[:, -1:]], axis=1))
     side = np.empty_like(tangent)
-    side[:, 0] = across(tangent[:, 0])
+    side[:, 0] = perpendicular(tangent[:, 0])
     for ring in range(1, stems.segments + 1):
         along = (side[:, ring - 1] * tangent[:, ring]).sum(axis=1, keepdims=True)
-        side[:, ring] = unit(side[:, ring - 1] - along * tangent[:, ring])
+        side[:, ring] = normalised(side[:, ring - 1] - along * tangent[:, ring])
     return side, np.cross(tangent, side).astype(np.float32)
 
 

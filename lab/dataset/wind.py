@@ -26,14 +26,14 @@ from lab.dataset.oscillator import (
     MAX_LEAN_RAD,
     TWIST_OVER_BEND,
     Load,
-    bounded,
     drag,
-    filtered,
+    driven_response,
     frequencies,
+    limit_angles,
     oscillators,
     simulated_law_hz,
 )
-from lab.dataset.rotation import carried, product, to_matrix, turn_of
+from lab.dataset.rotation import product, quaternion_of, rotate, to_matrix
 from lab.dataset.sapling import Tree
 from lab.dataset.tubes import own_rings
 
@@ -105,7 +105,7 @@ def sway_stems(
     )
 
 
-def released(tree: Tree, times: int = 16) -> Float64[np.ndarray, " T"]:
+def free_motion(tree: Tree, times: int = 16) -> Float64[np.ndarray, " T"]:
     """Return the downwind displacement of the longest trunk's top after one gust of 1 s in still air [m].
 
     The loop has `times` T frames, in which the motion comes to rest before the next gust.
@@ -138,7 +138,7 @@ def _move(stems: Stems, parent: _Moving | None, load: Load, air: Air) -> _Moving
             axis = stems.points[born, -1] - stems.points[born, ring]
             axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
             torque = np.einsum("cx,xct->ct", np.cross(axis, own.offset), stem.lean[:, None] * drag(passing))
-            turned = filtered(TWIST_OVER_BEND * torque, 2 * stem.omega, stem.damping_ratio)
+            turned = driven_response(TWIST_OVER_BEND * torque, 2 * stem.omega, stem.damping_ratio)
             twist[born] = MAX_LEAN_RAD * np.tanh(turned / MAX_LEAN_RAD)
         place.append(pose.place.copy())
         _step(pose, stems.points[:, ring + 1] - stems.points[:, ring], share[:, ring], deflection, twist)
@@ -183,8 +183,8 @@ def _step(
     """Rotate by one segment's share of bend and twist, and move to the end of the segment."""
     axis = (segment / np.maximum(np.linalg.norm(segment, axis=1, keepdims=True), 1e-9)).T[:, :, None]
     bend = share[None, :, None] * (np.cross(axis, deflection, axis=0) + axis * twist)
-    pose.turn[:] = product(pose.turn, turn_of(bend))
-    pose.place[:] = pose.place + carried(pose.turn, segment.T[:, :, None])
+    pose.turn[:] = product(pose.turn, quaternion_of(bend))
+    pose.place[:] = pose.place + rotate(pose.turn, segment.T[:, :, None])
 
 
 def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"]:
@@ -233,13 +233,13 @@ def _leaf_motion(leaves: Leaves, bearer: _Moving, air: Air, rng: np.random.Gener
     # a leaf responds so much faster than its stem that it follows at once
     bearer_velocity = irfft(1j * frequencies(num_frames) * rfft(shift, axis=2), n=num_frames, axis=2)
     passing = air.velocity(leaves.base) + _mean_wind(air) - bearer_velocity
-    angle = bounded(LEAF_LEAN_RAD * drag(passing))
+    angle = limit_angles(LEAF_LEAN_RAD * drag(passing))
     omega = 2 * np.pi * simulated_law_hz(leaves.length_m.astype(np.float64))
-    lean = np.stack([filtered(component, omega, LEAF_OWN_DAMPING) for component in angle])
+    lean = np.stack([driven_response(component, omega, LEAF_OWN_DAMPING) for component in angle])
     flap, twist = _flutter(leaves, np.sqrt((passing**2).sum(axis=0)), rng)
     axis, across = leaves.axis.T[:, :, None], leaves.normal.T[:, :, None]
     bend = np.cross(axis, (lean + across * flap).astype(np.float32), axis=0) + axis * twist
-    turn = to_matrix(product(begin.turn, turn_of(bend)))  # [3, 3, Q, T]
+    turn = to_matrix(product(begin.turn, quaternion_of(bend)))  # [3, 3, Q, T]
     return Sway(
         shift=np.ascontiguousarray(shift.transpose(2, 1, 0)),
         turn=np.ascontiguousarray(turn.transpose(3, 2, 0, 1)),

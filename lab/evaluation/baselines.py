@@ -47,7 +47,7 @@ class ByHeight:
         share = np.clip(place - low, 0, 1)[:, None, None]
         log_size = (1 - share) * self.log_size[low] + share * self.log_size[low + 1]
         lean = (1 - share[:, 0]) * self.lean[low] + share[:, 0] * self.lean[low + 1]
-        field = np.exp(log_size) * one_phase(log_size.shape[1], rng)
+        field = np.exp(log_size) * random_phases(log_size.shape[1], rng)
         return _in_metres(np.concatenate([lean[:, None], field], axis=1), wind, height_m)
 
 
@@ -67,7 +67,7 @@ def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
     return ByHeight(log_size=mean[:, 1:], lean=mean[:, 0])
 
 
-def one_phase(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
+def random_phases(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
     """Draw a random phase for each frequency and axis."""
     turn: Complex64[np.ndarray, "J 3"] = np.exp(2j * np.pi * rng.random((num_moving, 3))).astype(np.complex64)
     return turn

@@ -36,8 +36,8 @@ from lab.evaluation.report import generate_for, training_trees
 from lab.training.progress import OnStep
 
 KINDS = ("by-height mean", "model", "second wind", "raw truth")
-MIN_RIGHT = 0.9
-RULE = f"valid if it separates the by-height mean in at least {100 * MIN_RIGHT:.0f} % of cases"
+MIN_ACCURACY = 0.9
+RULE = f"valid if it separates the by-height mean in at least {100 * MIN_ACCURACY:.0f} % of cases"
 FOLDS = 5
 HEIGHTS = 5  # number of slices over the height for sizes
 FRAMES = 12  # number of frames in which edges are measured
@@ -139,14 +139,14 @@ def classify(
         voxels.append(len(tree.voxels.grid))
         on_step("trees", len(voxels), num_trees, 0.0)
     tables = {kind: np.array([list(row.values()) for row in of_kind]) for kind, of_kind in rows.items()}
-    right = {kind: share_right(tables["truth"], tables[kind], seed=seed) for kind in KINDS}
+    right = {kind: cross_validate(tables["truth"], tables[kind], seed=seed) for kind in KINDS}
     return {
         "model": model.name,
         "trees": num_trees,
         "mean_voxels": float(np.mean(voxels)),
         "features": list(rows["truth"][0]),
         "right": right,
-        "valid": right["by-height mean"] >= MIN_RIGHT,
+        "valid": right["by-height mean"] >= MIN_ACCURACY,
         "rule": RULE,
     }
 
@@ -169,7 +169,7 @@ def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTre
             yield tree
 
 
-def share_right(truth: Float64[np.ndarray, "P D"], fake: Float64[np.ndarray, "P D"], *, seed: int) -> float:
+def cross_validate(truth: Float64[np.ndarray, "P D"], fake: Float64[np.ndarray, "P D"], *, seed: int) -> float:
     """Return the cross-validated accuracy of a classifier on held-out trees. Row i of both inputs is tree i."""
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier

@@ -24,7 +24,7 @@ LARGEST_ERROR = 5.0
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
-def embedded(embedder: ClipEmbedder, pictures: Iterable[Picture]) -> Float32[Tensor, "P D"]:
+def embed_pictures(embedder: ClipEmbedder, pictures: Iterable[Picture]) -> Float32[Tensor, "P D"]:
     """Return one unit vector per picture; pictures are consumed lazily in batches."""
     rows, waiting = [], []
     for picture in pictures:
@@ -39,8 +39,8 @@ def embedded(embedder: ClipEmbedder, pictures: Iterable[Picture]) -> Float32[Ten
 
 def frame_distances(embedder: ClipEmbedder, view: Picture, frames: Iterable[Picture]) -> tuple[float, float]:
     """Return the mean distance of frames to the input view, and to the previous frame."""
-    (seen,) = embedded(embedder, [view])
-    rows = embedded(embedder, frames)
+    (seen,) = embed_pictures(embedder, [view])
+    rows = embed_pictures(embedder, frames)
     return float(1 - (rows @ seen).mean()), float(1 - (rows[1:] * rows[:-1]).sum(dim=1).mean())
 
 

@@ -19,8 +19,8 @@ from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind, to_
 from lab.dataset.motion import vertex_spectrum
 from lab.dataset.sapling import Tree, grow_tree
 from lab.dataset.species import SPECIES
-from lab.dataset.wind import released, sway
-from lab.evaluation.motion_statistics import correlation, effective_shapes, fast_share, off_trunk, velocity
+from lab.dataset.wind import free_motion, sway
+from lab.evaluation.motion_statistics import correlation, effective_shapes, fast_share, velocity, without_trunk_motion
 from lab.training.progress import OnStep
 
 ModelMotion = Callable[[TriangleMesh], Callable[[Wind], SparseVoxelSpectrum]]
@@ -42,9 +42,9 @@ MEDIANS = (
     "damping_ratio", "spectral_slope", "orbit", "response", "response_in_storm", "shapes", "correlation",
     "fast_share_slow", "fast_share",
 )  # fmt: skip
-RINGS_TO = 0.1  # share of the first peak at which the measurement of a ring-down ends
+RING_DOWN_END = 0.1  # share of the first peak at which the measurement of a ring-down ends
 TIP_SHARE = 0.05  # share of the vertices, the highest ones
-MOST_PLACES = 2000  # largest number of places whose motions are compared
+MAX_POINTS = 2000  # largest number of places whose motions are compared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class TreeLaws:
 def measure_tree(species: str, height_m: float, seed: int) -> TreeLaws:
     """Grow a tree of this height, release it in still air, simulate it at all speeds, and measure."""
     tree = _grown(species, height_m, seed)
-    frequency_hz, damping_ratio = ring_down(released(tree))
+    frequency_hz, damping_ratio = fit_ring_down(free_motion(tree))
     places = tree.mesh.vertices
     motions = []
     for speed in SPEEDS_M_S:
@@ -112,7 +112,7 @@ def _of_motions(
     top = _highest(places)
     tips = [motion[top, 1:] for motion in motions]
     response, response_in_storm = _exponents(tips)
-    some = np.random.default_rng(0).permutation(len(places))[:MOST_PLACES]
+    some = np.random.default_rng(0).permutation(len(places))[:MAX_POINTS]
     num_frames = 2 * motions[0].shape[1]
     slow, fast = (to_motion(_without_lean(motions[at][some]), num_frames).astype(np.float64) for at in (2, 3))
     frame_s = 1 / float(frequencies_hz[1]) / num_frames
@@ -121,19 +121,19 @@ def _of_motions(
         "orbit": _orbit(tips[1]),
         "response": response,
         "response_in_storm": response_in_storm,
-        "shapes": effective_shapes(velocity(off_trunk(places[some], fast))),
+        "shapes": effective_shapes(velocity(without_trunk_motion(places[some], fast))),
         "correlation": correlation(slow, fast),
         "fast_share_slow": fast_share(slow, frame_s),
         "fast_share": fast_share(fast, frame_s),
     }
 
 
-def ring_down(series: Float64[np.ndarray, " T"]) -> tuple[float, float]:
+def fit_ring_down(series: Float64[np.ndarray, " T"]) -> tuple[float, float]:
     """Measure frequency [Hz] and damping ratio of a ring-down, from its zero crossings and the decay of its peaks."""
     at = np.flatnonzero(np.diff(np.signbit(series)))
     crossings = at + series[at] / (series[at] - series[at + 1])
     peaks = np.array([part.max() for part in np.split(np.abs(series), at + 1)[1:-1]])  # one peak between two crossings
-    small = np.flatnonzero(peaks < RINGS_TO * peaks[0])
+    small = np.flatnonzero(peaks < RING_DOWN_END * peaks[0])
     last = max(int(small[0]), 2) if len(small) else len(peaks)
     frequency_hz = FPS * last / (2 * (crossings[last] - crossings[0]))
     decrement = -np.polyfit(np.arange(last), np.log(peaks[:last]), 1)[0]
@@ -181,7 +181,7 @@ def law_shares(trees: list[TreeLaws]) -> dict[str, float]:
     return {name: float(np.mean(of_trees)) if of_trees else float("nan") for name, of_trees in verdicts.items()}
 
 
-def judged(tree: TreeLaws) -> dict[str, bool | None]:
+def satisfied_laws(tree: TreeLaws) -> dict[str, bool | None]:
     """Return which laws one tree satisfies; None if there are no measurements of real trees of its height."""
     shares = law_shares([tree])
     shares.pop("bare trees less damped")

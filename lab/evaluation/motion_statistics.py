@@ -23,7 +23,7 @@ def effective_shapes(motion: Motion) -> float:
     return float(size.sum() ** 2 / (size**2).sum())
 
 
-def off_trunk(places: Float32[np.ndarray, "N 3"], motion: Motion) -> Motion:
+def without_trunk_motion(places: Float32[np.ndarray, "N 3"], motion: Motion) -> Motion:
     """Subtract the part of the motion that bends as z² and z³, which is the trunk's."""
     height = (places[:, 2] - places[:, 2].min()) / np.ptp(places[:, 2])
     bends = np.stack([height**2, height**3], axis=1)

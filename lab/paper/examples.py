@@ -26,7 +26,7 @@ from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.shards import StoredTree, iter_shard
 
-STORED = 128  # resolution of the voxels and spectra in the shards
+RESOLUTION = 128  # resolution of the voxels and spectra in the shards
 HALF_SCALE = 1000.0
 """Spectra over the height are 1e-5 to 0.1; multiplied by this factor they suit float16."""
 
@@ -81,9 +81,9 @@ def paper_example(stored: StoredTree, preset: PaperPreset) -> PaperExample:
     Raises:
         InputError: the preset's resolution does not divide the stored one.
     """
-    factor = STORED // preset.resolution
-    if factor * preset.resolution != STORED:
-        raise InputError(f"the resolution is {preset.resolution}; it must be {STORED} divided by a power of two")
+    factor = RESOLUTION // preset.resolution
+    if factor * preset.resolution != RESOLUTION:
+        raise InputError(f"the resolution is {preset.resolution}; it must be {RESOLUTION} divided by a power of two")
     if preset.condition_resolution in stored.grids:
         fine = stored.voxels(preset.condition_resolution)
     else:
@@ -103,7 +103,7 @@ def paper_example(stored: StoredTree, preset: PaperPreset) -> PaperExample:
 
 def _pooled(stored: StoredTree, coords: np.ndarray, preset: PaperPreset) -> Complex64[np.ndarray, "V K 3"]:
     """Average the stored spectrum over each coarser voxel, in the order of `coords`; if empty, take the nearest."""
-    factor, spectrum = STORED // preset.resolution, stored.spectrum(STORED)
+    factor, spectrum = RESOLUTION // preset.resolution, stored.spectrum(RESOLUTION)
     coarse = VoxelGrid.from_coords(
         spectrum.grid.coords // factor,
         origin_m=spectrum.grid.origin_m,

@@ -8,10 +8,10 @@ from torch import Tensor
 
 from dynamictree.models.small.amplitude import floor_of
 
-SEEN = 3e-5  # smallest motion whose centroid and lean count [share of the height at drag and gust 1]
+MIN_MOTION = 3e-5  # smallest motion whose centroid and lean count [share of the height at drag and gust 1]
 CENTROID_WEIGHT = 0.15
 LEAN_WEIGHT = 0.5
-OF_ALL = 0.1
+TREE_SHARE = 0.1
 """Weight of a whole tree's mean error in a bin, which is mostly random gusts and would be overfitted."""
 
 
@@ -50,20 +50,20 @@ def amplitude_losses(
         wind: ln speed and gust at each row.
         num_trees: number of trees in the rows.
     """
-    floor, seen_from = floor_of(wind), floor_of(wind, SEEN)
+    floor, least = floor_of(wind), floor_of(wind, MIN_MOTION)
     power = spectrum[:, 1:].abs().square()  # [R, J, 3]
     guessed_power = (2 * log_amplitude).exp()
     size = (power + floor[:, None, None] ** 2).log() / 2
     total = (power.sum(dim=(1, 2)) + floor**2).log() / 2
     guessed = guessed_power.sum(dim=(1, 2)).log() / 2
     truth = spectrum[:, 0].real
-    seen = power.sum(dim=(1, 2)) > seen_from**2
+    seen = power.sum(dim=(1, 2)) > least**2
     difference = _mean_bin(guessed_power.sum(dim=2)) - _mean_bin(power.sum(dim=2) + floor[:, None] ** 2)
     return AmplitudeLosses(
         logarithmic=_squared(log_amplitude - size, num_trees),
         overall=_squared(guessed - total, num_trees),
         centroid=_squared(difference * seen, num_trees),
-        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + seen_from**2)).mean(),
+        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + least**2)).mean(),
     )
 
 
@@ -76,5 +76,5 @@ def _mean_bin(power: Float32[Tensor, "R J"]) -> Float32[Tensor, " R"]:
 def _squared(error: Float32[Tensor, "*S"], num_trees: int) -> Float32[Tensor, ""]:
     by_tree = error.view(num_trees, -1, *error.shape[1:])
     of_all = by_tree.mean(dim=1, keepdim=True)
-    mean: Tensor = (by_tree - of_all).square().mean() + OF_ALL * of_all.square().mean()
+    mean: Tensor = (by_tree - of_all).square().mean() + TREE_SHARE * of_all.square().mean()
     return mean

@@ -56,14 +56,14 @@ def measure_leaves(network: SmallNetwork, trees: Iterable[StoredTree], seed: int
     model, true, drawn = SmallModel(network, name="small"), [], []
     for tree in trees:
         voxels = voxels_of(tree)
-        pairs = leaves_apart(model.prepare(voxels, tree.wind))
-        true.append(likeness(tree.spectrum().coefficients, pairs))
-        drawn.append(likeness(model.generate(voxels, wind=tree.wind, seed=seed).coefficients, pairs))
+        pairs = distant_leaf_pairs(model.prepare(voxels, tree.wind))
+        true.append(coherence(tree.spectrum().coefficients, pairs))
+        drawn.append(coherence(model.generate(voxels, wind=tree.wind, seed=seed).coefficients, pairs))
     share = 1 - np.mean(true, axis=0) / np.mean(drawn, axis=0)
     network.leaf_share[2:] = torch.from_numpy(share)[2:].clamp(0, 0.9)
 
 
-def leaves_apart(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
+def distant_leaf_pairs(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
     """Return every twentieth pair of leaf voxels that are 5 to 6 voxels apart."""
     coords, base = prepared.voxels.grid.coords, prepared.leaves.base.numpy()
     pairs = cKDTree(coords).query_pairs(6.0, output_type="ndarray")
@@ -71,7 +71,7 @@ def leaves_apart(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
     return np.asarray(pairs[np.linalg.norm(np.diff(coords[pairs], axis=1)[:, 0], axis=1) >= 5.0][::20], np.int64)
 
 
-def likeness(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P 2"]) -> Float64[np.ndarray, " J"]:
+def coherence(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P 2"]) -> Float64[np.ndarray, " J"]:
     """Return the size-weighted correlation of pairs of voxels in each bin k >= 1: 1 is identical, 0 independent."""
     one, other = motion[pairs[:, 0], 1:], motion[pairs[:, 1], 1:]
     sizes = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)

@@ -37,7 +37,7 @@ from lab.training.schedules import LearningRateSchedule
 from lab.training.trainer import Trainer, TrainerOptions
 
 TREES_PER_FILE = 25
-GOING_ON_RATE = 0.5
+FINE_TUNING_FACTOR = 0.5
 """Factor on the learning rate if a network starts from weights (docs/decisions/diffusion.md)."""
 
 
@@ -144,7 +144,7 @@ def _train_amplitude(
     options = plan.amplitude
     if plan.start_from is not None:
         load_part(network.amplitude, load_file(plan.start_from), "amplitude")
-        options = options.slowed(GOING_ON_RATE)
+        options = options.with_slower_rate(FINE_TUNING_FACTOR)
     else:
         standardise(network.amplitude, rows)
     trainer = Trainer(network.amplitude, options)
@@ -172,7 +172,7 @@ def _train_denoiser(
     options = plan.denoiser
     if plan.start_from is not None:
         load_part(network.denoiser, load_file(plan.start_from), "denoiser")
-        options = options.slowed(GOING_ON_RATE)
+        options = options.with_slower_rate(FINE_TUNING_FACTOR)
     trainer = Trainer(network.denoiser, options)
     trainer.resume(checkpoint)
     if not trainer.finished:

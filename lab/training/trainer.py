@@ -37,7 +37,7 @@ class TrainerOptions:
         """Return the same options for another number of steps."""
         return replace(self, schedule=replace(self.schedule, num_steps=num_steps))
 
-    def slowed(self, share: float) -> "TrainerOptions":
+    def with_slower_rate(self, share: float) -> "TrainerOptions":
         """Return the same options with a reduced learning rate."""
         rate = share * self.schedule.learning_rate
         return replace(self, schedule=replace(self.schedule, learning_rate=rate))

@@ -16,7 +16,7 @@ from dynamictree.models.small.network import SmallNetwork
 from dynamictree.weights import weights_path
 from lab.commands.train import train
 from lab.dataset.sample import is_training_seed, make_sample
-from lab.dataset.shards import store, write_shard
+from lab.dataset.shards import stored_tree, write_shard
 from lab.evaluation.baselines import fit_by_height, training_tree
 from lab.evaluation.held_out_trees import iter_held_out
 from lab.small.examples import Example, iter_training, make_example
@@ -44,7 +44,7 @@ def shards(tmp_path_factory) -> Path:
     """A folder with one shard: three trees for training, one for validation between them, one of a species held out."""
     folder = tmp_path_factory.mktemp("shards")
     own = [(1, "sapling"), (20, "sapling"), (2, "sapling"), (4, "palm"), (3, "sapling")]
-    trees = [store(make_sample(*one), resolutions=(128,)) for one in own]
+    trees = [stored_tree(make_sample(*one), resolutions=(128,)) for one in own]
     with (folder / "4dtree-00000.safetensors").open("wb") as stream:
         write_shard(trees, stream)
     return folder

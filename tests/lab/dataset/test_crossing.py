@@ -9,10 +9,10 @@ import trimesh
 from scipy.spatial.distance import pdist
 
 from lab.dataset.crossing import (
-    CROSSED,
     MAX_LEAVES,
     MAX_STEMS,
-    crossed_species,
+    MIXED_SPECIES,
+    mix_species,
 )
 from lab.dataset.generate import Recipe, generate
 from lab.dataset.sample import Sample, make_sample
@@ -22,7 +22,7 @@ from lab.dataset.species import SPECIES
 
 def test_parts_are_of_species_for_training_and_bounded() -> None:
     rng = np.random.default_rng(0)
-    crossed = [one for one in (crossed_species(rng) for _ in range(300)) if one.foliage.kind != "clump"]
+    crossed = [one for one in (mix_species(rng) for _ in range(300)) if one.foliage.kind != "clump"]
     trunks = {replace(species.levels[0], taper=0.0) for species in SPECIES.values() if not species.held_out}
     assert {replace(one.levels[0], taper=0.0) for one in crossed} <= trunks
     assert {one.foliage.kind for one in crossed} == {"none", "leaf", "cluster", "needle"}
@@ -47,26 +47,26 @@ def test_clumps_are_closed_and_each_is_rigid() -> None:
 
 def _low_poly_sample() -> Sample:
     """The first of the crossed trees whose foliage follows the stems' own nodes."""
-    samples = (make_sample(seed, CROSSED) for seed in range(5000, 5100))
+    samples = (make_sample(seed, MIXED_SPECIES) for seed in range(5000, 5100))
     return next(
         one for one in samples if (one.part == LEAF).any() and len(one.motion.position) == len(one.skeleton.position)
     )
 
 
 def test_a_seed_is_a_tree_and_says_that_it_is_crossed() -> None:
-    first, again, other = (make_sample(seed, CROSSED) for seed in (3, 3, 5))
-    assert first.species == CROSSED
+    first, again, other = (make_sample(seed, MIXED_SPECIES) for seed in (3, 3, 5))
+    assert first.species == MIXED_SPECIES
     assert first.split == "train"
     np.testing.assert_array_equal(first.coefficients, again.coefficients)
     assert first.mesh.num_vertices != other.mesh.num_vertices
     assert make_sample(3).species in SPECIES
 
 
-@pytest.mark.parametrize("species", [None, CROSSED])
+@pytest.mark.parametrize("species", [None, MIXED_SPECIES])
 def test_the_recipe_of_a_shard_tells_the_species_where_it_is_asked_for(species, tmp_path) -> None:
     recipe = Recipe(trees=1, resolutions=(32,), species=species)
     manifest = generate(recipe, tmp_path)
     record = json.loads((tmp_path / "4dtree-00000.json").read_text())
     assert record["recipe"].get("species") == species
-    assert (manifest["species"] == {CROSSED: 1}) == (species == CROSSED)
-    assert ("--species crossed" in (tmp_path / "README.md").read_text()) == (species == CROSSED)
+    assert (manifest["species"] == {MIXED_SPECIES: 1}) == (species == MIXED_SPECIES)
+    assert ("--species crossed" in (tmp_path / "README.md").read_text()) == (species == MIXED_SPECIES)

@@ -33,7 +33,7 @@ def burst(shift, height_m):
 
 @pytest.mark.parametrize("name", ["palm", "shrub", "pine", "acacia"])
 def test_the_generators_trees_pass_in_a_moderate_wind(name):
-    assert measure(make_sample(1, name, wind=Wind(speed_m_s=5.0))).broken(DatasetLimits()) == ()
+    assert measure(make_sample(1, name, wind=Wind(speed_m_s=5.0))).violated(DatasetLimits()) == ()
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_spoiled_motion_is_rejected_by_every_rule_that_sees_it(sapling, change
     motion = replace(sapling.motion, shift=sapling.motion.shift.copy())
     change(motion.shift, sapling.mesh.height_m)
     with np.errstate(invalid="ignore"):
-        assert rules <= set(measure(replace(sapling, motion=motion)).broken(DatasetLimits()))
+        assert rules <= set(measure(replace(sapling, motion=motion)).violated(DatasetLimits()))
 
 
 def test_high_frequency_energy_is_the_share_above():

@@ -13,10 +13,10 @@ from lab.dataset.oscillator import (
     MAX_LEAN_RAD,
     Load,
     Oscillators,
-    bounded,
+    bin_transfer,
     drag,
     growth_exponent,
-    of_bins,
+    limit_angles,
     oscillators,
     pressure,
 )
@@ -72,7 +72,7 @@ def test_the_answer_solves_the_equation_of_motion_with_drag_by_relative_speed(rn
 def test_the_transfer_of_a_bin_is_the_mean_over_its_width() -> None:
     omega = 2 * np.pi * np.arange(40) * FPS / NUM_FRAMES
     own, damping = np.array([4.5 * omega[1], 5.0 * omega[1]]), np.array([0.03, 0.03])
-    transfer = of_bins(omega, own, damping)
+    transfer = bin_transfer(omega, own, damping)
     fine = np.arange(0.5, 39.5, 1e-3)[:, None] * omega[1] / own
     power = 1 / ((1 - fine**2) ** 2 + (2 * damping * fine) ** 2)
     np.testing.assert_allclose((np.abs(transfer[:, 1:]) ** 2).sum(axis=1), power.sum(axis=0) * 1e-3, rtol=0.15)
@@ -93,8 +93,8 @@ def test_drag_points_where_the_air_goes_and_a_stem_never_bends_past_its_bound(rn
     passing = rng.normal(0, 10, (3, 5, 7))
     force = drag(passing)
     np.testing.assert_allclose(np.cross(passing, force, axis=0), 0, atol=1e-9)
-    assert (np.sqrt((bounded(100 * force) ** 2).sum(axis=0)) <= MAX_LEAN_RAD * (1 + 1e-9)).all()
-    np.testing.assert_allclose(bounded(1e-3 * force), 1e-3 * force, rtol=1e-2)
+    assert (np.sqrt((limit_angles(100 * force) ** 2).sum(axis=0)) <= MAX_LEAN_RAD * (1 + 1e-9)).all()
+    np.testing.assert_allclose(limit_angles(1e-3 * force), 1e-3 * force, rtol=1e-2)
 
 
 def test_loads_gather_towards_the_root() -> None:

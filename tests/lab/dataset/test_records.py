@@ -11,7 +11,7 @@ from lab.commands.dataset import app
 from lab.dataset.filter import measure
 from lab.dataset.generate import Recipe, generate
 from lab.dataset.limits import DatasetLimits
-from lab.dataset.records import iter_seen
+from lab.dataset.records import iter_measured
 from lab.dataset.sample import make_sample
 
 REJECTED = 41
@@ -32,7 +32,7 @@ def ran(*arguments):
 
 
 def test_records_tell_what_measuring_the_tree_again_tells(folder):
-    seen = list(iter_seen(folder))
+    seen = list(iter_measured(folder))
     assert [tree.seed for tree in seen] == [40, 42]
     for tree in seen:
         again = make_sample(tree.seed)
@@ -46,8 +46,8 @@ def test_a_tree_that_a_rule_rejected_is_seen_too(tmp_path):
         trees=1, first_seed=40, resolutions=(32,), limits=DatasetLimits(self_explosion=0.99 * measures.self_explosion)
     )
     generate(recipe, tmp_path)
-    accepted, rejected, *_ = iter_seen(tmp_path)
-    assert (rejected.seed, rejected.broken, rejected.measures) == (40, ("self-explosion",), measures)
+    accepted, rejected, *_ = iter_measured(tmp_path)
+    assert (rejected.seed, rejected.violated, rejected.measures) == (40, ("self-explosion",), measures)
     assert accepted.measures.self_explosion <= recipe.limits.self_explosion
 
 
@@ -70,4 +70,4 @@ def test_a_species_that_the_folder_lacks_is_reported(folder):
 
 def test_a_folder_without_shards_is_refused(tmp_path):
     with pytest.raises(InputError, match="no shard lies in"):
-        list(iter_seen(tmp_path))
+        list(iter_measured(tmp_path))

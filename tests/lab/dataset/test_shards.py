@@ -14,7 +14,7 @@ from dynamictree.errors import FormatError, InputError
 from lab.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
 from lab.dataset.limits import DatasetLimits
 from lab.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
-from lab.dataset.shards import iter_shard, store, write_shard
+from lab.dataset.shards import iter_shard, stored_tree, write_shard
 from lab.dataset.species import SPECIES
 
 TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
@@ -56,7 +56,7 @@ def test_a_voxel_has_the_motion_of_the_surface_inside(sapling):
 
 
 def test_reading_undoes_writing(sapling, tmp_path):
-    stored = store(sapling, resolutions=(32, 64))
+    stored = stored_tree(sapling, resolutions=(32, 64))
     path = tmp_path / "one.safetensors"
     with path.open("wb") as stream:
         write_shard([stored], stream)

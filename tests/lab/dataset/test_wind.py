@@ -7,7 +7,7 @@ from dynamictree.spectrum import NUM_FREQUENCIES, Wind, from_motion
 from lab.dataset.branching import grow_trunks
 from lab.dataset.filter import edge_stretch
 from lab.dataset.motion import vertex_spectrum
-from lab.dataset.rotation import carried, product, to_matrix, turn_of
+from lab.dataset.rotation import product, quaternion_of, rotate, to_matrix
 from lab.dataset.sample import SPECIES, make_sample
 from lab.dataset.sapling import LEAF, grow_tree
 from lab.dataset.species import Foliage
@@ -17,15 +17,15 @@ from tests.lab.dataset.stems import tables_of
 
 def test_a_quaternion_chain_is_a_matrix_chain(rng):
     vectors = rng.normal(0, 0.4, (2, 3, 7)).astype(np.float32)
-    first, second = (turn_of(vector) for vector in vectors)
+    first, second = (quaternion_of(vector) for vector in vectors)
     np.testing.assert_allclose(np.linalg.norm(first, axis=0), 1, atol=1e-6)
     eye = np.eye(3)[:, :, None]
     chained = np.einsum("xyn,yzn->xzn", to_matrix(first) + eye, to_matrix(second) + eye)
     np.testing.assert_allclose(to_matrix(product(first, second)) + eye, chained, atol=1e-5)
     point = rng.normal(0, 1, (3, 7)).astype(np.float32)
-    np.testing.assert_allclose(carried(first, point), np.einsum("xyn,yn->xn", to_matrix(first) + eye, point), atol=1e-5)
+    np.testing.assert_allclose(rotate(first, point), np.einsum("xyn,yn->xn", to_matrix(first) + eye, point), atol=1e-5)
     small = np.float32(1e-3) * vectors[0]
-    np.testing.assert_allclose(carried(turn_of(small), point) - point, np.cross(small, point, axis=0), atol=1e-5)
+    np.testing.assert_allclose(rotate(quaternion_of(small), point) - point, np.cross(small, point, axis=0), atol=1e-5)
 
 
 def test_a_bare_tree_sways_faster_than_in_leaf_and_its_stems_ring():

@@ -9,22 +9,22 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from dynamictree.errors import InputError
-from lab.evaluation.classifier import classify, features_of, share_right
+from lab.evaluation.classifier import classify, cross_validate, features_of
 from lab.evaluation.figures import TreeReference
 from lab.evaluation.held_out_trees import HeldOutTree
 
 
 def test_what_differs_is_separated_and_what_does_not_is_guessed(rng) -> None:
     one, other = rng.standard_normal((120, 4)), rng.standard_normal((120, 4))
-    assert share_right(one, other, seed=0) == pytest.approx(0.5, abs=0.12)
+    assert cross_validate(one, other, seed=0) == pytest.approx(0.5, abs=0.12)
     other[:, 3] += 4
-    assert share_right(one, other, seed=0) > 0.95
+    assert cross_validate(one, other, seed=0) > 0.95
 
 
 def test_a_tree_is_never_on_both_sides_of_a_split(rng) -> None:
     """Were it, of two equal rows the one learnt would mislead about the other: right in no case."""
     tree = rng.standard_normal((100, 4))
-    assert share_right(tree, tree.copy(), seed=0) == 0.5
+    assert cross_validate(tree, tree.copy(), seed=0) == 0.5
 
 
 def test_features_do_not_change_with_the_compass_or_the_unit(palm: HeldOutTree) -> None:

@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 from dynamictree.errors import CheckpointError, InputError
 from lab.dataset.sample import make_sample
 from lab.evaluation.clip import ClipEmbedder, load_clip
-from lab.evaluation.frame_distances import embedded, frame_distances, motion_distances
+from lab.evaluation.frame_distances import embed_pictures, frame_distances, motion_distances
 
 transformers = pytest.importorskip("transformers", reason="the extra `evaluate` is not installed")
 
@@ -39,7 +39,7 @@ def test_the_weights_are_those_of_the_file_and_of_vit_b_32(tmp_path) -> None:
     assert sum(one.numel() for one in loaded.network.parameters()) == 87_849_216
     assert all(torch.equal(value, weights[name]) for name, value in loaded.network.state_dict().items())
     assert not loaded.network.training
-    (row,) = embedded(loaded, [picture(0)])
+    (row,) = embed_pictures(loaded, [picture(0)])
     assert row.shape == (512,)
     assert float(row.norm()) == pytest.approx(1)
 

@@ -14,8 +14,8 @@ from dynamictree.modal.real_trees import height_law_hz
 from lab.commands.evaluate import print_laws
 from lab.dataset.sapling import Tree, grow_tree
 from lab.dataset.species import SPECIES, Foliage
-from lab.dataset.wind import released
-from lab.evaluation.laws import MODEL_BANDS_HZ, TreeLaws, evaluate_laws, law_shares, model_band, ring_down
+from lab.dataset.wind import free_motion
+from lab.evaluation.laws import MODEL_BANDS_HZ, TreeLaws, evaluate_laws, fit_ring_down, law_shares, model_band
 
 OF_HALF_THE_TREES = {"flutter sets in with the speed"}
 """Laws that the simulator itself satisfies on half of the trees only (docs/laws.md)."""
@@ -29,13 +29,13 @@ def maple(height_m: float) -> Tree:
 def test_a_simulated_ring_down_has_the_frequency_of_measured_trees(height_m: float) -> None:
     tree = maple(height_m)
     law_hz = float(height_law_hz(float(tree.mesh.height_m)))
-    assert abs(np.log(ring_down(released(tree))[0] / law_hz)) < 0.24  # the rms error of the law itself is 0.22
+    assert abs(np.log(fit_ring_down(free_motion(tree))[0] / law_hz)) < 0.24  # the rms error of the law itself is 0.22
 
 
 def test_a_ring_down_is_measured_as_it_was_built() -> None:
     times = np.arange(4000) / 24
     series = np.exp(-0.08 * 2 * np.pi * 0.3 * times) * np.sin(2 * np.pi * 0.3 * np.sqrt(1 - 0.08**2) * times)
-    frequency_hz, damping_ratio = ring_down(series)
+    frequency_hz, damping_ratio = fit_ring_down(series)
     assert frequency_hz == pytest.approx(0.3 * np.sqrt(1 - 0.08**2), rel=0.01)
     assert damping_ratio == pytest.approx(0.08, rel=0.05)
 
@@ -43,7 +43,7 @@ def test_a_ring_down_is_measured_as_it_was_built() -> None:
 def test_a_tree_is_slower_and_more_damped_in_leaf_than_bare() -> None:
     tree = maple(14.0)
     without = replace(tree, leaves=(), species=replace(tree.species, foliage=Foliage(kind="none")))
-    leaf, bare = (ring_down(released(one)) for one in (tree, without))
+    leaf, bare = (fit_ring_down(free_motion(one)) for one in (tree, without))
     assert 0.79 < leaf[0] / bare[0] < 0.94  # measured, docs/laws.md
     assert 0.03 < bare[1] < 0.05
     assert 1.7 * bare[1] < leaf[1] < 0.17

@@ -18,7 +18,7 @@ from dynamictree.models.paper.network import PaperNetwork, paper_preset
 from dynamictree.models.weights_file import read_weights
 from dynamictree.models.wind import wind_axes, wind_sizes
 from lab.dataset.sample import make_sample
-from lab.dataset.shards import StoredTree, shards_sha256, store, write_shard
+from lab.dataset.shards import StoredTree, shards_sha256, stored_tree, write_shard
 from lab.paper.examples import ExampleCache, paper_example
 from lab.paper.train import PaperTraining, frequency_sizes, train_paper
 
@@ -30,7 +30,7 @@ RUN = PaperTraining(
 
 @pytest.fixture(scope="module")
 def stored() -> list[StoredTree]:
-    return [store(make_sample(seed, "sapling"), resolutions=(128,)) for seed in SEEDS]
+    return [stored_tree(make_sample(seed, "sapling"), resolutions=(128,)) for seed in SEEDS]
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, NUM_PARTS,
 from dynamictree.requests import Wind
 from lab.dataset.sample import make_sample
 from lab.dataset.sapling import LEAF
-from lab.dataset.shards import StoredTree, store
-from lab.small.amplitude_loss import OF_ALL, amplitude_losses
+from lab.dataset.shards import StoredTree, stored_tree
+from lab.small.amplitude_loss import TREE_SHARE, amplitude_losses
 from lab.small.examples import example_of
 from lab.small.foliage_targets import ARM_SCALE, true_parts
 from lab.small.train_foliage import BLIND_EVERY, FoliageExample, foliage_examples, foliage_step, standardise_foliage
@@ -24,7 +24,7 @@ SEED = 9
 
 @pytest.fixture(scope="module")
 def stored() -> StoredTree:
-    return store(make_sample(SEED, "sapling"), resolutions=(32, 128))
+    return stored_tree(make_sample(SEED, "sapling"), resolutions=(32, 128))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_the_foliage_network_learns_a_tree(example: FoliageExample) -> None:
 
 
 def test_the_truth_has_no_amplitude_error_but_its_axes_scatter() -> None:
-    stored = store(make_sample(SEED, "sapling", wind=Wind(speed_m_s=15.0)), resolutions=(32, 128))
+    stored = stored_tree(make_sample(SEED, "sapling", wind=Wind(speed_m_s=15.0)), resolutions=(32, 128))
     spectrum = example_of(stored).spectrum
     spectrum = spectrum[spectrum.abs().amin(dim=(1, 2)) > 1e-4]  # far above the floor
     assert len(spectrum) > 100
@@ -91,4 +91,4 @@ def test_the_truth_has_no_amplitude_error_but_its_axes_scatter() -> None:
     assert shifted.total() > losses.total()
     pair = torch.cat([spectrum, spectrum])
     stronger = amplitude_losses(pair[:, 0].real, torch.cat([size, size + 0.5]), pair, torch.cat([wind, wind]), 2)
-    assert stronger.logarithmic == pytest.approx(0.5**2 / 2 * OF_ALL, rel=1e-3)  # little: that is the gusts' chance
+    assert stronger.logarithmic == pytest.approx(0.5**2 / 2 * TREE_SHARE, rel=1e-3)  # little: that is the gusts' chance

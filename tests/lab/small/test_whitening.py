@@ -14,15 +14,15 @@ from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.spread import at_speed
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample
-from lab.dataset.shards import StoredTree, store
+from lab.dataset.shards import StoredTree, stored_tree
 from lab.small.examples import Example, example_of, gust_pair, voxels_of
-from lab.small.spread import leaves_apart, likeness, measure_field, measure_spread
+from lab.small.spread import coherence, distant_leaf_pairs, measure_field, measure_spread
 from lab.small.whitening import fit_shares
 
 
 @pytest.fixture(scope="module")
 def stored() -> StoredTree:
-    return store(make_sample(1), resolutions=(128,))
+    return stored_tree(make_sample(1), resolutions=(128,))
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +58,11 @@ def test_what_leaves_have_for_themselves_makes_them_move_apart(stored: StoredTre
     """Of the shipped network, in the upper bins: half of what leaves 5 to 6 voxels apart were too much alike goes."""
     model, drawn = load_model("small"), []
     voxels = voxels_of(stored)
-    pairs = leaves_apart(model.prepare(voxels, stored.wind))
+    pairs = distant_leaf_pairs(model.prepare(voxels, stored.wind))
     for share in (model.network.leaf_share.clone(), 0 * model.network.leaf_share):
         model.network.leaf_share.copy_(share)
-        drawn.append(likeness(model.generate(voxels, wind=stored.wind, seed=0).coefficients, pairs)[7:].mean())
-    true = likeness(stored.spectrum().coefficients, pairs)[7:].mean()
+        drawn.append(coherence(model.generate(voxels, wind=stored.wind, seed=0).coefficients, pairs)[7:].mean())
+    true = coherence(stored.spectrum().coefficients, pairs)[7:].mean()
     assert true < drawn[0] < true + 0.5 * (drawn[1] - true)
 
 
