@@ -126,10 +126,10 @@ def sheet(
 ) -> None:
     """Draw pages of trees with motion strips, and a review file to mark trees as rejected in."""
     from dynamictree.render import write_png
+    from lab.dataset.contact_sheet import draw_sheet
     from lab.dataset.records import iter_measured
     from lab.dataset.review import all_accepted, write_review
     from lab.dataset.sample import make_sample
-    from lab.dataset.sheet import draw_sheet
 
     output.mkdir(parents=True, exist_ok=True)
     seeds: Sequence[int] = range(first_seed, first_seed + trees)

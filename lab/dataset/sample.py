@@ -10,7 +10,7 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
-from lab.dataset.crossing import MIXED_SPECIES, mix_species
+from lab.dataset.mixed_species import MIXED_SPECIES, mix_species
 from lab.dataset.motion import Sway, vertex_spectrum
 from lab.dataset.sapling import Tree, grow_tree
 from lab.dataset.species import SPECIES, Species

@@ -8,13 +8,13 @@ import pytest
 import trimesh
 from scipy.spatial.distance import pdist
 
-from lab.dataset.crossing import (
+from lab.dataset.generate import Recipe, generate
+from lab.dataset.mixed_species import (
     MAX_LEAVES,
     MAX_STEMS,
     MIXED_SPECIES,
     mix_species,
 )
-from lab.dataset.generate import Recipe, generate
 from lab.dataset.sample import Sample, make_sample
 from lab.dataset.sapling import LEAF
 from lab.dataset.species import SPECIES
