@@ -15,7 +15,7 @@ from ulid import ULID
 
 from jobs.database import tables as t
 from jobs.database.engine import insert_new, open_engine
-from jobs.database.retry import patient
+from jobs.database.retry import retry_while_unavailable
 from jobs.database.tables import make_tables
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
 from jobs.lifecycle import rows
@@ -38,13 +38,13 @@ class Store:
         self.engine = engine
         self.clock = clock
         self.owner = owner
-        self.patience_s = 0.0  # how long functions marked @patient wait for an unavailable database
+        self.patience_s = 0.0  # how long functions marked @retry_while_unavailable wait for an unavailable database
 
     def for_owner(self, owner: str) -> "Store":
         """Restrict the store to the rows of one owner."""
         return Store(self.engine, clock=self.clock, owner=owner)
 
-    def mine(self, table: sa.Table) -> sa.ColumnElement[bool]:
+    def owned(self, table: sa.Table) -> sa.ColumnElement[bool]:
         """Restrict a query to the owner's rows."""
         return sa.true() if self.owner is None else table.c.owner == self.owner
 
@@ -73,7 +73,7 @@ class Store:
         with self.engine.begin() as connection:
             yield connection
 
-    def take_turns(self, connection: sa.Connection) -> None:
+    def lock_owner(self, connection: sa.Connection) -> None:
         """Serialize this owner's transactions that check a quota."""
         if connection.dialect.name == "postgresql":  # SQLite serializes writers anyway
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(self.owner or ""))))
@@ -134,7 +134,7 @@ class Store:
     def _require_quota(self, connection: sa.Connection, max_active: int | None, *, counted: int = 0) -> None:
         if max_active is None:
             return
-        self.take_turns(connection)
+        self.lock_owner(connection)
         active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.owner == (self.owner or ""))
         matches = connection.execute(sa.select(sa.func.count()).where(active)).scalar_one() - counted
         if matches >= max_active:
@@ -147,7 +147,7 @@ class Store:
         old = t.jobs.c.created_at < self.clock() - client_key.expires_s
         connection.execute(t.jobs.update().where((t.jobs.c.client_key == client_key.key) & old).values(client_key=None))
 
-    @patient
+    @retry_while_unavailable
     def job(self, job_id: str) -> JobRecord:
         """Return one job with its stages."""
         with self.reading() as connection:
@@ -157,7 +157,7 @@ class Store:
         try:
             job = rows.read_job(connection, job_id)
         except NotFoundError:
-            tomb = (t.tombstones.c.id == job_id) & self.mine(t.tombstones)
+            tomb = (t.tombstones.c.id == job_id) & self.owned(t.tombstones)
             if connection.execute(sa.select(t.tombstones.c.id).where(tomb)).one_or_none() is not None:
                 raise GoneError(f"job {job_id} was deleted or has expired; create it again") from None
             raise
@@ -180,7 +180,7 @@ class Store:
         limit: int = 20,
     ) -> list[JobRecord]:
         """List jobs with the chosen column values, newest first: created from `since` on, with ids below `before`."""
-        query = sa.select(t.jobs).where(self.mine(t.jobs)).order_by(t.jobs.c.id.desc()).limit(limit)
+        query = sa.select(t.jobs).where(self.owned(t.jobs)).order_by(t.jobs.c.id.desc()).limit(limit)
         for name, value in (chosen or {}).items():
             if value is not None:
                 query = query.where(t.jobs.c[name] == value)
@@ -196,10 +196,10 @@ class Store:
                 stages.setdefault(stage.job_id, []).append(stage)
         return [rows.job_of(row, stages.get(row.id, [])) for row in matches]
 
-    def standing_of(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
+    def positions_and_artifacts(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
         """Return each job's number of jobs before it in its queue (None once started) and its artifacts so far.
 
-        Owners take turns, as in `maintenance.unsent`.
+        Owners take turns, as in `maintenance.messages_to_send`.
         """
         positions: dict[str, int] = {}
         offered: dict[str, list[ArtifactRecord]] = {}
@@ -230,11 +230,11 @@ class Store:
             job = self._read_job(connection, job_id)
             if job.state in {JobState.CANCELING, JobState.CANCELED}:
                 return job
-            if not rows.move(connection, job_id, JobState.CANCELING):
+            if not rows.change_state(connection, job_id, JobState.CANCELING):
                 raise ConflictError(f"job {job_id} has {job.state}; only a queued or running job can be canceled")
             holder = connection.execute(sa.select(t.jobs.c.lease_owner).where(t.jobs.c.id == job_id)).scalar_one()
             if holder is None:
-                rows.end(connection, job_id, JobState.CANCELED, now=self.clock())
+                rows.end_job(connection, job_id, JobState.CANCELED, now=self.clock())
             return rows.read_job(connection, job_id)
 
     def delete_job(self, job_id: str) -> None:
@@ -247,9 +247,9 @@ class Store:
             job = self._read_job(connection, job_id)
             if not job.terminal:
                 raise ConflictError(f"job {job_id} is {job.state}; cancel it, and delete it once it has ended")
-            rows.bury(connection, t.jobs.c.id == job_id, now=self.clock())
+            rows.delete_with_tombstones(connection, t.jobs.c.id == job_id, now=self.clock())
 
-    @patient
+    @retry_while_unavailable
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
         """Return the artifacts of a job so far, in order of creation."""
         with self.reading() as connection:
@@ -260,7 +260,7 @@ class Store:
         with self.reading() as connection:
             query = sa.select(t.artifacts).where(t.artifacts.c.id == artifact_id)
             if self.owner is not None:
-                query = query.join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id).where(self.mine(t.jobs))
+                query = query.join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id).where(self.owned(t.jobs))
             row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFoundError(f"there is no artefact {artifact_id}")

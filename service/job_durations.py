@@ -7,7 +7,7 @@ from statistics import median
 
 from cachetools import TTLCache
 
-from jobs.lifecycle.maintenance import WORKER_LEASES, living
+from jobs.lifecycle.maintenance import WORKER_LEASES, lease_names
 from jobs.lifecycle.statistics import run_seconds, stage_seconds
 from jobs.records import JobRecord, StageRecord
 from jobs.states import JobState, JobType
@@ -53,7 +53,7 @@ class JobDurations:
             each = self._remembered("seconds", "any job", partial(run_seconds, self.store))
             if not each:
                 return unknown
-            [workers] = self._remembered("number", "workers", lambda: [len(living(self.store, WORKER_LEASES))])
+            [workers] = self._remembered("number", "workers", lambda: [len(lease_names(self.store, WORKER_LEASES))])
             left += median(each) * position / max(workers, 1.0)
         return replace(unknown, eta_s=round(left, 1))
 

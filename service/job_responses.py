@@ -36,7 +36,7 @@ def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobP
 
 def payloads(owned: Owned, page: Sequence[JobRecord]) -> list[JobPayload]:
     """Return the response bodies of jobs; the number of queries does not grow with the number of jobs."""
-    seen = owned.store.standing_of(page)
+    seen = owned.store.positions_and_artifacts(page)
     sources = asset_summaries(owned.store, {job.asset_id for job in page if seen[job.id][1]})
     retention_s = owned.services.settings.job_retention_s
     bodies = []

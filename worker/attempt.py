@@ -16,7 +16,7 @@ from dynamictree.photo_requests import LearningParams
 from dynamictree.request_model import Request
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from dynamictree.weights import list_weights
-from jobs.lifecycle.attempts import offer, publish_stage, start_stage, touch_blob
+from jobs.lifecycle.attempts import publish, publish_stage, start_stage, touch_blob
 from jobs.records import AssetRecord, Facts, JobRecord, OutputFile
 from jobs.states import JobType
 from jobs.storage.artifacts import hash_file
@@ -194,7 +194,7 @@ class Attempt:
     def _offer(self, stage: JobType, *files: OutputFile) -> None:
         """Publish files of a stage that is running or has failed."""
         retention_s = self.runtime.settings.artifact_retention_s
-        offer(self.runtime.store, self.watch.claimed, stage, files, retention_s=retention_s)
+        publish(self.runtime.store, self.watch.claimed, stage, files, retention_s=retention_s)
 
     def recall(self, stage: JobType, folder: Path, name: str, make: Callable[[Path], None]) -> Path:
         """Return the file of a result that does not depend on the formats, from an earlier job or newly computed."""

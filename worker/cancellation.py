@@ -6,7 +6,7 @@ from types import TracebackType
 
 from dynamictree.errors import Cancelled
 from jobs.errors import StorageFullError
-from jobs.lifecycle.attempts import canceling, is_in_the_way, report_progress
+from jobs.lifecycle.attempts import cancel_requested, report_progress, should_yield
 from jobs.records import Claim
 from jobs.settings import Settings
 from jobs.states import JobType
@@ -44,11 +44,11 @@ class Watch:
             FencedError: another attempt owns the job.
             HandedBack: this worker must stop, or this job yields to another.
         """
-        if canceling(self.resources.store, self.claimed):
+        if cancel_requested(self.resources.store, self.claimed):
             raise Cancelled(f"job {self.claimed.job.id} was asked to stop")
         if self._stopping():
             raise HandedBack(f"the worker stops; job {self.claimed.job.id} goes to another")
-        if is_in_the_way(self.resources.store, self.claimed):
+        if should_yield(self.resources.store, self.claimed):
             raise HandedBack(f"job {self.claimed.job.id} has low priority and gives way to one that waits")
 
     def report(self, stage: JobType, progress: float, worked_s: float | None = None) -> None:

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from standardwebhooks import Webhook
 
 from jobs.clients.outbound import Outbound
-from jobs.clients.webhooks import claim_due, record_try
+from jobs.clients.webhooks import claim_due, record_attempt
 from jobs.errors import OutboundError
 from jobs.records import Delivery, Endpoint, Try
 from jobs.settings import Settings
@@ -80,7 +80,7 @@ class Courier:
             status, detail = None, f"no answer within {self.settings.webhook_timeout_s:g} s"
         attempt = Try(at=at, status=status, detail=detail[:MAX_DETAIL], seconds=round(time.monotonic() - began, 3))
         state = await asyncio.to_thread(
-            record_try, self.store, delivery, attempt, retry_s=self.settings.webhook_retry_s
+            record_attempt, self.store, delivery, attempt, retry_s=self.settings.webhook_retry_s
         )
         logger.info("webhook %s of job %s: %s", delivery.event, delivery.job_id, state, extra={"status": status})
 

@@ -25,7 +25,7 @@ from kombu.exceptions import OperationalError
 
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
 from jobs.lifecycle import maintenance
-from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, RUN_JOB, WORKER_LEASES, RunJob, hold_lease, living
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, RUN_JOB, WORKER_LEASES, RunJob, hold_lease, lease_names
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 from jobs.states import AUTO
@@ -83,13 +83,13 @@ class Housekeeper:
 
     def send(self) -> None:
         """Send messages of waiting jobs, up to the window that workers will soon take."""
-        window = len(living(self.store, WORKER_LEASES)) + SENT_AHEAD
-        for message in maintenance.unsent(self.store, window=window):
+        window = len(lease_names(self.store, WORKER_LEASES)) + SENT_AHEAD
+        for message in maintenance.messages_to_send(self.store, window=window):
             self._send(message)
 
     def send_again(self) -> None:
         """Send lost messages again: sent long ago, not started, and no longer in the queue."""
-        messages = maintenance.unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s)
+        messages = maintenance.unclaimed_messages(self.store, sent_before=self.store.clock() - self.settings.resend_s)
         empty = {queue for queue in {message.queue for message in messages} if self.redis.llen(queue) == 0}
         for message in messages:
             if message.queue in empty:
@@ -98,9 +98,9 @@ class Housekeeper:
 
     def reap(self) -> None:
         """Reclaim jobs of dead workers, and cancel overdue jobs."""
-        for job_id, state in maintenance.reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
+        for job_id, state in maintenance.end_expired(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
-        for job_id in maintenance.overdue(self.store):
+        for job_id in maintenance.overdue_jobs(self.store):
             with suppress(ConflictError):  # the job has ended meanwhile
                 self.store.cancel(job_id)
         if self.settings.queue == AUTO:
@@ -109,9 +109,9 @@ class Housekeeper:
     def forget(self) -> float | None:
         """Delete expired records and unreferenced bytes; return 0 if the time was too short, else None."""
         settings, until = self.settings, time.monotonic() + FORGET_S
-        maintenance.forget_expired(self.store, settings)
+        maintenance.delete_expired(self.store, settings)
         finished = _each(expired_uploads(self.store, limit=FORGET_AT_ONCE), self._forget_upload, until)
-        if finished and not living(self.store, BACKUP_LEASE):  # a backup needs bytes of rows that may be gone by now
+        if finished and not lease_names(self.store, BACKUP_LEASE):  # a backup needs bytes of rows that may be gone
             finished = self._forget_blobs(until)
         if finished and settings.scratch_dir.is_dir():
             finished = _each(settings.scratch_dir.iterdir(), self._forget_scratch, until)

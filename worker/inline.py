@@ -5,7 +5,7 @@
 
 import select
 
-from jobs.lifecycle.maintenance import unsent
+from jobs.lifecycle.maintenance import messages_to_send
 from jobs.logging_setup import set_up_logging
 from worker.runtime import close_runtime, runtime
 from worker.tasks import run_job
@@ -18,7 +18,7 @@ def main() -> None:
     resources = runtime()
     set_up_logging(resources.settings)
     while not select.select([0], [], [], LOOK_S)[0]:
-        for message in unsent(resources.store, window=1):
+        for message in messages_to_send(resources.store, window=1):
             run_job.apply(args=message.args)
     close_runtime(resources)
 

@@ -14,7 +14,7 @@ from celery.exceptions import SoftTimeLimitExceeded
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from dynamictree.memory import return_freed_memory
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
-from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, hand_back, report_alive, succeed
+from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, forgive_loss, release_attempt, succeed
 from jobs.lifecycle.maintenance import RUN_JOB
 from jobs.logging_setup import log_ids
 from jobs.records import Claim
@@ -67,12 +67,12 @@ def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> Non
     store = resources.store
     match error:
         case FencedError():
-            report_alive(store, claimed.job.id)
+            forgive_loss(store, claimed.job.id)
             raise error
         case Cancelled():
             finish_cancel(store, claimed)
         case HandedBack():
-            hand_back(store, claimed)
+            release_attempt(store, claimed)
         case DynamicTreeError() | GoneError() | StorageAwayError() | StorageFullError():
             fail(store, claimed, code=error.code, message=str(error))
         case OSError() if is_full(error):

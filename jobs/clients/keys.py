@@ -58,7 +58,7 @@ USE_WRITTEN_S = 3600.0
 """Interval at which a key's last use is written [s]; a write per request would cost more than most requests."""
 
 
-def note_use(store: Store, key: KeyRecord) -> None:
+def record_use(store: Store, key: KeyRecord) -> None:
     """Record the time of use of a key, at most once per interval."""
     now = store.clock()
     stale = t.api_keys.c.last_used_at.is_(None) | (t.api_keys.c.last_used_at < now - USE_WRITTEN_S)

@@ -49,13 +49,13 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
 def endpoints(store: Store) -> list[Endpoint]:
     """Return all endpoints, oldest first."""
     with store.reading() as connection:
-        query = sa.select(t.webhook_endpoints).where(store.mine(t.webhook_endpoints)).order_by(t.webhook_endpoints.c.id)
-        return [t.record_of(Endpoint, row) for row in connection.execute(query)]
+        query = sa.select(t.webhook_endpoints).where(store.owned(t.webhook_endpoints))
+        return [t.record_of(Endpoint, row) for row in connection.execute(query.order_by(t.webhook_endpoints.c.id))]
 
 
 def endpoint(store: Store, endpoint_id: str) -> Endpoint:
     """Return one endpoint."""
-    this = (t.webhook_endpoints.c.id == endpoint_id) & store.mine(t.webhook_endpoints)
+    this = (t.webhook_endpoints.c.id == endpoint_id) & store.owned(t.webhook_endpoints)
     with store.reading() as connection:
         row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
     if row is None:
@@ -125,7 +125,7 @@ def claim_due(
     return claimed
 
 
-def record_try(store: Store, delivery: Delivery, new: Try, *, retry_s: Sequence[float]) -> DeliveryState:
+def record_attempt(store: Store, delivery: Delivery, new: Try, *, retry_s: Sequence[float]) -> DeliveryState:
     """Record the result of an attempt and the next due time. Status 410 disables the endpoint."""
     log = [*(asdict(earlier) for earlier in delivery.log), asdict(new)]
     delivered = new.status is not None and 200 <= new.status < 300

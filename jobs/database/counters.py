@@ -6,7 +6,7 @@ A counter has a name and a label, such as `jobs` and `succeeded`; `service/route
 import sqlalchemy as sa
 
 from jobs.database import tables as t
-from jobs.database.engine import add_up
+from jobs.database.engine import insert_or_add
 
 SECONDS = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
 """Upper bounds of the histogram buckets of durations [s]."""
@@ -14,7 +14,7 @@ SECONDS = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0,
 
 def count(connection: sa.Connection, name: str, label: str = "", by: float = 1.0) -> None:
     """Increment a counter."""
-    add_up(connection, t.tallies, {"name": name, "label": label}, value=by)
+    insert_or_add(connection, t.tallies, {"name": name, "label": label}, value=by)
 
 
 def count_seconds(connection: sa.Connection, name: str, label: str, seconds: float) -> None:

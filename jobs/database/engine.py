@@ -84,7 +84,7 @@ def upsert(
     return _touched_a_row(connection, table, statement)
 
 
-def add_up(connection: sa.Connection, table: sa.Table, keys: Mapping[str, object], **amounts: float) -> None:
+def insert_or_add(connection: sa.Connection, table: sa.Table, keys: Mapping[str, object], **amounts: float) -> None:
     """Insert a row, or add to the columns of the one with this primary key."""
     changes = {name: table.c[name] + amount for name, amount in amounts.items()}
     statement = _insert(connection, table).values({**keys, **amounts})

@@ -14,7 +14,7 @@ CONNECT_S = 5
 Result = TypeVar("Result")
 
 
-class ImpatientConnection(psycopg.Connection[tuple[Any, ...]]):
+class TimeoutConnection(psycopg.Connection[tuple[Any, ...]]):
     """Connection that closes and raises OperationalError if a statement takes longer than `ANSWER_S`."""
 
     def wait(self, gen: Generator[Any, Any, Result], interval: float = 0.1, timeout: float | None = None) -> Result:
@@ -26,6 +26,6 @@ class ImpatientConnection(psycopg.Connection[tuple[Any, ...]]):
             raise psycopg.OperationalError(f"PostgreSQL did not answer within {ANSWER_S:g} s") from error
 
 
-def connect(_dialect: object, _record: object, args: list[Any], options: dict[str, Any]) -> ImpatientConnection:
+def connect(_dialect: object, _record: object, args: list[Any], options: dict[str, Any]) -> TimeoutConnection:
     """Open a connection; SQLAlchemy's event `do_connect`."""
-    return ImpatientConnection.connect(*args, **{"connect_timeout": CONNECT_S, **options})
+    return TimeoutConnection.connect(*args, **{"connect_timeout": CONNECT_S, **options})

@@ -13,10 +13,10 @@ T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
-PAUSE_S = 0.5
+RETRY_PAUSE_S = 0.5
 
 
-def patient(ask: Callable[P, T]) -> Callable[P, T]:
+def retry_while_unavailable(ask: Callable[P, T]) -> Callable[P, T]:
     """Retry while the database restarts or its disk is full, for at most `patience_s` of the first argument, a store.
 
     Only for idempotent functions: a statement whose answer was lost may have been committed.
@@ -31,7 +31,7 @@ def patient(ask: Callable[P, T]) -> Callable[P, T]:
             except sa.exc.OperationalError as error:
                 if time.monotonic() >= deadline:
                     raise
-                logger.warning("the database is away; asked again in %g s: %s", PAUSE_S, error.orig)
-                time.sleep(PAUSE_S)
+                logger.warning("the database is away; asked again in %g s: %s", RETRY_PAUSE_S, error.orig)
+                time.sleep(RETRY_PAUSE_S)
 
     return waiting

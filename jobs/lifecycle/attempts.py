@@ -11,16 +11,16 @@ import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.database.counters import count, count_seconds
-from jobs.database.engine import add_up, upsert
-from jobs.database.retry import patient
+from jobs.database.engine import insert_or_add, upsert
+from jobs.database.retry import retry_while_unavailable
 from jobs.errors import FencedError
-from jobs.lifecycle.rows import announce, end, read_job
+from jobs.lifecycle.rows import end_job, queue_deliveries, read_job
 from jobs.records import FIRST_ARTIFACT, Claim, OutputFile
 from jobs.states import JobState, JobType, queues_of
 from jobs.store import Store, new_id
 
 
-@patient
+@retry_while_unavailable
 def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> Claim | None:
     """Claim an attempt by compare-and-set, if it is still due and unclaimed."""
     now = store.clock()
@@ -55,18 +55,18 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
             raise _fenced(job_id, attempt)
 
 
-@patient
-def canceling(store: Store, claimed: Claim) -> bool:
+@retry_while_unavailable
+def cancel_requested(store: Store, claimed: Claim) -> bool:
     """Return whether cancellation of this job was requested."""
     with store.reading() as connection:
-        state = connection.execute(sa.select(t.jobs.c.state).where(_ours(claimed))).scalar_one_or_none()
+        state = connection.execute(sa.select(t.jobs.c.state).where(_is_claimed(claimed))).scalar_one_or_none()
     if state is None:
         raise _fenced(claimed.job.id, claimed.attempt)
     return bool(state == JobState.CANCELING)
 
 
-@patient
-def is_in_the_way(store: Store, claimed: Claim) -> bool:
+@retry_while_unavailable
+def should_yield(store: Store, claimed: Claim) -> bool:
     """Return whether this job has low priority and another has waited so long that all workers must be busy."""
     if claimed.job.priority != "low":
         return False
@@ -78,7 +78,7 @@ def is_in_the_way(store: Store, claimed: Claim) -> bool:
         return connection.execute(query).one_or_none() is not None
 
 
-@patient
+@retry_while_unavailable
 def start_stage(store: Store, claimed: Claim, stage: JobType) -> None:
     """Mark a stage as running."""
     now = store.clock()
@@ -89,7 +89,7 @@ def start_stage(store: Store, claimed: Claim, stage: JobType) -> None:
         connection.execute(t.stages.update().where(row).values(**values))
 
 
-@patient
+@retry_while_unavailable
 def report_progress(
     store: Store, claimed: Claim, stage: JobType, progress: float, *, worked_s: float | None = None
 ) -> None:
@@ -107,7 +107,7 @@ def report_progress(
         connection.execute(t.stages.update().where(row).values(**values))
 
 
-@patient
+@retry_while_unavailable
 def publish_stage(
     store: Store,
     claimed: Claim,
@@ -137,8 +137,8 @@ def publish_stage(
             count_seconds(connection, "stage_seconds", stage, now - current.started_at)
 
 
-@patient
-def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
+@retry_while_unavailable
+def publish(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
     """Publish files of a stage that is running or has failed; later files replace those of the same name.
 
     This neither finishes the stage nor caches the files.
@@ -149,7 +149,7 @@ def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile,
         _replace_artifacts(connection, claimed, stage, files, whole_stage=False, now=now, retention_s=retention_s)
 
 
-@patient
+@retry_while_unavailable
 def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
     """Return the cached files of this key; None if there are none."""
     with store.reading() as connection:
@@ -159,43 +159,43 @@ def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
     return None if files is None else tuple(OutputFile(**file) for file in files if not file.get("source"))
 
 
-@patient
+@retry_while_unavailable
 def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
     """Mark bytes as about to be referenced, so that retention spares them for an hour."""
     with store.writing() as connection:
         upsert(connection, t.blobs, {"sha256": sha256, "bytes": num_bytes, "touched_at": store.clock()})
 
 
-@patient
+@retry_while_unavailable
 def succeed(store: Store, claimed: Claim) -> JobState:
     """End the attempt with success, or as canceled if a cancel came first; return the final state."""
     return _end(store, claimed, JobState.SUCCEEDED)
 
 
-@patient
+@retry_while_unavailable
 def fail(store: Store, claimed: Claim, *, code: str, message: str) -> JobState:
     """End the attempt with an error, or as canceled if a cancel came first; return the final state."""
     return _end(store, claimed, JobState.FAILED, error_code=code, error_message=message)
 
 
-@patient
+@retry_while_unavailable
 def finish_cancel(store: Store, claimed: Claim) -> None:
     """End the attempt as canceled."""
     _end(store, claimed, JobState.CANCELED)
 
 
-@patient
-def hand_back(store: Store, claimed: Claim) -> None:
+@retry_while_unavailable
+def release_attempt(store: Store, claimed: Claim) -> None:
     """Release the job for another worker, without counting the attempt as lost."""
     with store.writing() as connection:
         if _touch(connection, claimed) == JobState.CANCELING:
-            end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
+            end_job(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
             return
         begin_next_attempt(connection, claimed.job.id, claimed.attempt, now=store.clock())
         count(connection, "attempts", "handed-back")
 
 
-@patient
+@retry_while_unavailable
 def add_usage(store: Store, claimed: Claim, *, processor_s: float, gpu_s: float) -> None:
     """Add an attempt's resource use to its job and to its owner's month, however it ended."""
     month = datetime.fromtimestamp(store.clock(), UTC).strftime("%Y-%m")
@@ -203,11 +203,11 @@ def add_usage(store: Store, claimed: Claim, *, processor_s: float, gpu_s: float)
         spent = {"processor_s": t.jobs.c.processor_s + processor_s, "gpu_s": t.jobs.c.gpu_s + gpu_s}
         connection.execute(t.jobs.update().where(t.jobs.c.id == claimed.job.id).values(**spent))
         whose = {"owner": claimed.job.owner, "month": month}
-        add_up(connection, t.usage, whose, attempts=1, processor_s=processor_s, gpu_s=gpu_s)
+        insert_or_add(connection, t.usage, whose, attempts=1, processor_s=processor_s, gpu_s=gpu_s)
 
 
-@patient
-def report_alive(store: Store, job_id: str) -> None:
+@retry_while_unavailable
+def forgive_loss(store: Store, job_id: str) -> None:
     """Remove one counted loss: the worker of the reaped attempt was only paused and has not crashed."""
     with store.writing() as connection:
         this = (t.jobs.c.id == job_id) & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
@@ -254,7 +254,7 @@ def _replace_artifacts(
     of_job = t.artifacts.c.job_id == claimed.job.id
     there = connection.execute(sa.select(t.artifacts).where(of_job)).all()
     if files and not there:
-        announce(connection, claimed.job.id, FIRST_ARTIFACT, now=now)
+        queue_deliveries(connection, claimed.job.id, FIRST_ARTIFACT, now=now)
     wanted, names = {(file.name, file.sha256) for file in files}, {file.name for file in files}
     stale = [
         row.id
@@ -274,11 +274,11 @@ def _end(store: Store, claimed: Claim, target: JobState, **error: str) -> JobSta
     with store.writing() as connection:
         if _touch(connection, claimed) == JobState.CANCELING:
             target, error = JobState.CANCELED, {}
-        end(connection, claimed.job.id, target, now=store.clock(), **error)
+        end_job(connection, claimed.job.id, target, now=store.clock(), **error)
         return target
 
 
-def _ours(claimed: Claim) -> sa.ColumnElement[bool]:
+def _is_claimed(claimed: Claim) -> sa.ColumnElement[bool]:
     return _running_attempt(claimed.job.id, claimed.attempt, claimed.owner)
 
 
@@ -289,7 +289,7 @@ def _running_attempt(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[
 
 def _touch(connection: sa.Connection, claimed: Claim) -> JobState:
     """Increment the job's version and return its state."""
-    change = t.jobs.update().where(_ours(claimed)).values(version=t.jobs.c.version + 1)
+    change = t.jobs.update().where(_is_claimed(claimed)).values(version=t.jobs.c.version + 1)
     state = connection.execute(change.returning(t.jobs.c.state)).scalar_one_or_none()
     if state is None:
         raise _fenced(claimed.job.id, claimed.attempt)

@@ -9,7 +9,7 @@ from jobs.database import tables as t
 from jobs.database.counters import count
 from jobs.database.engine import upsert
 from jobs.lifecycle.attempts import begin_next_attempt
-from jobs.lifecycle.rows import bury, end
+from jobs.lifecycle.rows import delete_with_tombstones, end_job
 from jobs.settings import Settings
 from jobs.states import CPU, GPU, JobState, queues_of
 from jobs.store import Store
@@ -55,7 +55,7 @@ def release_lease(store: Store, name: str, *, owner: str) -> None:
         connection.execute(t.leases.delete().where((t.leases.c.name == name) & (t.leases.c.owner == owner)))
 
 
-def living(store: Store, prefix: str) -> list[str]:
+def lease_names(store: Store, prefix: str) -> list[str]:
     """Return the names of current leases with this prefix."""
     active = t.leases.c.name.startswith(prefix, autoescape=True) & (t.leases.c.until > store.clock())
     with store.reading() as connection:
@@ -69,7 +69,7 @@ def worker_lease(queue: str, owner: str) -> str:
 
 def is_served(store: Store, queue: str) -> bool:
     """Return whether a queue has a worker."""
-    return bool(living(store, worker_lease(queue, "")))
+    return bool(lease_names(store, worker_lease(queue, "")))
 
 
 def reroute(store: Store) -> int:
@@ -93,7 +93,7 @@ def reroute(store: Store) -> int:
     return moved
 
 
-def unsent(store: Store, *, window: int) -> list[RunJob]:
+def messages_to_send(store: Store, *, window: int) -> list[RunJob]:
     """Return the messages to send now: at most `window` unclaimed ones per queue, owners in turn.
 
     The queue in Redis is first in, first out; fairness comes from keeping it short. The next message is that of the
@@ -123,7 +123,7 @@ def unsent(store: Store, *, window: int) -> list[RunJob]:
     return chosen
 
 
-def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[RunJob]:
+def unclaimed_messages(store: Store, *, sent_before: float, limit: int = 100) -> list[RunJob]:
     """Return messages that were sent before a time and not claimed by a worker: lost, or still in the queue."""
     query = (
         sa.select(t.outbox.c.job_id, t.outbox.c.attempt, t.jobs.c.queue)
@@ -143,7 +143,7 @@ def mark_sent(store: Store, message: RunJob) -> None:
         connection.execute(t.outbox.update().where(row).values(sent_at=store.clock()))
 
 
-def reap(store: Store, *, max_lost_attempts: int) -> list[tuple[str, JobState]]:
+def end_expired(store: Store, *, max_lost_attempts: int) -> list[tuple[str, JobState]]:
     """End attempts whose lease expired: start the next attempt or fail the job; return id and state."""
     reaped = []
     with store.reading() as connection:
@@ -166,7 +166,7 @@ def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attem
     if row is None:
         return None  # the lease was renewed or the job has ended in the meantime
     if row.state == JobState.CANCELING:
-        end(connection, job_id, JobState.CANCELED, now=now)
+        end_job(connection, job_id, JobState.CANCELED, now=now)
         return JobState.CANCELED
     running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
     stage = connection.execute(sa.select(t.stages.c.name).where(running)).scalar_one_or_none()
@@ -176,7 +176,7 @@ def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attem
         begin_next_attempt(connection, job_id, row.attempt, now=now, lost_stages=lost)
         return JobState.RUNNING
     code, message = _loss(lost)
-    end(connection, job_id, JobState.FAILED, now=now, error_code=code, error_message=message, lost_stages=lost)
+    end_job(connection, job_id, JobState.FAILED, now=now, error_code=code, error_message=message, lost_stages=lost)
     return JobState.FAILED
 
 
@@ -187,21 +187,21 @@ def _loss(lost: list[str | None]) -> tuple[str, str]:
     return "worker-lost", f"{len(lost)} workers were lost while they ran this job; try again"
 
 
-def overdue(store: Store) -> list[str]:
+def overdue_jobs(store: Store) -> list[str]:
     """Return the ids of unfinished jobs whose `cancel_at` has passed."""
     late = t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING]) & (t.jobs.c.cancel_at < store.clock())
     with store.reading() as connection:
         return list(connection.execute(sa.select(t.jobs.c.id).where(late)).scalars())
 
 
-def forget_expired(store: Store, settings: Settings) -> None:
+def delete_expired(store: Store, settings: Settings) -> None:
     """Delete expired assets, jobs, cached stages and deliveries; artifacts stay with their job, for status 410."""
     now = store.clock()
     with store.writing() as connection:
         in_use = sa.select(t.jobs.c.asset_id).where(t.jobs.c.finished_at.is_(None))
         old = (t.assets.c.expires_at < now) & t.assets.c.deleted_at.is_(None) & t.assets.c.id.not_in(in_use)
         connection.execute(t.assets.update().where(old).values(deleted_at=now, live_fingerprint=None))
-        bury(connection, t.jobs.c.finished_at < now - settings.job_retention_s, now=now)
+        delete_with_tombstones(connection, t.jobs.c.finished_at < now - settings.job_retention_s, now=now)
         connection.execute(t.tombstones.delete().where(t.tombstones.c.gone_at < now - TOMBSTONE_S))
         connection.execute(t.stage_cache.delete().where(t.stage_cache.c.used_at < now - settings.artifact_retention_s))
         over = (t.deliveries.c.created_at < now - settings.webhook_retention_s) & t.deliveries.c.next_at.is_(None)

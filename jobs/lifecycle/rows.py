@@ -20,21 +20,21 @@ _STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.
 ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
 
 
-def move(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
+def change_state(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
     """Change a job's state by compare-and-set; return False if its current state does not allow it."""
     allowed = (t.jobs.c.id == job_id) & t.jobs.c.state.in_(states_before(target))
     change = t.jobs.update().where(allowed).values(state=target, version=t.jobs.c.version + 1, **values)
     return connection.execute(change).rowcount == 1
 
 
-def bury(connection: sa.Connection, which: sa.ColumnElement[bool], *, now: float) -> None:
+def delete_with_tombstones(connection: sa.Connection, which: sa.ColumnElement[bool], *, now: float) -> None:
     """Delete the chosen jobs and their dependent rows; store tombstones for their ids."""
     tombs = sa.select(t.jobs.c.id, t.jobs.c.owner, sa.literal("job"), sa.literal(now)).where(which)
     connection.execute(t.tombstones.insert().from_select(["id", "owner", "kind", "gone_at"], tombs))
     connection.execute(t.jobs.delete().where(which))
 
 
-def end(
+def end_job(
     connection: sa.Connection,
     job_id: str,
     target: JobState,
@@ -46,19 +46,19 @@ def end(
 ) -> bool:
     """Move a job to a final state: release its lease, withdraw its message, close its stages."""
     values |= {"finished_at": now, "lease_owner": None, "lease_until": None}
-    if not move(connection, job_id, target, error_code=error_code, error_message=error_message, **values):
+    if not change_state(connection, job_id, target, error_code=error_code, error_message=error_message, **values):
         return False
     of_job = t.stages.c.job_id == job_id
     left = {"state": "failed" if target == JobState.FAILED else "canceled", "finished_at": now}
     connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "running")).values(**left))
     connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "queued")).values(state="canceled"))
     connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
-    announce(connection, job_id, f"job.{target}", now=now)
+    queue_deliveries(connection, job_id, f"job.{target}", now=now)
     count(connection, "jobs", str(target))
     return True
 
 
-def announce(connection: sa.Connection, job_id: str, event: str, *, now: float) -> None:
+def queue_deliveries(connection: sa.Connection, job_id: str, event: str, *, now: float) -> None:
     """Queue a delivery of an event of a job to every endpoint of its owner that subscribed to it."""
     job = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one()
     wanted = (t.webhook_endpoints.c.owner == job.owner) & t.webhook_endpoints.c.disabled_reason.is_(None)

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.database.engine import insert_new
-from jobs.database.retry import patient
+from jobs.database.retry import retry_while_unavailable
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.records import AssetRecord
 from jobs.states import ACTIVE
@@ -20,7 +20,7 @@ def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
     """Store an asset, or return the existing one with the same fingerprint, and whether it is new."""
     with store.writing() as connection:
         asset = replace(asset, owner=store.owner or "")
-        live = _live(store, asset.fingerprint)
+        live = _live_key(store, asset.fingerprint)
         values = asdict(asset) | {"live_fingerprint": live, "bytes": asset.bytes}
         if insert_new(connection, t.assets, values, unique="live_fingerprint"):
             return asset, True
@@ -32,22 +32,22 @@ def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
 
 def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
     """Find the undeleted asset with this fingerprint."""
-    this = t.assets.c.live_fingerprint == _live(store, fingerprint)
+    this = t.assets.c.live_fingerprint == _live_key(store, fingerprint)
     with store.reading() as connection:
         row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
     return None if row is None else t.record_of(AssetRecord, row)
 
 
-def _live(store: Store, fingerprint: str) -> str:
+def _live_key(store: Store, fingerprint: str) -> str:
     """Unique key of an undeleted asset: owners have separate assets but share bytes."""
     return sha256(f"{store.owner} {fingerprint}".encode()).hexdigest() if store.owner else fingerprint
 
 
-@patient
+@retry_while_unavailable
 def read_asset(store: Store, asset_id: str) -> AssetRecord:
     """Read one asset."""
     with store.reading() as connection:
-        this = (t.assets.c.id == asset_id) & store.mine(t.assets)
+        this = (t.assets.c.id == asset_id) & store.owned(t.assets)
         row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
     if row is None:
         raise NotFoundError(f"there is no asset {asset_id}")
@@ -59,7 +59,7 @@ def read_asset(store: Store, asset_id: str) -> AssetRecord:
 
 def asset_summaries(store: Store, asset_ids: Collection[str]) -> dict[str, dict[str, Any]]:
     """Return the summaries of assets by id, including deleted ones whose record still exists."""
-    these = t.assets.c.id.in_(asset_ids) & store.mine(t.assets)
+    these = t.assets.c.id.in_(asset_ids) & store.owned(t.assets)
     with store.reading() as connection:
         rows = connection.execute(sa.select(t.assets.c.id, t.assets.c.summary).where(these)) if asset_ids else ()
         return {row.id: row.summary for row in rows}

@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 from jobs.database import tables as t
 from jobs.database.engine import upsert
-from jobs.database.retry import patient
+from jobs.database.retry import retry_while_unavailable
 from jobs.lifecycle.attempts import cached_stage, touch_blob
 from jobs.records import JobRecord, OutputFile
 from jobs.storage.artifacts import ArtifactStore
@@ -39,7 +39,7 @@ def find_stored(store: Store, artifacts: ArtifactStore, key: str) -> tuple[Outpu
     return files if all(artifacts.exists(file.sha256) for file in files or ()) else None
 
 
-@patient
+@retry_while_unavailable
 def remember_intermediate(
     store: Store, key: str, name: str, file: OutputFile, sources: Iterable[OutputFile], *, owner: str = ""
 ) -> None:

@@ -26,7 +26,7 @@ def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = No
     """
     upload = replace(upload, owner=store.owner or "")
     with store.writing() as connection:
-        store.take_turns(connection)
+        store.lock_owner(connection)
         if max_bytes is not None:
             require_bytes_in(connection, store, upload.length or 0, max_bytes)
         begun = (t.uploads.c.state == "receiving") & (t.uploads.c.owner == upload.owner)
@@ -36,7 +36,7 @@ def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = No
             row = connection.execute(oldest).one_or_none()
             if row is None:
                 raise BytesQuotaError(f"{MAX_OPEN} of your uploads have begun, which is the limit; end some")
-            _bury(connection, row, now=store.clock())
+            _delete_with_tombstone(connection, row, now=store.clock())
         connection.execute(t.uploads.insert().values(**asdict(upload)))
     return upload
 
@@ -121,21 +121,21 @@ def delete_upload(store: Store, upload_id: str) -> None:
     with store.writing() as connection:
         row = connection.execute(sa.select(t.uploads).where(t.uploads.c.id == upload_id)).one_or_none()
         if row is not None:
-            _bury(connection, row, now=store.clock())
+            _delete_with_tombstone(connection, row, now=store.clock())
 
 
-def _bury(connection: sa.Connection, row: sa.Row[Any], *, now: float) -> None:
+def _delete_with_tombstone(connection: sa.Connection, row: sa.Row[Any], *, now: float) -> None:
     connection.execute(t.uploads.delete().where(t.uploads.c.id == row.id))
     tomb = {"id": row.id, "owner": row.owner, "kind": "upload", "gone_at": now}
     connection.execute(t.tombstones.insert().values(**tomb))
 
 
 def _read(connection: sa.Connection, store: Store, upload_id: str) -> UploadRecord:
-    this = (t.uploads.c.id == upload_id) & store.mine(t.uploads)
+    this = (t.uploads.c.id == upload_id) & store.owned(t.uploads)
     row = connection.execute(sa.select(t.uploads).where(this)).one_or_none()
     if row is not None and row.expires_at > store.clock():
         return t.record_of(UploadRecord, row)
-    tomb = sa.select(t.tombstones.c.id).where((t.tombstones.c.id == upload_id) & store.mine(t.tombstones))
+    tomb = sa.select(t.tombstones.c.id).where((t.tombstones.c.id == upload_id) & store.owned(t.tombstones))
     if row is not None or connection.execute(tomb).one_or_none() is not None:
         raise GoneError(f"upload {upload_id} was removed or has expired; begin it anew")
     raise NotFoundError(f"there is no upload {upload_id}")

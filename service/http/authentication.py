@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from jobs.clients.keys import digest_of, find_key, note_use
+from jobs.clients.keys import digest_of, find_key, record_use
 from jobs.records import KeyRecord
 from jobs.records import Scope as KeyScope
 from jobs.settings import Settings
@@ -119,7 +119,7 @@ class Authentication:
         if record is None or not record.valid(store.clock()):
             raise _unauthorized("the key is unknown, revoked or has expired")
         if fresh:
-            await run_in_threadpool(note_use, store, record)
+            await run_in_threadpool(record_use, store, record)
         return record
 
 

@@ -7,7 +7,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 
 from jobs.errors import StorageAwayError
-from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, lease_names
 from jobs.storage.disk import free_bytes
 from service.http.routing import refusals
 from service.schemas.base import Payload
@@ -66,7 +66,7 @@ def get_readiness(response: Response, owned: OwnedDep) -> ReadyPayload:
 
 def _database(owned: Owned) -> tuple[Check, list[str]]:
     try:
-        return "ok", living(owned.store, "")
+        return "ok", lease_names(owned.store, "")
     except sa.exc.SQLAlchemyError:
         logger.warning("the database is away", exc_info=True)
         return "unavailable", []

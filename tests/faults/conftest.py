@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from jobs.lifecycle.maintenance import living
+from jobs.lifecycle.maintenance import lease_names
 from jobs.settings import Settings
 from jobs.store import Store
 from tests.servers import wait_for
@@ -81,7 +81,7 @@ class Service(Running):
     def worker_pid(self) -> int:
         """The process in which a task runs."""
         with closing(Store.open(self.settings.resolved_database_url)) as store:
-            names = wait_for(lambda: living(store, "worker:"), "a worker")
+            names = wait_for(lambda: lease_names(store, "worker:"), "a worker")
         return int(names[-1].rsplit(":", 1)[1])
 
 

@@ -51,7 +51,7 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     deleted: list[str] = []
     references.forget_blob(store, "d" * 64, deleted.append)
     assert deleted == ["d" * 64]
-    maintenance.forget_expired(store, Settings(job_retention_s=10, artifact_retention_s=10))
+    maintenance.delete_expired(store, Settings(job_retention_s=10, artifact_retention_s=10))
     with pytest.raises(GoneError):
         read_asset(store, asset.id)
     with pytest.raises(GoneError):

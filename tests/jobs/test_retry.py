@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from jobs.database import postgres_connection
 from jobs.database.engine import open_engine
-from jobs.lifecycle.attempts import claim, offer, publish_stage, start_stage, succeed
+from jobs.lifecycle.attempts import claim, publish, publish_stage, start_stage, succeed
 from jobs.records import OutputFile
 from jobs.states import JobState
 from jobs.storage.assets import add_asset
@@ -62,7 +62,7 @@ def test_what_was_committed_may_be_asked_again(store: Store) -> None:
     file = OutputFile(name="a", media_type="x/y", sha256="c" * 64, bytes=1)
     for digest in "bcc":  # the first is replaced
         offered = (file, replace(file, name="b", sha256=digest * 64), replace(file, name="draft"))
-        offer(store, lease, "voxelize", offered, retention_s=100)
+        publish(store, lease, "voxelize", offered, retention_s=100)
     early = {artifact.name: artifact.id for artifact in store.artifacts_of(job.id)}
     changed = replace(file, name="b", sha256="d" * 64)
     for _ in range(2):

@@ -7,7 +7,7 @@ import pytest
 
 from jobs.errors import FencedError
 from jobs.lifecycle import attempts, maintenance
-from jobs.lifecycle.rows import end, move
+from jobs.lifecycle.rows import change_state, end_job
 from jobs.records import AssetRecord, ClientKey
 from jobs.states import TRANSITIONS, JobState
 from jobs.storage.assets import delete_asset
@@ -29,8 +29,8 @@ def test_every_transition_that_is_not_drawn_is_refused(store: Store, asset: Asse
                 JobState.FAILED: ["running", "failed"],
                 JobState.CANCELED: ["canceling", "canceled"],
             }[source]
-            assert all(move(connection, job.id, JobState(step)) for step in path)
-            assert move(connection, job.id, target) == (target in TRANSITIONS[source])
+            assert all(change_state(connection, job.id, JobState(step)) for step in path)
+            assert change_state(connection, job.id, target) == (target in TRANSITIONS[source])
 
 
 def test_one_of_many_claims_wins(store: Store, asset: AssetRecord) -> None:
@@ -46,19 +46,19 @@ def test_a_stale_attempt_publishes_nothing(store: Store, asset: AssetRecord, clo
     old = claim(store, job.id)
     attempts.start_stage(store, old, "voxelize")
     clock.now += 61
-    assert maintenance.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
+    assert maintenance.end_expired(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
     new = claim(store, job.id, attempt=2, owner="worker-2")
     for act in (
         lambda: publish(store, old),
         lambda: attempts.succeed(store, old),
         lambda: attempts.fail(store, old, code="x", message="y"),
         lambda: attempts.renew(store, job.id, 1, owner="worker-1", lease_s=60),
-        lambda: attempts.canceling(store, old),
+        lambda: attempts.cancel_requested(store, old),
         lambda: attempts.report_progress(store, old, "voxelize", 0.5),
         lambda: attempts.start_stage(store, old, "voxelize"),
-        lambda: attempts.offer(store, old, "voxelize", (FILE,), retention_s=100),
+        lambda: attempts.publish(store, old, "voxelize", (FILE,), retention_s=100),
         lambda: attempts.finish_cancel(store, old),
-        lambda: attempts.hand_back(store, old),
+        lambda: attempts.release_attempt(store, old),
     ):
         with pytest.raises(FencedError, match="attempt 1"):
             act()
@@ -83,7 +83,7 @@ def test_attempts_are_capped(store, asset, clock, stages, code) -> None:
         if stage == "voxelize":
             attempts.start_stage(store, lease, "voxelize")
         clock.now += 61
-        maintenance.reap(store, max_lost_attempts=2)
+        maintenance.end_expired(store, max_lost_attempts=2)
     ended = store.job(job.id)
     assert (ended.state, ended.error_code) == (JobState.FAILED, code)
     assert "3 workers were lost" in (ended.error_message or "")
@@ -92,9 +92,9 @@ def test_attempts_are_capped(store, asset, clock, stages, code) -> None:
 def test_work_handed_back_counts_no_loss(store: Store, asset: AssetRecord) -> None:
     job = add_job(store, asset)
     for attempt in range(1, 6):
-        attempts.hand_back(store, claim(store, job.id, attempt=attempt))
+        attempts.release_attempt(store, claim(store, job.id, attempt=attempt))
     assert store.job(job.id).attempt == 6
-    assert [m.attempt for m in maintenance.unsent(store, window=10)] == [6]
+    assert [m.attempt for m in maintenance.messages_to_send(store, window=10)] == [6]
 
 
 @pytest.mark.parametrize("way", ["queued", "succeed", "fail", "hand-back", "lost"])
@@ -109,37 +109,37 @@ def test_a_cancel_wins_over_the_end(store: Store, asset: AssetRecord, clock: Clo
     elif way == "fail":
         assert attempts.fail(store, lease, code="x", message="y") == JobState.CANCELED
     elif way == "hand-back":
-        attempts.hand_back(store, lease)
+        attempts.release_attempt(store, lease)
     else:
         clock.now += 61
-        maintenance.reap(store, max_lost_attempts=2)
+        maintenance.end_expired(store, max_lost_attempts=2)
     ended = store.job(job.id)
     assert (ended.state, {stage.state for stage in ended.stages}) == (JobState.CANCELED, {"canceled"})
-    assert maintenance.unsent(store, window=10) == []
+    assert maintenance.messages_to_send(store, window=10) == []
 
 
 def test_one_process_holds_a_lease(store: Store, clock: Clock) -> None:
     assert maintenance.hold_lease(store, "housekeeper", owner="a", lease_s=10)
     assert maintenance.hold_lease(store, "housekeeper", owner="a", lease_s=10)
     assert not maintenance.hold_lease(store, "housekeeper", owner="b", lease_s=10)
-    assert maintenance.living(store, "house") == ["housekeeper"]
+    assert maintenance.lease_names(store, "house") == ["housekeeper"]
     clock.now += 11
     assert maintenance.hold_lease(store, "housekeeper", owner="b", lease_s=10)
     maintenance.release_lease(store, "housekeeper", owner="a")
-    assert maintenance.living(store, "house") == ["housekeeper"]
+    assert maintenance.lease_names(store, "house") == ["housekeeper"]
     maintenance.release_lease(store, "housekeeper", owner="b")
-    assert maintenance.living(store, "house") == []
+    assert maintenance.lease_names(store, "house") == []
 
 
 def place_of(store: Store, job_id: str) -> int | None:
-    return store.standing_of([store.job(job_id)])[job_id][0]
+    return store.positions_and_artifacts([store.job(job_id)])[job_id][0]
 
 
 def test_a_final_state_is_written_once(store: Store, asset: AssetRecord) -> None:
     lease = claim(store, add_job(store, asset).id)
     attempts.succeed(store, lease)
     with store.writing() as connection:
-        assert not end(connection, lease.job.id, JobState.FAILED, now=1.0)
+        assert not end_job(connection, lease.job.id, JobState.FAILED, now=1.0)
 
 
 def test_owners_take_turns(store: Store, asset: AssetRecord, clock: Clock) -> None:
@@ -151,7 +151,7 @@ def test_owners_take_turns(store: Store, asset: AssetRecord, clock: Clock) -> No
     last = add_job(one, asset).id
 
     def send() -> list[str]:
-        messages = maintenance.unsent(store, window=2)
+        messages = maintenance.messages_to_send(store, window=2)
         for message in messages:
             maintenance.mark_sent(store, message)
         return [message.job_id for message in messages]
@@ -179,8 +179,8 @@ def test_a_pause_is_no_crash(store: Store, asset: AssetRecord, clock: Clock) -> 
         lease = claim(store, job.id, attempt=attempt)
         attempts.start_stage(store, lease, "voxelize")
         clock.now += 61
-        assert maintenance.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
-        attempts.report_alive(store, job.id)  # the worker went on, and found its attempt taken
+        assert maintenance.end_expired(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
+        attempts.forgive_loss(store, job.id)  # the worker went on, and found its attempt taken
     assert store.job(job.id).attempt == 6
 
 
@@ -211,13 +211,13 @@ def test_uploads_of_owners_take_turns(store: Store, clock: Clock) -> None:
 
 def test_a_job_whose_queue_has_no_worker_goes_where_there_is_one(store, asset, clock) -> None:
     job = add_job(store, asset)
-    maintenance.mark_sent(store, maintenance.unsent(store, window=9)[0])
+    maintenance.mark_sent(store, maintenance.messages_to_send(store, window=9)[0])
     assert maintenance.hold_lease(store, maintenance.worker_lease("gpu", "w"), owner="w", lease_s=1000)
     assert maintenance.reroute(store) == 0  # its own worker may only be starting again
     clock.now += maintenance.REROUTE_S + 1
     assert maintenance.reroute(store) == 1
     assert store.job(job.id).queue == "gpu"
-    assert [message.queue for message in maintenance.unsent(store, window=9)] == ["gpu"]
+    assert [message.queue for message in maintenance.messages_to_send(store, window=9)] == ["gpu"]
     assert maintenance.hold_lease(store, maintenance.worker_lease("cpu", "v"), owner="v", lease_s=1000)
     assert maintenance.reroute(store) == 0  # both are there
     maintenance.release_lease(store, maintenance.worker_lease("gpu", "w"), owner="w")

@@ -9,7 +9,7 @@ from fastapi.testclient import TestClient
 
 from jobs.clients.outbound import Outbound
 from jobs.lifecycle.attempts import report_progress, start_stage, succeed
-from jobs.lifecycle.maintenance import hold_lease, overdue, worker_lease
+from jobs.lifecycle.maintenance import hold_lease, overdue_jobs, worker_lease
 from jobs.records import AssetPart, AssetRecord
 from jobs.settings import Settings
 from jobs.states import stages_of
@@ -215,8 +215,8 @@ def test_a_job_is_canceled_after_its_time_running_or_not(client, asset, services
     hold(services, late)
     now = services.store.clock()
     services.store.clock = lambda: now + 11
-    assert overdue(services.store) == [late]
+    assert overdue_jobs(services.store) == [late]
     services.store.cancel(late)
-    assert overdue(services.store) == []
+    assert overdue_jobs(services.store) == []
     assert client.get(f"/v1/jobs/{late}").json()["state"] == "canceling"
     assert client.get(f"/v1/jobs/{in_time}").json()["state"] == "queued"

@@ -25,8 +25,8 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.clients.usage import months
 from jobs.database import tables as t
 from jobs.errors import FencedError, GoneError
-from jobs.lifecycle.attempts import hand_back, publish_stage, start_stage, succeed
-from jobs.lifecycle.maintenance import living, reap, worker_lease
+from jobs.lifecycle.attempts import publish_stage, release_attempt, start_stage, succeed
+from jobs.lifecycle.maintenance import end_expired, lease_names, worker_lease
 from jobs.records import AssetRecord, Claim, JobRecord, OutputFile
 from jobs.states import GPU, JobState, JobType
 from jobs.storage.artifacts import hash_file
@@ -78,7 +78,7 @@ def give_spectrum(runtime: Runtime, job: JobRecord, tmp_path: Path) -> Claim:
         start_stage(runtime.store, lease, stage)
         file = OutputFile(name=name, media_type="application/octet-stream", sha256=digest, bytes=size)
         publish_stage(runtime.store, lease, stage, (file,), key=digest, cached=False, retention_s=100)
-    hand_back(runtime.store, lease)
+    release_attempt(runtime.store, lease)
     return hold(runtime, job, attempt=2)
 
 
@@ -181,7 +181,7 @@ def test_what_attempts_took_is_added_to_job_and_month(runtime: Runtime, asset: A
             while time.thread_time() < until:
                 continue
             raise HandedBack
-        hand_back(runtime.store, lease)
+        release_attempt(runtime.store, lease)
     [month] = months(runtime.store)
     assert month["attempts"] == 2
     for spent in (runtime.store.job(job.id).processor_s, month["processor_s"]):
@@ -195,16 +195,16 @@ def test_the_heartbeat_outlasts_a_kernel_that_stops_all_threads(runtime: Runtime
     lease = hold(runtime, add_job(runtime, asset))
     with watch(runtime, lease) as watching:
         holding_the_interpreter(4.0)
-        assert reap(runtime.store, max_lost_attempts=2) == []
+        assert end_expired(runtime.store, max_lost_attempts=2) == []
         watching.check()
     runtime.store.clock = lambda: time.time() + runtime.settings.lease_s + 1
-    assert reap(runtime.store, max_lost_attempts=2) == [(lease.job.id, JobState.RUNNING)]
+    assert end_expired(runtime.store, max_lost_attempts=2) == [(lease.job.id, JobState.RUNNING)]
 
 
 def test_a_lost_lease_stops_the_attempt(runtime: Runtime, asset: AssetRecord) -> None:
     lease = hold(runtime, add_job(runtime, asset))
     with watch(runtime, lease) as watching:
-        hand_back(runtime.store, lease)
+        release_attempt(runtime.store, lease)
         with pytest.raises(FencedError, match="no longer ours"):
             watching.check()
 
@@ -212,7 +212,7 @@ def test_a_lost_lease_stops_the_attempt(runtime: Runtime, asset: AssetRecord) ->
 def test_a_lost_lease_is_no_error_of_the_job_nor_a_loss_of_who_was_only_paused(runtime, asset, caplog) -> None:
     lease = hold(runtime, add_job(runtime, asset))
     runtime.store.clock = lambda: time.time() + runtime.settings.lease_s + 1
-    assert reap(runtime.store, max_lost_attempts=2) == [(lease.job.id, JobState.RUNNING)]
+    assert end_expired(runtime.store, max_lost_attempts=2) == [(lease.job.id, JobState.RUNNING)]
     with pytest.raises(FencedError, match="the lease went"):
         end_attempt(runtime, lease, FencedError("the lease went"))
     assert (runtime.store.job(lease.job.id).state, caplog.records) == (JobState.RUNNING, [])
@@ -289,9 +289,9 @@ def test_a_heartbeat_that_dies_before_its_first_beat_starts_again(runtime: Runti
     waiting.join(60)
     assert not waiting.is_alive()
     assert runtime.heartbeat.pid != first
-    assert living(runtime.store, "worker:") == [worker_lease("cpu", runtime.owner)]
+    assert lease_names(runtime.store, "worker:") == [worker_lease("cpu", runtime.owner)]
     runtime.heartbeat.leave()
-    assert living(runtime.store, "worker:") == []
+    assert lease_names(runtime.store, "worker:") == []
 
 
 def test_every_parameter_of_a_job_is_part_of_the_key_of_a_stage() -> None:

@@ -14,7 +14,7 @@ from standardwebhooks.webhooks import WebhookVerificationError
 
 from jobs.clients import webhooks
 from jobs.errors import ConflictError
-from jobs.lifecycle.attempts import claim, fail, offer, succeed
+from jobs.lifecycle.attempts import claim, fail, publish, succeed
 from jobs.records import EVENTS
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
@@ -67,7 +67,7 @@ class Scene:
         lease = claim(self.store, job.id, 1, owner="test", lease_s=60)
         assert lease is not None
         if artifact:
-            offer(self.store, lease, "voxelize", (FILE,), retention_s=100)
+            publish(self.store, lease, "voxelize", (FILE,), retention_s=100)
         if well:
             succeed(self.store, lease)
         else:

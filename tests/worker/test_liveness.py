@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.lifecycle.attempts import claim
-from jobs.lifecycle.maintenance import WORKER_LEASES, living, reap, worker_lease
+from jobs.lifecycle.maintenance import WORKER_LEASES, end_expired, lease_names, worker_lease
 from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
@@ -73,19 +73,19 @@ def test_a_stopped_worker_loses_its_job_and_does_not_say_that_it_is_there(tmp_pa
     parent += f"child.stdin.write({lines[1]!r}); child.stdin.flush(); child.wait()"
     worker_process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.DEVNULL)
     try:
-        assert wait_for(lambda: living(store, WORKER_LEASES)) == [worker_lease("gpu", "w")]
+        assert wait_for(lambda: lease_names(store, WORKER_LEASES)) == [worker_lease("gpu", "w")]
         begun = store.clock()
         wait_for(lambda: lease_end(store) > begun + 2 * 3)  # renewed for longer than it lasts
-        assert reap(store, max_lost_attempts=2) == []
+        assert end_expired(store, max_lost_attempts=2) == []
         worker_process.send_signal(signal.SIGSTOP)
         store.clock = lambda: time.time() + 3 * PRESENCE_S  # what was said before it was stopped has passed
         time.sleep(PRESENCE_S + 1)
-        assert not living(store, WORKER_LEASES)
+        assert not lease_names(store, WORKER_LEASES)
         store.clock = time.time
-        assert reap(store, max_lost_attempts=2) == [(job.id, "running")]
+        assert end_expired(store, max_lost_attempts=2) == [(job.id, "running")]
         assert store.job(job.id).attempt == 2
         worker_process.send_signal(signal.SIGCONT)
-        wait_for(lambda: living(store, WORKER_LEASES))
+        wait_for(lambda: lease_names(store, WORKER_LEASES))
     finally:
         worker_process.kill()
         worker_process.wait()
