@@ -17,21 +17,21 @@ from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.problems import ProblemError, wrong_field
 from service.http.routing import is_id
-from service.job_responses import tell
+from service.job_responses import job_payload
 from service.routes.catalogue import require_preset
 from service.schemas.jobs import JobPayload, JobRequest
 from service.services import Owned
-from service.uploads.quota import require_place, require_room
+from service.uploads.quota import require_room, require_space
 
 KEY_EXPIRES_S = 86400.0
-OF_REQUEST = ("type", "preset", "seed", "priority", "webhook_events", "external_id", "metadata", "destination")
+COPIED_FIELDS = ("type", "preset", "seed", "priority", "webhook_events", "external_id", "metadata", "destination")
 """Fields that a job copies from its request."""
 
 PAPER = "paper"
 """The preset that takes minutes without a GPU."""
 
 
-def accept(
+def add_job(
     owned: Owned, body: JobRequest, request_id: str | None, response: Response, *, key: str | None
 ) -> JobPayload:
     """Validate a request and store its job, or return the job created with the same key."""
@@ -50,24 +50,24 @@ def accept(
         queue=queue_of(_queue(owned, body, asset), body.priority),
         webhook_id=body.webhook,
         cancel_at=None if body.cancel_after_s is None else owned.store.clock() + body.cancel_after_s,
-        **{name: getattr(body, name) for name in OF_REQUEST},
+        **{name: getattr(body, name) for name in COPIED_FIELDS},
     )
-    return _keep(owned, job, stages, named, response)
+    return _store(owned, job, stages, named, response)
 
 
-def accept_again(owned: Owned, old: JobRecord, request_id: str | None, response: Response) -> JobPayload:
+def add_retry(owned: Owned, old: JobRecord, request_id: str | None, response: Response) -> JobPayload:
     """Store a new job with the request of a job that has ended."""
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
     _require_turn(owned)
-    require_place(owned, 0)
+    require_space(owned, 0)
     asset_id = read_asset(owned.store, old.asset_id).id
-    own = {name: getattr(old, name) for name in (*OF_REQUEST, "params", "queue", "webhook_id")}
+    own = {name: getattr(old, name) for name in (*COPIED_FIELDS, "params", "queue", "webhook_id")}
     again = _record(owned, request_id=request_id, asset_id=asset_id, retry_of=old.id, **own)
-    return _keep(owned, again, tuple(stage.name for stage in old.stages), None, response)
+    return _store(owned, again, tuple(stage.name for stage in old.stages), None, response)
 
 
-def _keep(
+def _store(
     owned: Owned, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
 ) -> JobPayload:
     most = owned.caller.limits.get("active_jobs")
@@ -77,7 +77,7 @@ def _keep(
 
 def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
     response.headers["Location"] = f"/v1/jobs/{stored.id}"
-    return tell(owned, stored, response)
+    return job_payload(owned, stored, response)
 
 
 def _fingerprint(body: JobRequest) -> str:
@@ -116,7 +116,7 @@ def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tupl
     _require_frames(body.params.video_frames or PHOTOS_OF_VIDEO, asset)
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
-    require_place(owned, _product_bytes(body, asset))
+    require_space(owned, _product_bytes(body, asset))
     return asset, stages
 
 

@@ -13,8 +13,8 @@ from jobs.records import JobRecord, StageRecord
 from jobs.states import JobState, JobType
 from jobs.store import Store
 
-REMEMBERED_S = 10.0
-OF_PHOTOS_S: dict[JobType, float] = {"reconstruct": 240.0, "voxelize": 1.0, "diffuse": 5.0, "animate": 15.0}
+CACHE_S = 10.0
+DEFAULT_STAGE_S: dict[JobType, float] = {"reconstruct": 240.0, "voxelize": 1.0, "diffuse": 5.0, "animate": 15.0}
 """Usual duration of each stage of a job on photos on two cores [s]."""
 
 
@@ -29,10 +29,10 @@ class Forecast:
 
 @dataclass
 class JobDurations:
-    """Durations of jobs and stages, cached for `REMEMBERED_S` so that a poll needs no query for them."""
+    """Durations of jobs and stages, cached for `CACHE_S` so that a poll needs no query for them."""
 
     store: Store
-    _recent: TTLCache[tuple[str, str], Sequence[float]] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
+    _recent: TTLCache[tuple[str, str], Sequence[float]] = field(default_factory=lambda: TTLCache(64, CACHE_S))
 
     def forecast(self, job: JobRecord, position: int | None) -> Forecast:
         """Estimate a job's progress and end, from the speed of the running stage and from this service's history.
@@ -63,7 +63,7 @@ class JobDurations:
         weights = {stage.name: 1.0 for stage in job.stages}
         took = 0.0 if first.started_at is None else (first.finished_at or self.store.clock()) - first.started_at
         if first.name == "reconstruct" and first.progress > 0 and not first.cached and took >= least_of_photos_s:
-            weights = OF_PHOTOS_S
+            weights = DEFAULT_STAGE_S
         whole = sum(weights[stage.name] for stage in job.stages)
         return round(sum(weights[stage.name] * stage.progress for stage in job.stages) / whole, 4)
 
@@ -78,7 +78,7 @@ class JobDurations:
             return took / stage.progress - took
         recent = self._remembered("seconds", stage.name, partial(stage_seconds, self.store, stage.name))
         if not recent and job.stages[0].name == "reconstruct" and stage.name != "reconstruct":
-            recent = [OF_PHOTOS_S[stage.name]]
+            recent = [DEFAULT_STAGE_S[stage.name]]
         longer = [seconds for seconds in recent if seconds > took]
         return median(longer) - took if longer else None
 

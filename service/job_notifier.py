@@ -11,7 +11,7 @@ from jobs.store import Store
 
 logger = logging.getLogger(__name__)
 
-LOOK_S = 0.2
+POLL_S = 0.2
 
 
 @dataclass
@@ -48,7 +48,7 @@ class JobNotifier:
                 logger.warning("changes cannot be looked for: %s", error)
             else:
                 self._wake(versions)
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
 
     def _wake(self, versions: dict[str, int]) -> None:
         for job_id, waiters in self._waiting.items():

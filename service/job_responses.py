@@ -16,7 +16,7 @@ from service.services import Owned
 POLL_AFTER_S = 1
 
 
-def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
+def job_payload(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
     """Return the response body of a job, and set the response's headers."""
     [payload] = payloads(owned, [job])
     seen = f"{job.id} {job.version} {payload.queue_position}"  # not the forecast, which differs between processes
@@ -28,10 +28,10 @@ def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
     return payload
 
 
-def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
+def job_and_payload(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
     """Read a job: its record and response body."""
     job = owned.store.job(job_id)
-    return job, tell(owned, job, response)
+    return job, job_payload(owned, job, response)
 
 
 def payloads(owned: Owned, page: Sequence[JobRecord]) -> list[JobPayload]:

@@ -18,15 +18,15 @@ from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
 from service.http.problems import ADDED_HEADERS, ProblemError
-from service.http.rate_limit import RateLimiter, Standing, limit_of
+from service.http.rate_limit import Allowance, RateLimiter, limit_of
 from service.http.signed_links import LINKABLE, LinkSignature
 
 logger = logging.getLogger(__name__)
 
-REMEMBERED_S = 2.0
+CACHE_S = 2.0
 """Lifetime of a cached key [s]; a revoked key is accepted for at most this long."""
 
-MAX_REMEMBERED = 10_000
+MAX_CACHED = 10_000
 FORWARDED = ("forwarded", "x-forwarded-", "x-real-ip", "via", "cf-connecting-ip", "true-client-ip", "x-client-ip")
 """Prefixes of headers that proxies add. Behind a local proxy, every request seems to come from this machine."""
 
@@ -44,14 +44,14 @@ class Authentication:
         self.app = app
         self.settings = settings
         self._limiter = RateLimiter(settings.resolved_redis_url) if settings.keys == "required" else None
-        self._keys: TTLCache[str, KeyRecord | None] = TTLCache(MAX_REMEMBERED, REMEMBERED_S)
+        self._keys: TTLCache[str, KeyRecord | None] = TTLCache(MAX_CACHED, CACHE_S)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Accept or refuse one request."""
         if scope["type"] not in {"http", "websocket"} or not scope["path"].startswith("/v1/"):
             await self.app(scope, receive, send)
             return
-        standing: Standing | None = None
+        standing: Allowance | None = None
         try:
             caller = await self._caller(scope)
             if self._limiter is not None:

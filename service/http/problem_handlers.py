@@ -12,7 +12,7 @@ from starlette.routing import Route
 from dynamictree.errors import DynamicTreeError
 from jobs.errors import JobsError
 from service.http.problems import ProblemError, Refusal, problem_of
-from service.http.validation_errors import MAX_VALUE_CHARS, invalid
+from service.http.validation_errors import MAX_VALUE_CHARS, invalid_fields
 
 logger = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ def _methods(request: Request) -> list[str]:
 
 async def _on_validation(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    return invalid(error.errors()).response(request.scope)
+    return invalid_fields(error.errors()).response(request.scope)
 
 
 async def _on_ours(request: Request, error: Exception) -> Response:

@@ -21,7 +21,7 @@ WRONG_KEYS_PER_MIN = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class Allowance:
     """Requests that remain in the current window. IETF draft ratelimit-headers."""
 
     name: str
@@ -53,7 +53,7 @@ def limit_of(method: str, path: str) -> Limit:
 
 
 REDIS_TIMEOUT_S = 1.0
-AWAY_S = 5.0
+REDIS_PAUSE_S = 5.0
 """Pause after a failure of Redis before it is tried again [s]."""
 
 
@@ -67,28 +67,28 @@ class RateLimiter:
         self._local = FixedWindowRateLimiter(MemoryStorage())
         self._away_until = 0.0
 
-    async def count(self, caller: Caller, limit: Limit) -> Standing | None:
+    async def count(self, caller: Caller, limit: Limit) -> Allowance | None:
         """Count one request; return None if the caller has no limit."""
         quota, (name, _, unit) = caller.limits.get(limit), limit.partition("_per_")
         return None if quota is None else await self._count(caller.key_id, name, quota, 1 if unit == "s" else 60)
 
-    async def count_wrong_key(self, address: str) -> Standing:
+    async def count_wrong_key(self, address: str) -> Allowance:
         """Count one request with a wrong key."""
         return await self._count(address, "wrong-keys", WRONG_KEYS_PER_MIN, 60)
 
-    async def _count(self, who: str, name: str, quota: int, window_s: int) -> Standing:
+    async def _count(self, who: str, name: str, quota: int, window_s: int) -> Allowance:
         if time.monotonic() >= self._away_until:
             try:
-                return await run_in_threadpool(_hit, self._shared, who, name, quota, window_s)
+                return await run_in_threadpool(_count_request, self._shared, who, name, quota, window_s)
             except StorageError as error:
                 logger.warning("redis is away; requests are counted in this process: %s", error)
-                self._away_until = time.monotonic() + AWAY_S
-        return _hit(self._local, who, name, quota, window_s)
+                self._away_until = time.monotonic() + REDIS_PAUSE_S
+        return _count_request(self._local, who, name, quota, window_s)
 
 
-def _hit(limiter: FixedWindowRateLimiter, who: str, name: str, quota: int, window_s: int) -> Standing:
+def _count_request(limiter: FixedWindowRateLimiter, who: str, name: str, quota: int, window_s: int) -> Allowance:
     window = RateLimitItemPerSecond(quota, window_s)
     allowed = limiter.hit(window, who, name)
     stats = limiter.get_window_stats(window, who, name)
     reset_s = max(1, round(stats.reset_time - time.time()))
-    return Standing(name=name, quota=quota, window_s=window_s, left=stats.remaining, reset_s=reset_s, allowed=allowed)
+    return Allowance(name=name, quota=quota, window_s=window_s, left=stats.remaining, reset_s=reset_s, allowed=allowed)

@@ -36,7 +36,7 @@ def parse_range(header: str | None, size: int) -> range | None:
     return wanted_bytes
 
 
-def chosen(accept: str | None, offered: Sequence[str]) -> str:
+def preferred_media_type(accept: str | None, offered: Sequence[str]) -> str:
     """Return the offered media type with the highest quality; the first of equals."""
     accepted = parse_accept_header(accept or "*/*", MIMEAccept)
     if not accepted:

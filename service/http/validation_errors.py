@@ -16,7 +16,7 @@ MAX_POINTER = 200
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """Return the first invalid fields of `ValidationError.errors()` or FastAPI's errors."""
     left = max(len(raw_errors) - MAX_SEEN, 0)
-    raw_errors = _own(raw_errors[:MAX_SEEN])
+    raw_errors = _without_derived(raw_errors[:MAX_SEEN])
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]
@@ -26,13 +26,13 @@ def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     return errors
 
 
-def _own(raw_errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def _without_derived(raw_errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Drop the error that a list is too short if only its invalid members make it so."""
     above = {tuple(error["loc"][:end]) for error in raw_errors for end in range(len(error["loc"]))}
     return [error for error in raw_errors if error["type"] != "too_short" or tuple(error["loc"]) not in above]
 
 
-def invalid(raw_errors: Sequence[Mapping[str, Any]], where: str | None = None) -> ProblemError:
+def invalid_fields(raw_errors: Sequence[Mapping[str, Any]], where: str | None = None) -> ProblemError:
     """Return the problem of invalid fields; `where` is their location if pydantic does not report it."""
     if where is not None:
         raw_errors = [{**error, "loc": (where, *error["loc"])} for error in raw_errors]
@@ -63,15 +63,15 @@ def _detail(error: Mapping[str, Any]) -> str:
         case "extra_forbidden" | "unexpected_keyword_argument":
             return "there is no such field; /openapi.json tells those that there are"
         case "union_tag_invalid":
-            return f"{_shortened(more['tag'])} was sent; {more['expected_tags']} are allowed"
+            return f"{_truncated(more['tag'])} was sent; {more['expected_tags']} are allowed"
         case "value_error":
             return message.removeprefix("Value error, ")
         case "model_attributes_type" if isinstance(given, bytes | str):
             return "this is no JSON object; send one, with Content-Type: application/json"
     plain = isinstance(given, str | int | float | None)
-    return f"{message}; {_shortened(given)} was sent" if plain else message
+    return f"{message}; {_truncated(given)} was sent" if plain else message
 
 
-def _shortened(value: object) -> str:
+def _truncated(value: object) -> str:
     text = repr(value)
     return text if len(text) <= MAX_VALUE_CHARS else text[:MAX_VALUE_CHARS] + "…"

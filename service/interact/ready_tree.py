@@ -20,7 +20,7 @@ BYTES_PER_GAUSSIAN = 250  # rest pose, and the deformer's arrays
 
 
 @dataclass(frozen=True)
-class MovingGaussians:
+class BoundGaussians:
     """Gaussians bound to the mesh. The deformer computes one pose at a time."""
 
     rows: Int32[np.ndarray, " M"]  # indices into the cloud
@@ -36,7 +36,7 @@ class ReadyTree:
     expires_at: float  # expiry time of the spectrum [s since 1970]
     mesh: TriangleMesh | None = None
     frames: "VertexFrames | None" = None
-    gaussians: MovingGaussians | None = None
+    gaussians: BoundGaussians | None = None
 
     @property
     def num_bytes(self) -> int:

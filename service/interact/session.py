@@ -27,7 +27,7 @@ SETTLED_M = 1e-4
 WINDOW = 8
 """Frames that may be sent without an acknowledgement: 130 ms at 60 Hz."""
 
-FOLLOW_S = 0.015
+TRACKING_S = 0.015
 """Time constant with which a grip follows its pointer: a frame at 60 Hz covers two thirds of the rest."""
 
 STRAIGHT_RAD = 1e-4
@@ -174,7 +174,7 @@ class Session:
 
     def _follow(self, index: int, hold: Hold, moved: State) -> None:
         """Move a pulled group towards its target shape; set matching rates, so that a release does not jump."""
-        share, dt_s = 1 - np.exp(-self.step.dt_s / FOLLOW_S), self.step.dt_s
+        share, dt_s = 1 - np.exp(-self.step.dt_s / TRACKING_S), self.step.dt_s
         change = share * (hold.q - self.state.q[index])
         moved.q[index], moved.q_dot[index] = self.state.q[index] + change, change / dt_s
         before = self.bends[index].turn

@@ -14,7 +14,7 @@ from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import ModalSystem, modal_system, with_physics
 from dynamictree.requests import SwingParams
 from service.http.problems import ProblemError
-from service.interact.ready_tree import MovingGaussians, ReadyTree
+from service.interact.ready_tree import BoundGaussians, ReadyTree
 from service.interact.stored_trees import (
     load_result,
     load_source_cloud,
@@ -92,7 +92,7 @@ class ServedTree:
             self.ready.frames = VertexFrames(self.rig(), self.mesh().vertices)
         return self.ready.frames
 
-    def gaussians(self) -> MovingGaussians:
+    def gaussians(self) -> BoundGaussians:
         """Return the moving Gaussians of the source cloud, bound to its mesh."""
         from dynamictree.gaussian.binding import bind
         from dynamictree.gaussian.deform import Deformer
@@ -105,7 +105,7 @@ class ServedTree:
             rows = np.flatnonzero(binding.moving).astype(np.int32)
             cloud = binding.cloud.subset(rows).with_sh_degree(0)
             moving = replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows])
-            self.ready.gaussians = MovingGaussians(rows, Deformer(moving))
+            self.ready.gaussians = BoundGaussians(rows, Deformer(moving))
         return self.ready.gaussians
 
 

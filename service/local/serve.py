@@ -63,7 +63,7 @@ def serve(
         with one_line("serve"):
             settings = settings_of(state_dir=state_dir, worker_threads=threads)
             require_keys_beyond_loopback(host, settings)
-            stack.enter_context(locked(settings.state_dir.resolve() / "serve.lock"))
+            stack.enter_context(lock_file(settings.state_dir.resolve() / "serve.lock"))
             listening = stack.enter_context(closing(listen(host, port)))
             Store.open(settings.resolved_database_url).close()
         set_up_logging(settings)
@@ -73,7 +73,7 @@ def serve(
             signal.signal(number, lambda *_: stopped.set())
         host_part = f"[{host}]" if ":" in host else host
         url = f"http://{host_part}:{listening.getsockname()[1]}"
-        Supervisor(plans(settings, listening)).run(stopped, announce=lambda: announce(url))
+        Supervisor(plans(settings, listening)).run(stopped, announce=lambda: print_when_ready(url))
 
 
 def clear_scratch(folder: Path) -> None:
@@ -183,7 +183,7 @@ def listen(host: str, port: int) -> socket.socket:
     return opened
 
 
-def locked(path: Path) -> TextIO:
+def lock_file(path: Path) -> TextIO:
     """Lock a file for this process until it is closed or the process ends.
 
     Raises:
@@ -199,7 +199,7 @@ def locked(path: Path) -> TextIO:
     return stream
 
 
-def announce(url: str) -> bool:
+def print_when_ready(url: str) -> bool:
     """Print the address once the service accepts and runs jobs; return whether it does."""
     if ready := _ready(url):
         typer.echo(f"ready {url}\nA page to use it from: {_local(url)}/")

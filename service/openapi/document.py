@@ -28,7 +28,7 @@ TAGS = [
     {"name": "health", "description": "For probes and balancers."},
 ]
 KEY = {"type": "http", "scheme": "bearer", "description": "where the service asks for keys"}
-DOORS = ("unauthorized", "forbidden", "rate-limited")  # problems of the authentication, for every route under /v1
+AUTH_PROBLEMS = ("unauthorized", "forbidden", "rate-limited")  # problems of the authentication under /v1
 LICENSE = {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
 CONTACT = {"name": "The maintainers of DynamicTree"}
 HEADERS = {
@@ -55,7 +55,7 @@ def described(app: FastAPI) -> Page:
         page = FastAPI.openapi(app)
         for path, item in page["paths"].items():
             for operation in item.values():
-                _complete(operation, DOORS if path.startswith("/v1") else ())
+                _complete(operation, AUTH_PROBLEMS if path.startswith("/v1") else ())
         components = page["components"]
         for node in _nodes(page):
             if "prefixItems" in node:  # all members of our tuples have one type; older tools support only `items`

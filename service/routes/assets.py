@@ -16,12 +16,12 @@ from jobs.storage.uploads import upload
 from service.http.multipart import MAX_FILES, receive_form
 from service.http.request_headers import JSON
 from service.http.routing import Id, headers, refusals
-from service.http.validation_errors import invalid
+from service.http.validation_errors import invalid_fields
 from service.schemas.assets import AssetOptions, AssetPayload, AssetRequest, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
-from service.uploads.intake import admit, scratch_folder
-from service.uploads.quota import announce, reserved
+from service.uploads.intake import parse_and_store, scratch_folder
+from service.uploads.quota import announce_upload, reserve_space
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 
@@ -87,13 +87,13 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
     if content_type.partition(";")[0].strip() == JSON:
         return await _of_uploads_or_address(request, response, owned)
     async with AsyncExitStack() as room:
-        await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, length)))
+        await room.enter_async_context(contextmanager_in_threadpool(reserve_space(owned, length)))
         folder = await room.enter_async_context(scratch_folder(owned))
         form = await receive_form(content_type, request.stream(), folder)
         if not length:  # no Content-Length: the size counts once the body is received
             sent = sum(file.bytes for file in form.files)
-            await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, sent)))
-        asset, new = await admit(owned, AssetOptions.read(form.fields, where="form"), form.files, folder)
+            await room.enter_async_context(contextmanager_in_threadpool(reserve_space(owned, sent)))
+        asset, new = await parse_and_store(owned, AssetOptions.read(form.fields, where="form"), form.files, folder)
     return _asset_response(asset, new, response)
 
 
@@ -101,7 +101,7 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     try:
         wanted = AssetRequest.model_validate_json(await request.body())
     except ValidationError as error:
-        raise invalid(error.errors(include_url=False), "body") from None
+        raise invalid_fields(error.errors(include_url=False), "body") from None
     if wanted.upload_ids is not None:
         uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
         asset, new = await make_asset(owned, uploads, wanted)
@@ -111,7 +111,7 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     await owned.services.outbound.check(wanted.url)
     allowed = owned.caller.limits.get("bytes")
     record = await run_in_threadpool(
-        announce,
+        announce_upload,
         owned,
         owned.services.settings.upload_retention_s,
         state="fetching",

@@ -26,7 +26,7 @@ from dynamictree.modal.response import Start, answer_tensors, group_forces, resp
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, chosen_falloff_m
 from service.http.problems import ProblemError
-from service.http.request_headers import JSON, SAFETENSORS, chosen
+from service.http.request_headers import JSON, SAFETENSORS, preferred_media_type
 from service.http.routing import refusals
 from service.interact.forces import (
     MAX_GROUPS,
@@ -60,7 +60,7 @@ SEND_S = 120.0
 PIECE_BYTES = 256 * 1024
 """A large response waits `SLOT_WAIT_S` for its slot and occupies it for at most `SEND_S`."""
 
-SHORT = 256
+MAX_QUICK = 256
 """Frames x groups up to which the event loop computes the response itself; larger ones are computed in a thread."""
 
 
@@ -122,9 +122,9 @@ async def interact(
 ) -> Response:
     """Push a tree, and read how it swings."""
     offered = (JSON, SAFETENSORS) if body.output == "modal" else (SAFETENSORS,)
-    media_type = chosen(accept, offered)
+    media_type = preferred_media_type(accept, offered)
     tree = living_tree(owned, body.spectrum_id)
-    if tree is not None and _is_short(body):
+    if tree is not None and _is_quick(body):
         return _response(body, tree, media_type, threading.Event())  # takes 1 to 3 ms; a thread would double it
     if body.output == "modal":
         return await run_in_threadpool(_prepared_response, body, owned, media_type, threading.Event())
@@ -135,7 +135,7 @@ async def interact(
         except TimeoutError as error:
             raise ProblemError("overloaded", "other large answers are computed or sent; try again") from error
         try:
-            async with _noticing_who_leaves(request) as left:
+            async with _disconnect_event(request) as left:
                 response = await run_in_threadpool(_prepared_response, body, owned, media_type, left)
         except Cancelled:
             return Response(status_code=CLIENT_LEFT)
@@ -147,7 +147,7 @@ CLIENT_LEFT = 499
 
 
 @asynccontextmanager
-async def _noticing_who_leaves(request: Request) -> AsyncIterator[threading.Event]:
+async def _disconnect_event(request: Request) -> AsyncIterator[threading.Event]:
     """Context manager that yields an event, which is set once the client has closed the connection."""
     left = threading.Event()
 
@@ -186,11 +186,11 @@ class SlotResponse(Response):
                 logger.info("a large answer was not read within %g s", SEND_S)
 
 
-def _is_short(body: InteractRequest) -> bool:
+def _is_quick(body: InteractRequest) -> bool:
     """Return whether a response takes a few milliseconds and reads no files."""
     at_vertices = any(force.at is not None and force.at.vertex is not None for force in body.forces)
     groups = len(body.forces) + (0 if body.initial_state is None else len(body.initial_state.groups))
-    return body.output == "modal" and not (at_vertices or body.warp) and body.num_frames * max(groups, 1) <= SHORT
+    return body.output == "modal" and not (at_vertices or body.warp) and body.num_frames * max(groups, 1) <= MAX_QUICK
 
 
 def _prepared_response(body: InteractRequest, owned: Owned, media_type: str, left: threading.Event) -> Response:
@@ -201,7 +201,7 @@ def _prepared_response(body: InteractRequest, owned: Owned, media_type: str, lef
 
 
 def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: threading.Event) -> Response:
-    system, answer = answer_of(body, tree)
+    system, answer = compute_response(body, tree)
     if media_type == JSON:
         return Response(
             orjson.dumps(_interact_payload(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON
@@ -214,7 +214,7 @@ def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: th
     return Response(_packed(arrays, _facts(body, system)), 200, None, media_type)
 
 
-def answer_of(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
+def compute_response(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
     """Compute the tree's response to a request."""
     system = tree.system(body)
     bent = tree.with_rig() if body.warp else None
@@ -247,12 +247,12 @@ def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left:
     """Return the displacement of voxels or vertices, [T, V or N, 3] [m]."""
     if body.output == "voxels":
         _refuse_costly(answer, len(tree.ready.tree.system.grid), 12)
-        return np.stack(list(_while_there(tree.with_rig().voxels(answer, warp=body.warp), left)))
+        return np.stack(list(_until_disconnected(tree.with_rig().voxels(answer, warp=body.warp), left)))
     _refuse_costly(answer, tree.mesh().num_vertices, 12)
-    return np.stack(list(_while_there(_iter_vertices(body, tree, answer), left)))
+    return np.stack(list(_until_disconnected(_iter_vertices(body, tree, answer), left)))
 
 
-def _while_there(frames: Iterator[np.ndarray], left: threading.Event) -> Iterator[np.ndarray]:
+def _until_disconnected(frames: Iterator[np.ndarray], left: threading.Event) -> Iterator[np.ndarray]:
     """Iterate over frames until the client has disconnected.
 
     Raises:
@@ -281,7 +281,7 @@ def _gaussians(body: InteractRequest, tree: ServedTree, answer: Answer, left: th
     shape = body.num_frames, len(moving.rows)
     means, quaternions, scales = (np.empty((*shape, width), np.float32) for width in (3, 4, 3))
     with moving.alone:
-        for frame, vertices in enumerate(_while_there(_iter_vertices(body, tree, answer), left)):
+        for frame, vertices in enumerate(_until_disconnected(_iter_vertices(body, tree, answer), left)):
             out = Pose(means=means[frame], quaternions=quaternions[frame], scales=scales[frame])
             moving.deformer.pose(vertices, out=out)
     return {"rows": moving.rows, "means": means, "quaternions": quaternions, "scales": scales}

@@ -21,7 +21,7 @@ from dynamictree.modal.system import chosen_falloff_m
 from dynamictree.requests import SwingParams
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.slots import until_revoked
-from service.http.validation_errors import invalid
+from service.http.validation_errors import invalid_fields
 from service.interact.forces import ForcePayload
 from service.interact.session import Grips, Session, force_of
 from service.interact.tree_cache import ServedTree, served_tree, system_facts
@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 OPEN_S = 10.0  # timeout for the first message
 IDLE_S = 60.0  # a client that sends nothing for so long is disconnected
 MAX_MESSAGE = 16_384  # characters
-LATE_S = 0.25  # the clock restarts if a stall was longer than this
+MAX_LAG_S = 0.25  # the clock restarts if a stall was longer than this
 
 INVALID, TOO_LARGE, DONE, BUSY, UNSUPPORTED = 1008, 1009, 1000, 1013, 1003
 PROTOCOL = "dynamictree"
@@ -170,7 +170,7 @@ async def _send_frames(socket: WebSocket, session: Session) -> None:
         if message is not None:
             await _send(socket, message)
         due += session.step.dt_s
-        if time.monotonic() - due > LATE_S:
+        if time.monotonic() - due > MAX_LAG_S:
             due = time.monotonic()
         await asyncio.sleep(max(0.0, due - time.monotonic()))
 
@@ -198,6 +198,6 @@ async def _send(socket: WebSocket, message: dict[str, object]) -> None:
 def _problem(error: ValidationError | Refusal) -> dict[str, object]:
     """Return a problem object in which `type` is that of the message."""
     if isinstance(error, ValidationError):
-        error = invalid(error.errors(), "body")
+        error = invalid_fields(error.errors(), "body")
     problem = problem_of(error)
     return problem_body(problem.code, problem.detail, request_id=None) | {"type": "problem"}

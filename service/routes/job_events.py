@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.http.routing import Id, refusals
 from service.http.slots import until_revoked
-from service.job_responses import tell
+from service.job_responses import job_payload
 from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -63,7 +63,7 @@ async def _events(owned: Owned, job_id: str, seen: str) -> AsyncIterator[ServerS
         while not revoked.done():
             job = await run_in_threadpool(owned.store.job, job_id)
             if str(job.version) != seen:
-                payload = await run_in_threadpool(tell, owned, job, Response())
+                payload = await run_in_threadpool(job_payload, owned, job, Response())
                 seen = str(job.version)
                 yield ServerSentEvent(payload.model_dump_json(), id=seen, event="job", sep="\n")
             if job.terminal:

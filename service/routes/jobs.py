@@ -11,8 +11,8 @@ from starlette.concurrency import run_in_threadpool
 from jobs.states import JobState, JobType
 from service.http.request_headers import RequestId, WaitS, matches
 from service.http.routing import Cursor, Id, headers, refusals
-from service.job_creation import accept, accept_again
-from service.job_responses import look, payloads, tell
+from service.job_creation import add_job, add_retry
+from service.job_responses import job_and_payload, job_payload, payloads
 from service.schemas.jobs import JobListPayload, JobPayload, JobRequest, ManifestPayload, manifest_payload
 from service.services import OwnedDep
 
@@ -37,13 +37,13 @@ def create_job(
 ) -> JobPayload:
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
     key = None if idempotency_key is None else f"post:{idempotency_key}"
-    return accept(owned, body, request_id, response, key=key)
+    return add_job(owned, body, request_id, response, key=key)
 
 
 @router.post("/{id}/retry", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})
 def retry_job(id: Id, response: Response, owned: OwnedDep, request_id: RequestId) -> JobPayload:
     """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
-    return accept_again(owned, owned.store.job(id), request_id, response)
+    return add_retry(owned, owned.store.job(id), request_id, response)
 
 
 class JobFilter(BaseModel):
@@ -107,12 +107,12 @@ async def get_job(
 
     With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change.
     """
-    job, payload = await run_in_threadpool(look, owned, id, response)
+    job, payload = await run_in_threadpool(job_and_payload, owned, id, response)
     deadline = time.monotonic() + wait_s
     while wait_s and not job.terminal and if_none_match in {None, response.headers["ETag"]}:
         if not await owned.services.job_notifier.changed(id, job.version, deadline - time.monotonic()):
             break
-        job, payload = await run_in_threadpool(look, owned, id, response)
+        job, payload = await run_in_threadpool(job_and_payload, owned, id, response)
     estimate = dict(response.headers)
     if wait_s:
         estimate["Preference-Applied"] = f"wait={wait_s:g}"
@@ -125,7 +125,7 @@ async def get_job(
 @router.post("/{id}/cancel", status_code=202, responses=refusals("not-found", "conflict"))
 def cancel_job(id: Id, response: Response, owned: OwnedDep) -> JobPayload:
     """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
-    return tell(owned, owned.store.cancel(id), response)
+    return job_payload(owned, owned.store.cancel(id), response)
 
 
 @router.delete("/{id}", status_code=204, responses=refusals("not-found", "conflict", "expired"))

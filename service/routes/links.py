@@ -45,7 +45,7 @@ def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkP
 
     The link ends with its time, with the key that asked for it, or with the file.
     """
-    _require_there(owned, body.path)
+    _require_file(owned, body.path)
     response.headers["Cache-Control"] = "no-store"
     key = find_key(owned.services.store, id=owned.caller.key_id)
     if key is None:
@@ -54,7 +54,7 @@ def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkP
     return LinkPayload.of(None, url=signed(key, body.path, expires), expires_at=expires)
 
 
-def _require_there(owned: Owned, path: str) -> None:
+def _require_file(owned: Owned, path: str) -> None:
     if LINKABLE.fullmatch(path) is None:
         allowed = "/v1/artifacts/{id}, /v1/spectra/{id}[/surface|/modes|/reach], /v1/assets/{id}/surface|points"
         raise ProblemError("not-found", f"no link can be made of {path!r}; {allowed} are allowed")

@@ -62,7 +62,7 @@ class StoreMetrics:
         with self.store.reading() as connection:
             counted, now = tallies(connection), census(connection, self.store.clock())
         yield from store_gauges(now, self.queues)
-        yield from _since_ever(counted)
+        yield from _counters(counted)
         free = self.artifacts.free_bytes()
         if free is not None:
             yield _gauge("storage_free_bytes", "Room left in the storage", {(): free})
@@ -85,7 +85,7 @@ def store_gauges(now: Census, queue_names: tuple[str, ...]) -> Iterator[Metric]:
     yield _gauge("stored_bytes", "Bytes stored", {(): now.stored_bytes})
 
 
-def _since_ever(counted: dict[str, dict[str, float]]) -> Iterator[Metric]:
+def _counters(counted: dict[str, dict[str, float]]) -> Iterator[Metric]:
     yield _counter("jobs_ended", "Jobs that ended, by state", counted.get("jobs", {}), ["state"])
     yield _counter(
         "attempts", "Attempts started, lost with their worker, or handed back", counted.get("attempts", {}), ["how"]

@@ -26,7 +26,7 @@ router = APIRouter(prefix="/v1", tags=["spectra"])
 MAX_POINTS = 200_000
 """Points of a preview (4 MB); larger clouds are thinned out."""
 
-FAINTEST = 0.1
+MIN_OPACITY = 0.1
 """Lowest opacity of a Gaussian in the preview; a fainter one alone is invisible."""
 
 STEP = 6e-6
@@ -95,7 +95,7 @@ def get_asset_points(id: Id, owned: OwnedDep) -> Response:
 
 def point_tensors(cloud: GaussianCloud) -> dict[str, np.ndarray]:
     """Return positions [m], sRGB colours and radii [m] of at most `MAX_POINTS` Gaussians, evenly chosen."""
-    visible = np.flatnonzero(cloud.opacity >= FAINTEST)
+    visible = np.flatnonzero(cloud.opacity >= MIN_OPACITY)
     if not len(visible):
         visible = np.arange(cloud.num_gaussians)
     step = -(-len(visible) // MAX_POINTS)

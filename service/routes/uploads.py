@@ -24,8 +24,8 @@ from service.http.request_headers import WaitS
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import UploadMetadata, UploadPartPayload, UploadPartsPayload, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
-from service.uploads.append import append, stands_elsewhere
-from service.uploads.quota import announce, require_room
+from service.uploads.append import append, wrong_offset
+from service.uploads.quota import announce_upload, require_room
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
@@ -35,15 +35,15 @@ MAX_METADATA_CHARS = 8192
 PART_BYTES = 64 * 1024**2
 """Size of the part per presigned URL: 64 parts are an upload of 4 GiB."""
 
-_LOOK_S = 0.25
+_POLL_S = 0.25
 
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
 _BODY = {
     "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     "description": "bytes from Upload-Offset on",
 }
-_TAKES_BYTES: dict[str, Any] = {"response_class": Response, "openapi_extra": {"requestBody": _BODY}}
-_STANDS = headers(
+_BYTES_BODY: dict[str, Any] = {"response_class": Response, "openapi_extra": {"requestBody": _BODY}}
+_OFFSET_HEADERS = headers(
     Upload_Offset="bytes that are there",
     Upload_Expires="when it is removed unless more comes",
     Tus_Resumable="1.0.0",
@@ -65,7 +65,7 @@ async def get_upload_protocol(owned: OwnedDep) -> Response:
 @router.post(
     "",
     status_code=201,
-    **_TAKES_BYTES,
+    **_BYTES_BODY,
     responses=refusals("invalid-input", "quota-exceeded", *_ERRORS)
     | {201: {"description": "Begun", **headers(Location="the upload", Upload_Offset="bytes that are there")}},
 )
@@ -88,7 +88,7 @@ async def create_upload(
     metadata = _metadata(upload_metadata)
     with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
     record = await run_in_threadpool(
-        announce,
+        announce_upload,
         owned,
         owned.services.settings.upload_begin_s,
         state="receiving",
@@ -100,20 +100,20 @@ async def create_upload(
     )
     if with_bytes:
         record = await _append(owned, record, request.stream(), 0)
-    return Response(status_code=201, headers=_standing(record) | {"Location": f"/v1/uploads/{record.id}"})
+    return Response(status_code=201, headers=_offset_headers(record) | {"Location": f"/v1/uploads/{record.id}"})
 
 
 @router.head(
     "/{id}",
     response_class=Response,
     responses=refusals("not-found", "expired", "precondition-failed")
-    | {200: {"description": "Where it stands", **_STANDS}},
+    | {200: {"description": "Where it stands", **_OFFSET_HEADERS}},
 )
 def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
     """Current offset of an upload."""
     _require_version(tus_resumable)
-    record = _as_it_stands(owned, upload(owned.store, id))
-    sent = _standing(record) | {"Cache-Control": "no-store"}
+    record = _with_size(owned, upload(owned.store, id))
+    sent = _offset_headers(record) | {"Cache-Control": "no-store"}
     if record.length is not None:
         sent["Upload-Length"] = str(record.length)
     if record.options.get("sent"):
@@ -124,9 +124,9 @@ def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Resp
 @router.patch(
     "/{id}",
     status_code=204,
-    **_TAKES_BYTES,
+    **_BYTES_BODY,
     responses=refusals("not-found", "expired", "upload-offset-conflict", *_ERRORS)
-    | {204: {"description": "Kept", **_STANDS}},
+    | {204: {"description": "Kept", **_OFFSET_HEADERS}},
 )
 async def append_to_upload(
     id: Id,
@@ -144,11 +144,11 @@ async def append_to_upload(
     record = await run_in_threadpool(upload, owned.store, id)
     if record.state != "receiving":
         if offset != record.received:
-            raise stands_elsewhere(offset, record.received)
-        return Response(status_code=204, headers=_standing(record))
+            raise wrong_offset(offset, record.received)
+        return Response(status_code=204, headers=_offset_headers(record))
     await run_in_threadpool(require_room, owned)
     record = await _append(owned, record, request.stream(), offset)
-    return Response(status_code=204, headers=_standing(record))
+    return Response(status_code=204, headers=_offset_headers(record))
 
 
 @router.get("/{id}", responses=refusals("not-found", "expired"))
@@ -160,8 +160,8 @@ async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
         settled = record.state in {"ready", "failed"} or (record.state == "received" and not record.make_asset)
         if settled or time.monotonic() >= deadline:
             break
-        await asyncio.sleep(_LOOK_S)
-    return upload_payload(await run_in_threadpool(_as_it_stands, owned, record))
+        await asyncio.sleep(_POLL_S)
+    return upload_payload(await run_in_threadpool(_with_size, owned, record))
 
 
 @router.post("/{id}/parts", responses=refusals("not-found", "expired", "conflict"))
@@ -198,7 +198,7 @@ def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> R
     return Response(status_code=204)
 
 
-def _as_it_stands(owned: Owned, record: UploadRecord) -> UploadRecord:
+def _with_size(owned: Owned, record: UploadRecord) -> UploadRecord:
     """Return the record with the number of bytes received so far."""
     if record.state != "receiving":
         return record
@@ -214,14 +214,14 @@ async def _append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes]
     if size == record.length:
         changes["state"] = "received"
         if record.sha256 is not None:
-            await run_in_threadpool(_require_promised, owned, record)
+            await run_in_threadpool(_require_checksum, owned, record)
     record = await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), **changes)
     if record.state == "received" and record.make_asset:
         owned.services.ingest_wakeup.set()
     return record
 
 
-def _require_promised(owned: Owned, record: UploadRecord) -> None:
+def _require_checksum(owned: Owned, record: UploadRecord) -> None:
     with TemporaryDirectory(prefix="check-", dir=owned.services.settings.scratch_dir) as folder:
         owned.services.upload_parts.fetch(record.id, path := Path(folder) / "whole")
         digest, _ = hash_file(path)
@@ -232,17 +232,17 @@ def _require_promised(owned: Owned, record: UploadRecord) -> None:
 
 def _require_version(given: str | None) -> None:
     if given != TUS_VERSION:
-        detail = f"Tus-Resumable {_as_sent(given)}; {TUS_VERSION} is spoken here"
+        detail = f"Tus-Resumable {_quoted(given)}; {TUS_VERSION} is spoken here"
         raise ProblemError("precondition-failed", detail, headers={"Tus-Version": TUS_VERSION})
 
 
 def _bytes_of(name: str, header: str | None, what: str) -> int:
     if header is None or not (header.isascii() and header.isdecimal()) or len(header) > 18:
-        raise ProblemError("bad-request", f"{name} {_as_sent(header)}; send {what}")
+        raise ProblemError("bad-request", f"{name} {_quoted(header)}; send {what}")
     return int(header)
 
 
-def _as_sent(header: str | None) -> str:
+def _quoted(header: str | None) -> str:
     return "is not sent" if header is None else f"is {header!r}"
 
 
@@ -272,5 +272,5 @@ def _metadata(header: str | None) -> UploadMetadata:
     return UploadMetadata.read(own, where="metadata")
 
 
-def _standing(record: UploadRecord) -> dict[str, str]:
+def _offset_headers(record: UploadRecord) -> dict[str, str]:
     return {"Upload-Offset": str(record.received), "Upload-Expires": formatdate(record.expires_at, usegmt=True)}

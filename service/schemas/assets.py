@@ -11,7 +11,7 @@ from jobs.records import UploadRecord, UploadState
 from jobs.states import AssetKind
 from service.http.multipart import MAX_FILES, MAX_NAME_CHARS
 from service.http.problems import wrong_field
-from service.http.validation_errors import invalid
+from service.http.validation_errors import invalid_fields
 from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time, problem_of
 
 
@@ -63,7 +63,7 @@ class AssetOptions(Reading):
         except ValidationError as error:
             # an error about too many items has no location; only `metadata` has items
             located = [{**one, "loc": one["loc"][:1] or ("metadata",)} for one in error.errors()]
-            raise invalid(located, where) from None
+            raise invalid_fields(located, where) from None
         except ValueError as error:
             raise wrong_field(f"{where}:metadata", "json-invalid", f"metadata is no JSON object: {error}") from None
 

@@ -19,7 +19,7 @@ from service.http.problems import ProblemError
 from service.services import Owned
 from service.uploads.batches import write_in_batches
 
-LOOK_S = 0.5
+POLL_S = 0.5
 """Interval at which a request checks whether a newer one has taken over the upload [s]."""
 
 TAKE_OVER_S = 5.0
@@ -36,7 +36,7 @@ async def append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes],
     await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), writer=token)
     writer = await _open(parts, record.id, offset)
     try:
-        async with _while_ours(owned.store, parts, record.id, token):
+        async with _while_writer(owned.store, parts, record.id, token):
             try:
                 return offset + await write_in_batches(_checked(owned, record, body, offset), writer.write)
             finally:
@@ -45,19 +45,19 @@ async def append(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes],
         raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
     except OSError as error:
         if isinstance(error, BlockingIOError):
-            raise _taken_over(record.id) from error
+            raise _superseded(record.id) from error
         if is_full(error):
             raise ProblemError("disk-full", "the disk is full; bytes received so far are stored") from error
         raise
 
 
-def stands_elsewhere(offset: int, size: int) -> ProblemError:
+def wrong_offset(offset: int, size: int) -> ProblemError:
     """Return the problem of bytes that do not begin at the upload's offset."""
     reason = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
     return ProblemError("upload-offset-conflict", reason, headers={"Upload-Offset": str(size)})
 
 
-def _taken_over(upload_id: str) -> ProblemError:
+def _superseded(upload_id: str) -> ProblemError:
     return ProblemError("conflict", f"another request goes on with upload {upload_id}")
 
 
@@ -75,12 +75,12 @@ async def _open(parts: PartStore, upload_id: str, offset: int) -> PartWriter:
         size = await run_in_threadpool(parts.size, upload_id)
         if size != offset:
             await run_in_threadpool(writer.keep)
-            raise stands_elsewhere(offset, size)
+            raise wrong_offset(offset, size)
         return writer
 
 
 @asynccontextmanager
-async def _while_ours(store: Store, parts: PartStore, upload_id: str, token: str) -> AsyncIterator[None]:
+async def _while_writer(store: Store, parts: PartStore, upload_id: str, token: str) -> AsyncIterator[None]:
     """Context manager that ends its block with a ProblemError once the upload has another writer, or is deleted."""
     block = asyncio.current_task()
     assert block is not None
@@ -88,8 +88,8 @@ async def _while_ours(store: Store, parts: PartStore, upload_id: str, token: str
 
     async def watch() -> None:
         nonlocal taken_over
-        while await run_in_threadpool(_is_ours, store, upload_id, token):
-            await asyncio.sleep(LOOK_S)
+        while await run_in_threadpool(_is_writer, store, upload_id, token):
+            await asyncio.sleep(POLL_S)
         taken_over = True
         block.cancel()
 
@@ -101,12 +101,12 @@ async def _while_ours(store: Store, parts: PartStore, upload_id: str, token: str
             raise
         block.uncancel()
         await run_in_threadpool(_clear_deleted, store, parts, upload_id)
-        raise _taken_over(upload_id) from None
+        raise _superseded(upload_id) from None
     finally:
         watching.cancel()
 
 
-def _is_ours(store: Store, upload_id: str, token: str) -> bool:
+def _is_writer(store: Store, upload_id: str, token: str) -> bool:
     try:
         return upload(store, upload_id).writer == token
     except (NotFoundError, GoneError):
@@ -129,7 +129,7 @@ async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes
     size = offset
     async for chunk in body:
         if chunk and not size:
-            await run_in_threadpool(_stay, owned, record)
+            await run_in_threadpool(_extend_lifetime, owned, record)
         size += len(chunk)
         if size > record.length:
             detail = f"the upload has {record.length:,} bytes as announced, and more were sent"
@@ -137,7 +137,7 @@ async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes
         yield chunk
 
 
-def _stay(owned: Owned, record: UploadRecord) -> None:
+def _extend_lifetime(owned: Owned, record: UploadRecord) -> None:
     """Extend the lifetime of an upload at its first byte."""
     until = owned.store.clock() + owned.services.settings.upload_retention_s
     change_upload(owned.store, record.id, expires_at=until)

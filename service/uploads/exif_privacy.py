@@ -31,7 +31,7 @@ MAX_CHUNKS, MAX_PAGES = 10_000, 1_000
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # bytes of a TIFF type
 
 
-def without_place(file: ReceivedFile) -> ReceivedFile:
+def without_location(file: ReceivedFile) -> ReceivedFile:
     """Remove the location from a photo in JPEG, PNG, WebP, TIFF or HEIC; refuse BigTIFF."""
     content = bytearray(file.path.read_bytes())
     before = bytes(content)

@@ -20,8 +20,8 @@ from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.schemas.assets import AssetOptions
 from service.services import Owned, Services
 from service.uploads.batches import write_in_batches
-from service.uploads.intake import admit, scratch_folder
-from service.uploads.quota import require_place
+from service.uploads.intake import parse_and_store, scratch_folder
+from service.uploads.quota import require_space
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ BYTES_ALLOWED = "bytes_allowed"
 """Option of an upload from a URL: the quota of the key that requested it."""
 
 LEASE_S = 60.0
-LOOK_S = 5.0
+POLL_S = 5.0
 CHUNK_BYTES = 1024**2
 
 
@@ -43,7 +43,7 @@ async def make_asset(owned: Owned, uploads: Sequence[UploadRecord], options: Ass
             raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")
     async with scratch_folder(owned) as folder:
         files = await run_in_threadpool(_files, owned, uploads, folder)
-        asset, new = await admit(owned, options, files, folder)
+        asset, new = await parse_and_store(owned, options, files, folder)
     for upload in uploads:
         await run_in_threadpool(_finish, owned, upload, asset)
     return asset, new
@@ -92,7 +92,7 @@ class Ingest:
             while True:
                 await self._look()
                 try:
-                    async with asyncio.timeout(LOOK_S):
+                    async with asyncio.timeout(POLL_S):
                         await self.services.ingest_wakeup.wait()
                 except TimeoutError:
                     continue
@@ -167,14 +167,14 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     writer = await run_in_threadpool(lambda: parts.writer(upload.id, 0))
 
     def write(batch: list[bytes]) -> None:
-        require_place(owned, sum(map(len, batch)))
+        require_space(owned, sum(map(len, batch)))
         writer.write(batch)
 
     try:
         async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
-            await run_in_threadpool(require_place, owned, _bytes_of(response.headers.get("content-length", "0")))
+            await run_in_threadpool(require_space, owned, _bytes_of(response.headers.get("content-length", "0")))
             body = _bounded(response.aiter_raw(CHUNK_BYTES), settings.max_upload_bytes)
             size = await write_in_batches(body, write)
     except TimeoutError as error:

@@ -38,7 +38,7 @@ from service.http.problems import ProblemError
 from service.schemas.assets import AssetOptions
 from service.services import Owned
 from service.uploads.archives import is_zip, unpack
-from service.uploads.exif_privacy import without_place
+from service.uploads.exif_privacy import without_location
 from service.uploads.quota import require_room
 
 CAMERA_FILES = (
@@ -78,7 +78,7 @@ class Upload:
         return sha256(json.dumps(meaning).encode()).hexdigest()
 
 
-def _sort_out(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
+def _classify(owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path) -> Upload:
     """Separate models, companions and photos; unpack a zip if there is room for its content."""
     metadata = options.metadata or {}
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
@@ -133,7 +133,7 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
         if file.bytes > MAX_PHOTO_BYTES:
             reason = f"photo {file.name!r} has {file.bytes:,} bytes; at most {MAX_PHOTO_BYTES:,} are allowed"
             raise ProblemError("payload-too-large", reason)
-    return tuple(without_place(file) for file in files)
+    return tuple(without_location(file) for file in files)
 
 
 def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
@@ -169,11 +169,11 @@ def scratch_folder(owned: Owned) -> AbstractAsyncContextManager[Path]:
     return contextmanager_in_threadpool(opened())
 
 
-async def admit(
+async def parse_and_store(
     owned: Owned, options: AssetOptions, files: list[ReceivedFile], folder: Path
 ) -> tuple[AssetRecord, bool]:
     """Parse files in the parser's process, store them and their asset; the second value is whether it is new."""
-    store, upload = owned.store, await run_in_threadpool(_sort_out, owned, options, files, folder)
+    store, upload = owned.store, await run_in_threadpool(_classify, owned, options, files, folder)
     expires_at = store.clock() + owned.services.settings.asset_retention_s
     existing = await run_in_threadpool(find_asset, store, upload.fingerprint)
     if existing is not None:
@@ -203,13 +203,13 @@ async def admit(
         )
         warning: dict[str, str | int | float] = {"code": "films-unused", "message": message}
         summary["warnings"] = [warning]
-    return await run_in_threadpool(_keep, owned, upload, prepared, summary, expires_at)
+    return await run_in_threadpool(_store_asset, owned, upload, prepared, summary, expires_at)
 
 
-def _keep(
+def _store_asset(
     owned: Owned, upload: Upload, prepared: Path, summary: Mapping[str, Json], expires_at: float
 ) -> tuple[AssetRecord, bool]:
-    files = (_picture_alone(upload.files[0], prepared),) if upload.is_film else upload.files
+    files = (_video_only(upload.files[0], prepared),) if upload.is_film else upload.files
     parts = tuple(AssetPart(name=_beside(file.name), sha256=file.sha256, bytes=file.bytes) for file in files)
     located = [(file.path, part) for file, part in zip(files, parts, strict=True)]
     bundle = None
@@ -237,7 +237,7 @@ def _keep(
     )
 
 
-def _picture_alone(film: ReceivedFile, prepared: Path) -> ReceivedFile:
+def _video_only(film: ReceivedFile, prepared: Path) -> ReceivedFile:
     """Return the film as it is stored: an MP4 without sound, location and device names."""
     digest, size = hash_file(prepared)
     name = PurePosixPath(_beside(film.name)).with_suffix(".mp4").name

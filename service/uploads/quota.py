@@ -12,11 +12,11 @@ from service.http.connections import REQUEST_TIMEOUT_S
 from service.http.problems import ProblemError
 from service.services import Owned
 
-OWNERS_SHARE, ALL_SHARE = 4, 2
+OWNER_DIVISOR, TOTAL_DIVISOR = 4, 2
 """Announced uploads reserve at most 1 / OWNERS_SHARE of the free space for one owner, and 1 / ALL_SHARE for all."""
 
 
-def require_place(owned: Owned, wanted: int) -> None:
+def require_space(owned: Owned, wanted: int) -> None:
     """Refuse bytes that exceed the free disk space or the owner's quota."""
     require_room(owned, wanted)
     allowed = owned.caller.limits.get("bytes")
@@ -25,7 +25,7 @@ def require_place(owned: Owned, wanted: int) -> None:
             require_bytes_in(connection, owned.store, wanted, allowed)
 
 
-def announce(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:
+def announce_upload(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:
     """Create an upload, if there is room for it."""
     now = owned.store.clock()
     record = UploadRecord(id=new_id(), created_at=now, expires_at=now + lifetime_s, **fields)
@@ -34,10 +34,10 @@ def announce(owned: Owned, lifetime_s: float, **fields: Any) -> UploadRecord:
 
 
 @contextmanager
-def reserved(owned: Owned, length: int) -> Iterator[None]:
+def reserve_space(owned: Owned, length: int) -> Iterator[None]:
     """Context manager that reserves room for a body of this length, like an announced upload."""
     fields = {"state": "receiving", "filename": "form", "options": {}, "length": length, "writer": "form"}
-    row = announce(owned, REQUEST_TIMEOUT_S, **fields)
+    row = announce_upload(owned, REQUEST_TIMEOUT_S, **fields)
     try:
         yield
     finally:
@@ -53,8 +53,8 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
     if in_storage is not None:  # a folder, which also holds parts of uploads; object storage reports no limit
         free = min(free, in_storage)
         room = free - settings.min_free_bytes
-        shares = (min(announced, room // OWNERS_SHARE) for announced in announced_bytes(owned.services.store))
-        promised = min(sum(shares), room // ALL_SHARE)
+        shares = (min(announced, room // OWNER_DIVISOR) for announced in announced_bytes(owned.services.store))
+        promised = min(sum(shares), room // TOTAL_DIVISOR)
     if room - promised < wanted:
         detail = f"{free:,} bytes are free, {promised:,} of them promised to uploads, {wanted:,} wanted"
         raise ProblemError("disk-full", f"{detail}; {settings.min_free_bytes:,} are reserved")

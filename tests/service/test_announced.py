@@ -11,7 +11,7 @@ from jobs.storage import uploads
 from service.app import create_app
 from service.http.caller import Caller
 from service.services import Services
-from service.uploads.quota import reserved
+from service.uploads.quota import reserve_space
 from tests.service.test_assets import send
 from tests.service.test_authentication import TREE, app_services, keyed  # noqa: F401
 from tests.service.tus import TUS, append, begin
@@ -63,6 +63,6 @@ def test_parallel_announcements_stay_within_the_quota(app_services: tuple[TestCl
 def test_a_form_counts_while_it_comes(app_services: tuple[TestClient, Services]) -> None:  # noqa: F811
     services = app_services[1]
     client = keyed(app_services, "ann", bytes=2_000)
-    with reserved(services.owned_by(Caller(owner="ann", limits={"bytes": 2_000})), 1_500):
+    with reserve_space(services.owned_by(Caller(owner="ann", limits={"bytes": 2_000})), 1_500):
         assert send(client, TREE, ("notes.txt", bytes(500))).status_code == 429
     assert send(client, TREE).status_code == 201

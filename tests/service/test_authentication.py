@@ -27,7 +27,7 @@ TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark
 
 @pytest.fixture
 def app_services(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TestClient, Services]]:
-    monkeypatch.setattr(authentication, "REMEMBERED_S", 0.2)
+    monkeypatch.setattr(authentication, "CACHE_S", 0.2)
     closed = settings.model_copy(update={"keys": "required", "max_json_bytes": 4096})
     with TestClient(app_of(closed), "http://trees.example", raise_server_exceptions=False) as client:
         yield client, client.app.state.services  # type: ignore[attr-defined]
@@ -74,7 +74,7 @@ def test_a_revoked_or_expired_key_opens_nothing(app_services: tuple[TestClient, 
     assert client.get("/v1/usage", headers=headers).status_code == 401
     services.store.clock = lambda: now
     revoke_key(services.store, record.id)
-    time.sleep(authentication.REMEMBERED_S + 0.1)  # a replica may know the key for so long
+    time.sleep(authentication.CACHE_S + 0.1)  # a replica may know the key for so long
     assert client.get("/v1/usage", headers=headers).status_code == 401
 
 

@@ -17,7 +17,7 @@ from jobs.settings import Settings
 from jobs.storage.stage_files import HALF_DONE
 from jobs.store import Store
 from service.local.keys import app as keys
-from service.local.serve import clear_scratch, listen, locked, plans, redis_plan, require_keys_beyond_loopback, serve
+from service.local.serve import clear_scratch, listen, lock_file, plans, redis_plan, require_keys_beyond_loopback, serve
 from service.local.stored_state import backup, erase, restore, scrub
 from service.services import open_services
 
@@ -63,11 +63,11 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
 
 
 def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
-    lease = locked(tmp_path / "serve.lock")
+    lease = lock_file(tmp_path / "serve.lock")
     with pytest.raises(OSError, match="in use"):
-        locked(tmp_path / "serve.lock")
+        lock_file(tmp_path / "serve.lock")
     lease.close()
-    locked(tmp_path / "serve.lock").close()
+    lock_file(tmp_path / "serve.lock").close()
 
 
 def test_half_done_reconstructions_outlast_a_restart(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_half_done_reconstructions_outlast_a_restart(tmp_path: Path) -> None:
 
 def test_only_the_owner_of_the_process_reads_what_is_stored(tmp_path: Path) -> None:
     settings = Settings(state_dir=tmp_path / "new")
-    locked(settings.state_dir / "serve.lock").close()
+    lock_file(settings.state_dir / "serve.lock").close()
     redis_plan(settings)
     with open_services(settings):
         pass

@@ -10,7 +10,7 @@ from PIL import Image, PngImagePlugin
 
 from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
-from service.uploads.exif_privacy import without_place
+from service.uploads.exif_privacy import without_location
 
 GPS, ORIENTATION, FOCAL = 0x8825, 0x0112, 0xA405
 
@@ -54,7 +54,7 @@ def test_the_place_is_gone_and_the_rest_is_there(tmp_path, name):
     assert b"GPSLatitude" in content
     with Image.open(before.path) as image:
         pixels, exif = np.asarray(image), dict(image.getexif())
-    after = without_place(before)
+    after = without_location(before)
     content = after.path.read_bytes()
     assert b"2026:11:21" not in content
     assert b"GPSLatitude" not in content
@@ -65,13 +65,13 @@ def test_the_place_is_gone_and_the_rest_is_there(tmp_path, name):
         assert image.getexif().get(ORIENTATION) == exif.get(ORIENTATION)
         assert image.getexif().get_ifd(0x8769)[FOCAL] == 50
         assert np.array_equal(np.asarray(image), pixels)
-    assert without_place(after) == after
+    assert without_location(after) == after
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.webp", "a.tif", "a.heic"])
 def test_a_photo_that_tells_none_is_left_alone(tmp_path, name):
     before = photo(tmp_path / name, gps=False)
-    assert without_place(before) == before
+    assert without_location(before) == before
 
 
 def test_the_place_is_gone_from_a_tiff(tmp_path):
@@ -81,7 +81,7 @@ def test_the_place_is_gone_from_a_tiff(tmp_path):
     exif[700] = b"<x>GPSLatitude</x>"
     path = tmp_path / "a.tif"
     path.write_bytes(exif.tobytes().removeprefix(b"Exif\0\0"))  # a TIFF of directories alone
-    after = without_place(received(path))
+    after = without_location(received(path))
     content = after.path.read_bytes()
     assert b"2026:11:21" not in content
     assert b"GPSLatitude" not in content
@@ -98,7 +98,7 @@ def test_broken_exif_never_breaks_it_and_never_tells(tmp_path, at):
     content = bytearray(before.path.read_bytes())
     content[30 + at] = 0xFE
     before.path.write_bytes(bytes(content))
-    after = without_place(received(before.path))
+    after = without_location(received(before.path))
     assert after.bytes == len(content)
     with Image.open(after.path) as image:
         assert image.size == (64, 48)
@@ -108,7 +108,7 @@ def test_a_file_that_only_begins_as_a_jpeg_is_left_alone(tmp_path):
     path = tmp_path / "a.jpg"
     path.write_bytes(b"\xff\xd8\xff\xe1\xff")
     before = received(path)
-    assert without_place(before) == before
+    assert without_location(before) == before
 
 
 def exif_of_a_place() -> bytes:
@@ -146,7 +146,7 @@ def test_a_jpeg_tells_no_place_wherever_it_stands(tmp_path, where):
     path = tmp_path / "a.jpg"
     path.write_bytes(content)
     pixels = np.asarray(Image.open(path))
-    after = without_place(received(path))
+    after = without_location(received(path))
     assert b"2026:11:21" not in path.read_bytes()
     assert after.sha256 == sha256(path.read_bytes()).hexdigest()
     assert np.array_equal(np.asarray(Image.open(path)), pixels)
@@ -157,7 +157,7 @@ def test_every_page_of_a_tiff_tells_no_place(tmp_path):
     path = tmp_path / "a.tif"
     pages = bytearray(located[:4] + len(located).to_bytes(4, "big") + located[8:])
     path.write_bytes(bytes(pages) + b"\0\0" + (8).to_bytes(4, "big"))  # an empty page, then that of the place
-    without_place(received(path))
+    without_location(received(path))
     assert b"2026:11:21" not in path.read_bytes()
 
 
@@ -165,4 +165,4 @@ def test_a_tiff_of_another_form_is_refused(tmp_path):
     path = tmp_path / "a.tif"
     path.write_bytes(b"II+\0\x08\0\0\0" + bytes(60))
     with pytest.raises(ProblemError, match="BigTIFF; save it as TIFF"):
-        without_place(received(path))
+        without_location(received(path))

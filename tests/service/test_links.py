@@ -24,7 +24,7 @@ Opened = tuple[TestClient, KeyRecord, dict[str, str], str]
 @pytest.fixture
 def opened(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
     """A client, a key that may only read, its header, and the path of an artifact."""
-    monkeypatch.setattr(authentication, "REMEMBERED_S", 0.2)
+    monkeypatch.setattr(authentication, "CACHE_S", 0.2)
     with TestClient(app_of(settings.model_copy(update={"keys": "required"})), "http://localhost") as client:
         services: Services = client.app.state.services  # type: ignore[attr-defined]
         _, owners = create_key(services.store, name="w", owner="ann")
@@ -98,7 +98,7 @@ def test_a_link_ends_with_its_time_and_with_its_key(opened: Opened, monkeypatch:
     link = _link(opened)
     assert client.get(link).status_code == 200
     revoke_key(services.store, record.id)
-    time.sleep(authentication.REMEMBERED_S + 0.1)
+    time.sleep(authentication.CACHE_S + 0.1)
     assert client.get(link).status_code == 401
 
 

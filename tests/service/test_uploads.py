@@ -121,7 +121,7 @@ def test_a_wrong_continuation_is_refused(client: TestClient) -> None:
 
 
 def test_an_upload_that_is_deleted_while_it_comes_leaves_nothing(client, services, monkeypatch) -> None:
-    monkeypatch.setattr(append_module, "LOOK_S", 0.02)
+    monkeypatch.setattr(append_module, "POLL_S", 0.02)
     record = upload(services.store, begin(client, 80).rpartition("/")[2])
 
     async def stalled() -> AsyncIterator[bytes]:

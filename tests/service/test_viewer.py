@@ -24,7 +24,7 @@ from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
 from service.interact import stored_trees
-from service.local.serve import announce
+from service.local.serve import print_when_ready
 from service.routes import pages, surface
 from tests.line import answering
 from tests.service.pushed import ASSET_ID, client, grown, spectrum, spectrum_id  # noqa: F401
@@ -258,7 +258,7 @@ def test_serve_tells_of_the_page(capsys: pytest.CaptureFixture[str]) -> None:
     ready = b'{"workers": "ok", "housekeeper": "ok"}'
     with answering(lambda _, handler: handler.reply(200, ready)) as line:
         url = line.url.replace("127.0.0.1", "0.0.0.0")
-        assert announce(url)
+        assert print_when_ready(url)
     assert capsys.readouterr().out.splitlines() == [f"ready {url}", f"A page to use it from: {line.url}/"]
 
 
