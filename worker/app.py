@@ -14,7 +14,7 @@ from jobs.settings import Settings, read_settings
 stopping = multiprocessing.Event()
 """Set in every process of this worker when it was asked to stop; created before the pool forks."""
 
-TOUCH_S = 5.0
+TOUCH_INTERVAL_S = 5.0
 
 
 class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
@@ -27,7 +27,7 @@ class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
         self._path = read_settings().worker_alive_file
         if self._path is not None:
             self._path.touch()
-            parent.timer.call_repeatedly(TOUCH_S, self._path.touch)
+            parent.timer.call_repeatedly(TOUCH_INTERVAL_S, self._path.touch)
 
     def stop(self, parent: WorkController) -> None:
         """Delete the file."""

@@ -25,7 +25,7 @@ from jobs.storage.intermediates import RESULT_SOURCES, find_stored, remember_int
 from jobs.storage.object_storage import open_objects, reporting_refusals
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS
 from worker.cancellation import Watch
-from worker.half_done import alone_in, half_done_folder
+from worker.half_done import half_done_folder, locked_folder
 from worker.runtime import Runtime
 
 logger = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ PARAMS: dict[JobType, tuple[type[Request], ...]] = {
 }
 """Files and parameters that determine the output of each stage."""
 
-OCTETS = "application/octet-stream"
+MEDIA_TYPE = "application/octet-stream"
 
 
 def run_stages(runtime: Runtime, watch: Watch) -> None:
@@ -115,12 +115,12 @@ class Attempt:
         self.hashes.update(dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint))
         if asset.prepared is not None:
             name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
-            self.take([_octets(name, asset.prepared.sha256, asset.prepared.bytes)])
+            self.take([_output_file(name, asset.prepared.sha256, asset.prepared.bytes)])
             self.hashes[name] = asset.fingerprint
             return
-        self.sources[SOURCE] = _octets(SOURCE, asset.fingerprint, 0)
+        self.sources[SOURCE] = _output_file(SOURCE, asset.fingerprint, 0)
         for index, part in enumerate(asset.parts):
-            self.sources[f"{SOURCE}/{index}"] = _octets(part.name, part.sha256, part.bytes)
+            self.sources[f"{SOURCE}/{index}"] = _output_file(part.name, part.sha256, part.bytes)
             path = self.folder / "inputs" / "photos" / photo_name(index, part.name)
             path.parent.mkdir(parents=True, exist_ok=True)
             self.runtime.artifacts.fetch(part.sha256, path)
@@ -209,7 +209,7 @@ class Attempt:
         file = self._remembered(key, path)
         if file is None and learned:  # one job at a time learns a scene; those that waited reuse its result
             working_on = half_done_folder(self.runtime.settings, self.job)
-            with alone_in(working_on, partial(self.watch.report, stage, 0.0)) as waited:
+            with locked_folder(working_on, partial(self.watch.report, stage, 0.0)) as waited:
                 file = self._remembered(key, path) if waited else None
                 file = file or self._computed(name, path, make)
         file = file or self._computed(name, path, make)
@@ -225,7 +225,7 @@ class Attempt:
 
     def _computed(self, name: str, path: Path, make: Callable[[Path], None]) -> OutputFile:
         make(path)
-        return replace(self._stored(path), name=name, media_type=OCTETS)
+        return replace(self._stored(path), name=name, media_type=MEDIA_TYPE)
 
     def _stored(self, path: Path, facts: Facts | None = None) -> OutputFile:
         """Store a file's bytes."""
@@ -239,5 +239,5 @@ class Attempt:
         )
 
 
-def _octets(name: str, digest: str, size: int) -> OutputFile:
-    return OutputFile(name=name, media_type=OCTETS, sha256=digest, bytes=size)
+def _output_file(name: str, digest: str, size: int) -> OutputFile:
+    return OutputFile(name=name, media_type=MEDIA_TYPE, sha256=digest, bytes=size)

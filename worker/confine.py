@@ -19,7 +19,7 @@ from typing import Literal
 PACKAGES = ("dynamictree", "jobs", "worker")
 """Packages of this project that the parser imports."""
 
-Hold = Literal["landlock", "seccomp"]
+Mechanism = Literal["landlock", "seccomp"]
 
 _PR_SET_NO_NEW_PRIVS = 38
 _PR_SET_SECCOMP = 22
@@ -73,7 +73,7 @@ _FILE_BITS = _EXECUTE | 1 << 1 | _READ_FILE | 1 << 14  # the only rights that a 
 _ACCESS_BITS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # number of access rights per version of Landlock
 
 
-def confine(writable: Path, readable: Sequence[Path] = (), *, program: Path | None = None) -> tuple[Hold, ...]:
+def confine(writable: Path, readable: Sequence[Path] = (), *, program: Path | None = None) -> tuple[Mechanism, ...]:
     """Confine this process permanently; return the mechanisms in effect.
 
     It may write below `writable`, and read `readable` and what Python and its libraries need. It may run `program`, a
@@ -86,7 +86,7 @@ def confine(writable: Path, readable: Sequence[Path] = (), *, program: Path | No
         return ()
     libc = ctypes.CDLL(None, use_errno=True)
     _call(libc.prctl, _PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-    holds: list[Hold] = []
+    holds: list[Mechanism] = []
     if _restrict_files(libc, writable, readable, program):
         holds.append("landlock")
     if _filter_calls(libc, () if program is None else ("execve",)):

@@ -63,7 +63,7 @@ def read_confined(
     Raises:
         InputError: as `read_photos`, or the child crashed on a file.
     """
-    answer = _ask(Request(photos=tuple(photos), root=root, folder=folder), on_photo)
+    answer = _run_child(Request(photos=tuple(photos), root=root, folder=folder), on_photo)
     assert answer.photos is not None
     return None if answer.cameras is None else tuple(map(InputCamera.from_json, answer.cameras)), answer.photos
 
@@ -79,14 +79,14 @@ def write_confined_frames(
     film = video.resolve()
     frames = wanted if isinstance(wanted, int) else tuple(wanted)
     try:
-        answer = _ask(Request(film=film, folder=folder, wanted=frames), on_work)
+        answer = _run_child(Request(film=film, folder=folder, wanted=frames), on_work)
     except (FormatError, InputError) as error:
         raise type(error)(str(error).replace(film.name, video.name)) from error
     assert answer.frames is not None
     return answer.frames
 
 
-def _ask(request: Request, on_step: Callable[..., None]) -> Answer:
+def _run_child(request: Request, on_step: Callable[..., None]) -> Answer:
     """Run the child on a request; at the end of this call, end the child and the programs that it runs."""
     most_bytes = 16 * 2**20  # size of a line
     ends_within_s = 10.0  # time to exit after its output is closed

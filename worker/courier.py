@@ -19,8 +19,8 @@ from jobs.store import Store
 
 logger = logging.getLogger(__name__)
 
-LOOK_S = 0.5
-AT_ONCE = 32
+POLL_S = 0.5
+MAX_CONCURRENT = 32
 PER_OWNER = 4
 """Attempts per owner at once, so that an owner with slow receivers does not delay others."""
 
@@ -51,7 +51,7 @@ class Courier:
                 except (sa.exc.SQLAlchemyError, OSError) as error:
                     logger.warning("webhooks wait: %s: %s", type(error).__name__, error)
                 self.looked_at = time.monotonic()
-                await asyncio.sleep(LOOK_S)
+                await asyncio.sleep(POLL_S)
         finally:
             await asyncio.gather(*self.running, return_exceptions=True)
 
@@ -59,7 +59,7 @@ class Courier:
         """Start an attempt at every due delivery while places are free; return their number."""
         lease_s = self.settings.webhook_timeout_s + LEASE_MARGIN_S
         busy = Counter(self.running.values())
-        room = AT_ONCE - len(self.running)
+        room = MAX_CONCURRENT - len(self.running)
         due = await asyncio.to_thread(
             claim_due, self.store, lease_s=lease_s, limit=room, per_owner=PER_OWNER, busy=busy
         )

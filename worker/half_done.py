@@ -20,7 +20,7 @@ from jobs.settings import Settings
 from jobs.storage.stage_files import HALF_DONE
 
 _CAMERAS = "views.json"  # written by `dynamictree.reconstruct` once cameras are found
-_LOOK_S = 0.5
+_POLL_S = 0.5
 
 
 def half_done_folder(settings: Settings, job: JobRecord) -> Path:
@@ -30,7 +30,7 @@ def half_done_folder(settings: Settings, job: JobRecord) -> Path:
 
 
 @contextmanager
-def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
+def locked_folder(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
     """Context manager to lock a folder; yields whether another job used it meanwhile and may have stored its result.
 
     The folder is deleted at the end, unless an error occurs. After an error it stays, except if the photos caused the
@@ -42,10 +42,10 @@ def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     waited = False
-    while (lock := _taken(folder)) is None:
+    while (lock := _acquire(folder)) is None:
         waited = True
         wait()
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     with lock:
         folder.mkdir(exist_ok=True)
         try:
@@ -59,7 +59,7 @@ def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
 
 def discard(folder: Path) -> None:
     """Delete a folder, unless a job is using it."""
-    lock = _taken(folder)
+    lock = _acquire(folder)
     if lock is not None:
         with lock:
             _delete(folder)
@@ -75,7 +75,7 @@ def _lock_of(folder: Path) -> Path:
     return folder.with_name(f"{folder.name}.lock")
 
 
-def _taken(folder: Path) -> IO[str] | None:
+def _acquire(folder: Path) -> IO[str] | None:
     """Acquire the folder's lock; return None while another process has it."""
     path = _lock_of(folder)
     lock = path.open("w")

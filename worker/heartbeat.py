@@ -107,7 +107,7 @@ def is_stopped(pid: int) -> bool:
     return stat.rpartition(")")[2].split()[0] in {"T", "t"}
 
 
-def _said(say: Callable[[], object]) -> bool:
+def _write_to_store(say: Callable[[], object]) -> bool:
     """Write to the store, unless the worker is stopped; return whether the lease is still valid.
 
     If the database is unavailable, the lease continues for a while; then the reaper decides.
@@ -135,11 +135,11 @@ def main() -> None:
     while True:
         now = time.monotonic()
         if claimed and now - renewed_at >= first["heartbeat_s"]:
-            ours = _said(partial(renew, store, **claimed, owner=owner, lease_s=first["lease_s"]))
+            ours = _write_to_store(partial(renew, store, **claimed, owner=owner, lease_s=first["lease_s"]))
             claimed = claimed if ours else {}
             renewed_at = now
         if now - present_at >= PRESENCE_S:
-            _said(say_present)
+            _write_to_store(say_present)
             if present_at < 0:
                 sys.stdout.buffer.write(READY)
                 sys.stdout.buffer.flush()

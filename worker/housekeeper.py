@@ -42,16 +42,16 @@ from worker.courier import Courier
 from worker.half_done import discard
 
 logger = logging.getLogger(__name__)
-Thing = TypeVar("Thing")
+Item = TypeVar("Item")
 
 SCRATCH_AGE_S = 86400.0
-SENT_AHEAD = 2
+QUEUE_WINDOW = 2
 """Messages in the queue beyond one per worker, so that no worker waits for the housekeeper."""
 
-FORGET_S = 0.5
+DELETION_LIMIT_S = 0.5
 """Longest time that one turn deletes bytes [s], since messages and the lease wait; the next turn follows at once."""
 
-FORGET_AT_ONCE = 1000
+DELETION_BATCH = 1000
 """Number of items to delete that one query returns."""
 
 MAX_FAILURES = 5
@@ -64,8 +64,8 @@ RESERVE_BYTES = 64 * 1024**2
 """Size of the reserve; enough for SQLite's log and Redis's file during many turns of retention."""
 
 REDIS_TIMEOUT_S = 2.0
-AWAY_PAUSE_S = 1.0
-AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageAwayError, OSError)
+RETRY_S = 1.0
+CONNECTION_ERRORS = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageAwayError, OSError)
 """Errors of services that may be unavailable for a while. The duty is retried at its next turn."""
 
 
@@ -83,7 +83,7 @@ class Housekeeper:
 
     def send(self) -> None:
         """Send messages of waiting jobs, up to the window that workers will soon take."""
-        window = len(lease_names(self.store, WORKER_LEASES)) + SENT_AHEAD
+        window = len(lease_names(self.store, WORKER_LEASES)) + QUEUE_WINDOW
         for message in maintenance.messages_to_send(self.store, window=window):
             self._send(message)
 
@@ -108,23 +108,23 @@ class Housekeeper:
 
     def forget(self) -> float | None:
         """Delete expired records and unreferenced bytes; return 0 if the time was too short, else None."""
-        settings, until = self.settings, time.monotonic() + FORGET_S
+        settings, until = self.settings, time.monotonic() + DELETION_LIMIT_S
         maintenance.delete_expired(self.store, settings)
-        finished = _each(expired_uploads(self.store, limit=FORGET_AT_ONCE), self._forget_upload, until)
+        finished = _for_each(expired_uploads(self.store, limit=DELETION_BATCH), self._forget_upload, until)
         if finished and not lease_names(self.store, BACKUP_LEASE):  # a backup needs bytes of rows that may be gone
             finished = self._forget_blobs(until)
         if finished and settings.scratch_dir.is_dir():
-            finished = _each(settings.scratch_dir.iterdir(), self._forget_scratch, until)
+            finished = _for_each(settings.scratch_dir.iterdir(), self._forget_scratch, until)
         return None if finished else 0.0
 
     def _forget_blobs(self, until: float) -> bool:
         """Delete unreferenced bytes, first those that an earlier turn found: the query takes 1 s for 200,000 blobs."""
         looked = not self.unreferenced
         if looked:
-            self.unreferenced.extend(unreferenced_blobs(self.store, limit=FORGET_AT_ONCE))
-        full = looked and len(self.unreferenced) == FORGET_AT_ONCE
+            self.unreferenced.extend(unreferenced_blobs(self.store, limit=DELETION_BATCH))
+        full = looked and len(self.unreferenced) == DELETION_BATCH
         taken = (self.unreferenced.popleft() for _ in range(len(self.unreferenced)))
-        tried = _each(taken, lambda digest: forget_blob(self.store, digest, self.artifacts.delete), until)
+        tried = _for_each(taken, lambda digest: forget_blob(self.store, digest, self.artifacts.delete), until)
         return looked and tried and not full
 
     def _forget_upload(self, upload_id: str) -> None:
@@ -154,7 +154,7 @@ class Housekeeper:
         maintenance.mark_sent(self.store, message)
 
 
-def _each(things: Iterable[Thing], remove: Callable[[Thing], None], until: float) -> bool:
+def _for_each(things: Iterable[Item], remove: Callable[[Item], None], until: float) -> bool:
     """Delete items one by one until a deadline; a failure does not stop the others. Return whether all were tried."""
     failed = 0
     for thing in things:
@@ -233,7 +233,7 @@ class DiskReserve:
 
 
 @dataclass(kw_only=True)
-class Turn:
+class ScheduledDuty:
     """A duty and its next due time. The duty may return the seconds to its next turn in place of the usual interval."""
 
     duty: Callable[[], float | None]
@@ -245,33 +245,33 @@ class Turn:
         if now >= self.due:
             try:
                 pause_s = self.duty()
-            except AWAY as error:
+            except CONNECTION_ERRORS as error:
                 _warn(error)
-                pause_s = max(self.every_s, AWAY_PAUSE_S)
+                pause_s = max(self.every_s, RETRY_S)
             self.due = now + (self.every_s if pause_s is None else pause_s)
 
 
 def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bool] = lambda: True) -> None:
     """Run every duty when due, while this process has the lease, until `stopped` is set or `works` returns False."""
     settings, owner = keeper.settings, f"{socket.gethostname()}:{os.getpid()}"
-    reaping = Turn(duty=keeper.reap, every_s=settings.reaper_interval_s)
+    reaping = ScheduledDuty(duty=keeper.reap, every_s=settings.reaper_interval_s)
     turns = (
-        Turn(duty=keeper.send, every_s=settings.outbox_interval_s),
+        ScheduledDuty(duty=keeper.send, every_s=settings.outbox_interval_s),
         reaping,
-        Turn(duty=keeper.send_again, every_s=min(settings.resend_s, 5.0)),
-        Turn(duty=keeper.forget, every_s=settings.retention_interval_s),
+        ScheduledDuty(duty=keeper.send_again, every_s=min(settings.resend_s, 5.0)),
+        ScheduledDuty(duty=keeper.forget, every_s=settings.retention_interval_s),
     )
     lease_s = settings.housekeeper_lease_s
     pauses = PauseDetector(longest_s=(settings.lease_s - settings.heartbeat_s) / 2)
     ours, renew_at = False, 0.0
-    reserve = Turn(duty=DiskReserve(settings.state_dir.resolve()).balance, every_s=1.0)
+    reserve = ScheduledDuty(duty=DiskReserve(settings.state_dir.resolve()).balance, every_s=1.0)
     while works() and not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
         reserve.take(now)  # comes before the lease, which cannot be written to a full disk
         if now >= renew_at:
             if settings.worker_alive_file is not None:
                 settings.worker_alive_file.touch()
-            ours = _done(lambda: hold_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner, lease_s=lease_s))
+            ours = _run_duty(lambda: hold_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner, lease_s=lease_s))
             renew_at = now + lease_s / 3
             if not ours:
                 reaping.due = now + 2 * settings.heartbeat_s  # leases could not be renewed without the store
@@ -280,14 +280,14 @@ def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bo
                 if pauses.noticed():  # workers were paused too; they renew with their next heartbeat
                     reaping.due = time.monotonic() + 2 * settings.heartbeat_s
                 turn.take(time.monotonic())
-    _done(lambda: maintenance.release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
+    _run_duty(lambda: maintenance.release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
 
 
-def _done(duty: Callable[[], bool | None]) -> bool:
+def _run_duty(duty: Callable[[], bool | None]) -> bool:
     """Run a duty; return False if a service did not respond."""
     try:
         return duty() is not False
-    except AWAY as error:
+    except CONNECTION_ERRORS as error:
         _warn(error)
         return False
 

@@ -32,6 +32,6 @@ def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
     return available
 
 
-def is_out_of_memory(error: BaseException) -> bool:
+def is_allocation_failure(error: BaseException) -> bool:
     """Return whether an allocation failed; PyTorch raises RuntimeError for it."""
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)

@@ -27,7 +27,7 @@ from dynamictree.formats.suffixes import FILM_SUFFIXES, MASK_NAME, MASKS
 from dynamictree.formats.tensors.bundle import write_bundle
 from dynamictree.requests import Reading
 from jobs.storage.parser_process import ParseAnswer, ParseRequest
-from worker.confine import Hold, confine
+from worker.confine import Mechanism, confine
 
 MAX_FILES = 512
 MAX_TRACEBACK = 4096
@@ -43,7 +43,7 @@ def main() -> None:
     answer_to = os.dup(1)
     os.dup2(2, 1)  # output of libraries must not mix with the response
     film = request.kind == "photos" and request.names[0].lower().endswith(FILM_SUFFIXES)
-    holds: tuple[Hold, ...] = get_args(Hold)
+    holds: tuple[Mechanism, ...] = get_args(Mechanism)
     try:
         program = Path(ffmpeg_program()).resolve() if film else None
         holds = confine(request.prepared.parent, request.paths, program=program)
@@ -59,7 +59,7 @@ def main() -> None:
         else:
             answer = ParseAnswer(code="internal-error", message=traceback.format_exc()[-MAX_TRACEBACK:])
     with os.fdopen(answer_to, "w") as stream:
-        lacks = tuple(hold for hold in get_args(Hold) if hold not in holds)
+        lacks = tuple(hold for hold in get_args(Mechanism) if hold not in holds)
         stream.write(answer.model_copy(update={"lacks": lacks}).model_dump_json())
 
 

@@ -78,8 +78,8 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     assert capture.mesh is not None
     report = json.loads((given.folder / "report.json").read_text())
     given.facts["report.json"] = {"warnings": report["warnings"]}
-    _written(capture.mesh, write_bundle, given.folder / MESH_BUNDLE)
-    _written(capture, write_bundle, given.folder / CLOUD_BUNDLE)
+    _write(capture.mesh, write_bundle, given.folder / MESH_BUNDLE)
+    _write(capture, write_bundle, given.folder / CLOUD_BUNDLE)
     return sorted(path for path in given.folder.iterdir() if not path.name.startswith("."))
 
 
@@ -89,7 +89,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
     capture = _capture(given)
     assert capture is not None
     mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params))
-    return _written(mesh, write_ply, given.folder / MESH), _written(mesh, write_bundle, given.folder / MESH_BUNDLE)
+    return _write(mesh, write_ply, given.folder / MESH), _write(mesh, write_bundle, given.folder / MESH_BUNDLE)
 
 
 def voxelize(given: StageInput) -> Iterable[Path]:
@@ -97,7 +97,7 @@ def voxelize(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     resolution = GridParams.part_of(given.job.params).resolution
     voxels = method.voxelize(_mesh(given), resolution=resolution, source_sha256=given.source_sha256)
-    return [_written(voxels, write_voxels, given.folder / VOXELS)]
+    return [_write(voxels, write_voxels, given.folder / VOXELS)]
 
 
 def diffuse(given: StageInput) -> Iterable[Path]:
@@ -114,7 +114,7 @@ def diffuse(given: StageInput) -> Iterable[Path]:
         on_step=lambda done, total: given.report(done / total),
         **dict(params),
     )
-    return [_written(spectrum, write_spectrum, given.folder / SPECTRUM)]
+    return [_write(spectrum, write_spectrum, given.folder / SPECTRUM)]
 
 
 def animate(given: StageInput) -> Iterable[Path]:
@@ -133,10 +133,10 @@ def animate(given: StageInput) -> Iterable[Path]:
         on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
         recall=given.recall,
     )
-    return [*paths.values(), *(_still(path) for name, path in paths.items() if name == "png")]
+    return [*paths.values(), *(_write_still(path) for name, path in paths.items() if name == "png")]
 
 
-def _still(preview: Path) -> Path:
+def _write_still(preview: Path) -> Path:
     """Crop the first of the frames at the bottom of a preview, for lists of jobs."""
     still = preview.with_name(STILL)
     with Image.open(preview) as sheet:
@@ -152,7 +152,7 @@ STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
 }
 
 
-def _written(product: T, write: Callable[[T, BinaryIO], None], path: Path) -> Path:
+def _write(product: T, write: Callable[[T, BinaryIO], None], path: Path) -> Path:
     with path.open("xb") as stream:
         write(product, stream)
     return path

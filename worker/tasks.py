@@ -25,19 +25,19 @@ from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
 from worker.half_done import half_done_folder
-from worker.memory_limit import is_out_of_memory, limit_memory
+from worker.memory_limit import is_allocation_failure, limit_memory
 from worker.runtime import Runtime, close_runtime, runtime
 
 logger = logging.getLogger(__name__)
 
-TYPED = (GoneError, StorageAwayError, StorageFullError)
+CODED = (GoneError, StorageAwayError, StorageFullError)
 """Errors of the job store that explain why a job failed."""
 
 
 class JobTask(Task):  # type: ignore[misc]
     """Task base class that records how a failed attempt ended."""
 
-    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *TYPED)  # expected errors: logged without traceback
+    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *CODED)  # expected errors: logged without traceback
 
     def after_return(self, *_: object) -> None:
         """Return freed memory; Celery calls this in the task's process, however the task ended."""
@@ -77,7 +77,7 @@ def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> Non
             fail(store, claimed, code=error.code, message=str(error))
         case OSError() if is_full(error):
             fail(store, claimed, code=StorageFullError.code, message="the worker's disk is full; try again later")
-        case MemoryError() | RuntimeError() if is_out_of_memory(error):
+        case MemoryError() | RuntimeError() if is_allocation_failure(error):
             fail(
                 store, claimed, code="out-of-memory", message="the worker's memory did not suffice; simplify the input"
             )
@@ -125,7 +125,7 @@ def _processor_s() -> float:
 
 
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]
-def _arrive(**_: object) -> None:
+def _on_start(**_: object) -> None:
     limit_memory(read_settings())
     runtime()
     threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
@@ -144,5 +144,5 @@ def _warm_up() -> None:
 
 
 @signals.worker_process_shutdown.connect  # type: ignore[untyped-decorator]
-def _leave(**_: object) -> None:
+def _on_stop(**_: object) -> None:
     close_runtime(runtime())

@@ -20,7 +20,7 @@ from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
 from worker.attempt import Attempt, run_stages
 from worker.cancellation import Watch
-from worker.half_done import alone_in, discard, half_done_folder
+from worker.half_done import discard, half_done_folder, locked_folder
 from worker.runtime import Runtime
 from worker.tasks import end_attempt
 
@@ -133,7 +133,7 @@ def work(runtime: Runtime, unread: AssetRecord) -> Path:
 
 @pytest.fixture
 def at_work(work: Path) -> Iterator[None]:
-    with suppress(SoftTimeLimitExceeded), alone_in(work, lambda: None):
+    with suppress(SoftTimeLimitExceeded), locked_folder(work, lambda: None):
         yield
         raise SoftTimeLimitExceeded
 
@@ -143,18 +143,18 @@ def test_a_job_that_waits_can_be_canceled(work: Path) -> None:
     def cancel() -> None:
         raise Cancelled("asked to stop")
 
-    with pytest.raises(Cancelled), alone_in(work, cancel):
+    with pytest.raises(Cancelled), locked_folder(work, cancel):
         raise AssertionError("two jobs in one folder")
     discard(work)
     assert work.is_dir()
 
 
 def test_photos_that_cannot_be_used_leave_nothing(work: Path) -> None:
-    with suppress(InputError), alone_in(work, lambda: None):
+    with suppress(InputError), locked_folder(work, lambda: None):
         (work / "frames").mkdir()
         raise InputError("no photos")
     assert not work.exists()
-    with suppress(InputError), alone_in(work, lambda: None):
+    with suppress(InputError), locked_folder(work, lambda: None):
         (work / "views.json").touch()
         raise InputError("cameras, but no surface")
     assert work.is_dir()

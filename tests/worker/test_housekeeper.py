@@ -30,7 +30,7 @@ from tests.jobs.conftest import Clock
 from tests.rows import asset_row, job_row, upload_row
 from tests.servers import wait_for
 from worker.courier import Courier
-from worker.half_done import alone_in
+from worker.half_done import locked_folder
 from worker.housekeeper import Housekeeper, PauseDetector, open_housekeeper, run, run_all
 
 
@@ -102,7 +102,7 @@ def test_bytes_that_nothing_needs_are_removed_but_while_a_backup_copies(keeper: 
 
 
 def test_more_bytes_than_come_in_a_minute_go_in_a_minute(keeper: Housekeeper, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.housekeeper.FORGET_S", 0.01)
+    monkeypatch.setattr("worker.housekeeper.DELETION_LIMIT_S", 0.01)
     for number in range(120):  # 15 small jobs leave as many
         touch_blob(keeper.store, f"{number:064x}", 1)
     keeper.store.clock = lambda: time.time() + BLOB_GRACE_S + 1
@@ -197,7 +197,7 @@ def test_half_done_work_goes_with_its_asset_after_a_day_and_when_the_disk_is_ful
     forget_all(keeper)
     assert left() == [stays]
     full = replace(keeper, settings=keeper.settings.model_copy(update={"min_free_bytes": 2**62}))
-    with suppress(KeyError), alone_in(folder(asset_id, 42), lambda: None):
+    with suppress(KeyError), locked_folder(folder(asset_id, 42), lambda: None):
         forget_all(full)
         assert left() == [folder(asset_id, 42)]
         raise KeyError

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from jobs.settings import GIB, MIB
-from worker.memory_limit import available_bytes, is_out_of_memory
+from worker.memory_limit import available_bytes, is_allocation_failure
 
 ROOT = Path(__file__).parents[2]
 
@@ -71,5 +71,5 @@ def test_pytorch_says_it_in_its_own_words() -> None:
 
     with pytest.raises(RuntimeError) as caught:
         torch.ones(2**50)
-    assert is_out_of_memory(caught.value)
-    assert not is_out_of_memory(RuntimeError("shape '[2]' is invalid"))
+    assert is_allocation_failure(caught.value)
+    assert not is_allocation_failure(RuntimeError("shape '[2]' is invalid"))
