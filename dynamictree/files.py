@@ -16,7 +16,7 @@ _PARTIAL = ".partial-"
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[BinaryIO]:
+def open_input(path: Path) -> Iterator[BinaryIO]:
     """Open a file for reading, with an error message that explains what is wrong with the path.
 
     Raises:
@@ -33,7 +33,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def published(folder: Path) -> Iterator[Path]:
+def atomic_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder, and move its files to `folder` at the end; after an error, move none.
 
     Raises:
@@ -79,7 +79,7 @@ def _is_alive(pid: int) -> bool:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Yield a stream whose content replaces `path` once it is complete; a crash or full disk leaves the old file."""
     partial = path.with_name(f"{path.name}.part")
     try:

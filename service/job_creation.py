@@ -200,7 +200,7 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
     if not isinstance(body.params, AnimateParams):
         return 0
     # these modules import numba, so they are imported at the first request
-    from dynamictree.export.size import sequence_bytes
+    from dynamictree.export.size import min_sequence_bytes
     from dynamictree.export.table import require_available
     from dynamictree.modal.real_trees import loop_period_s
 
@@ -210,7 +210,7 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
     require_available(formats)
     mesh = _counts(asset, "mesh", "num_vertices", "num_faces")
     cloud = _counts(asset, "cloud", "num_gaussians", "sh_degree")
-    return sum(sequence_bytes(formats, num_frames, body.params, mesh=mesh, cloud=cloud).values())
+    return sum(min_sequence_bytes(formats, num_frames, body.params, mesh=mesh, cloud=cloud).values())
 
 
 def _counts(asset: AssetRecord, kind: str, first: str, second: str) -> tuple[int, int]:

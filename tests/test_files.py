@@ -7,18 +7,18 @@ from pathlib import Path
 import pytest
 
 from dynamictree.errors import InputError
-from dynamictree.files import opened, published, replacing
+from dynamictree.files import atomic_file, atomic_folder, open_input
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path) -> None:
-    with pytest.raises(InputError, match=r"none\.obj cannot be read: No such file"), opened(tmp_path / "none.obj"):
+    with pytest.raises(InputError, match=r"none\.obj cannot be read: No such file"), open_input(tmp_path / "none.obj"):
         pass
 
 
 def test_what_is_published_appears_whole_over_what_was_there(tmp_path) -> None:
     out = tmp_path / "a" / "out"
     for content in ("old", "new"):
-        with published(out) as folder:
+        with atomic_folder(out) as folder:
             (folder / "tree.glb").write_text(content)
             assert not (out / "tree.glb").exists() or (out / "tree.glb").read_text() == "old"
     assert [path.name for path in out.iterdir()] == ["tree.glb"]
@@ -28,7 +28,7 @@ def test_what_is_published_appears_whole_over_what_was_there(tmp_path) -> None:
 def test_what_fails_leaves_what_was_there(tmp_path) -> None:
     (tmp_path / "tree.glb").write_text("old")
     for out in (tmp_path, tmp_path / "new"):
-        with pytest.raises(ZeroDivisionError), published(out) as folder:
+        with pytest.raises(ZeroDivisionError), atomic_folder(out) as folder:
             (folder / "tree.glb").write_text(str(1 / 0))
     assert [path.name for path in tmp_path.iterdir()] == ["tree.glb"]
     assert (tmp_path / "tree.glb").read_text() == "old"
@@ -37,12 +37,12 @@ def test_what_fails_leaves_what_was_there(tmp_path) -> None:
 def test_a_place_that_is_no_folder_is_reported(tmp_path) -> None:
     (tmp_path / "out").write_text("a file")
     message = r"nothing can be written to .*out: File exists; choose another"
-    with pytest.raises(InputError, match=message), published(tmp_path / "out"):
+    with pytest.raises(InputError, match=message), atomic_folder(tmp_path / "out"):
         pass
 
 
 def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path) -> None:
-    with pytest.raises(InputError, match="no room"), published(tmp_path / "out"):
+    with pytest.raises(InputError, match="no room"), atomic_folder(tmp_path / "out"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
 
@@ -55,7 +55,7 @@ def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False)
     assert len(list((tmp_path / "out").glob(".partial-*/half"))) == 1
-    with published(tmp_path / "out") as first, published(tmp_path / "out") as second:
+    with atomic_folder(tmp_path / "out") as first, atomic_folder(tmp_path / "out") as second:
         assert sorted((tmp_path / "out").glob(".partial-*")) == sorted([first, second])
         (first / "whole").write_bytes(b"y")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["whole"]
@@ -63,6 +63,6 @@ def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_
 
 def test_a_full_disk_leaves_the_earlier_file(tmp_path) -> None:
     (tmp_path / "splat.npz").write_bytes(b"earlier")
-    with pytest.raises(OSError, match="No space left"), replacing(tmp_path / "splat.npz"):
+    with pytest.raises(OSError, match="No space left"), atomic_file(tmp_path / "splat.npz"):
         Path("/dev/full").write_bytes(b"later")
     assert [each.read_bytes() for each in tmp_path.iterdir()] == [b"earlier"]

@@ -6,15 +6,15 @@ from typing import Annotated, Any
 import typer
 
 from dynamictree import method
-from dynamictree.commands.input_files import file_sha256, read_source, say_foliage
+from dynamictree.commands.input_files import file_sha256, read_source, warn_of_unknown_foliage
 from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, progress, tell
+from dynamictree.commands.terminal import AsJson, progress, show_result
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.size import sequence_bytes
+from dynamictree.export.size import min_sequence_bytes
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
-from dynamictree.files import published
+from dynamictree.files import atomic_folder
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.modal.real_trees import loop_period_s
@@ -46,7 +46,7 @@ def animate(
     if capture is not None and not as_json:
         _print_sequence_size(capture.cloud, export, period_s)
     inexact: dict[str, Facts] = {}
-    with progress(quiet=as_json) as report, published(output) as folder:
+    with progress(quiet=as_json) as report, atomic_folder(output) as folder:
         voxels = method.voxelize(shape, resolution=grid.resolution, source_sha256=file_sha256(source))
         report("voxelize", 1.0)
         spectrum = method.generate(
@@ -57,7 +57,7 @@ def animate(
             on_step=lambda done, total: report("diffuse", done / total),
             **{**dict(generation), "period_s": period_s},
         )
-        say_foliage(spectrum)
+        warn_of_unknown_foliage(spectrum)
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:
             write_spectrum(spectrum, stream)
         write_products(
@@ -74,7 +74,7 @@ def animate(
     result: dict[str, Any] = {"files": [str(output / name) for name in names], "num_voxels": len(spectrum.grid)}
     if inexact:
         result["inexact"] = inexact if as_json else [_error_line(name, facts) for name, facts in inexact.items()]
-    tell(result, as_json=as_json)
+    show_result(result, as_json=as_json)
 
 
 def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: float | None) -> None:
@@ -82,7 +82,7 @@ def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: f
     z_m = cloud.means[:, 2]
     num_frames = export.count_frames(period_s or loop_period_s(float(z_m.max() - z_m.min())))
     splats = [name for name in export.formats or () if name in ("splat-ply", "usd-splat")]
-    sizes = sequence_bytes(splats, num_frames, export, cloud=(cloud.num_gaussians, cloud.sh_degree))
+    sizes = min_sequence_bytes(splats, num_frames, export, cloud=(cloud.num_gaussians, cloud.sh_degree))
     for name, size in sizes.items():
         typer.echo(f"{name}: {num_frames} frames: {size / 1e6:,.1f} MB", err=True)
 

@@ -5,12 +5,12 @@ from typing import Annotated
 
 import typer
 
-from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh, say_how_read
+from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh, print_how_read
 from dynamictree.commands.options import SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.commands.terminal import AsJson, show_result
 from dynamictree.errors import InputError
-from dynamictree.files import published
+from dynamictree.files import atomic_folder
 from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
 from dynamictree.formats.gltf.template import open_document
 from dynamictree.formats.mesh.obj_writer import write_obj
@@ -56,15 +56,15 @@ def convert(
     if output.suffix.lower() not in endings:
         kind = "splat or scan" if mesh is None else "mesh"
         raise InputError(f"{output.name!r} is no file that a {kind} is written to; choose from {', '.join(endings)}")
-    with published(output.parent) as folder:
+    with atomic_folder(output.parent) as folder:
         if mesh is not None:
-            say_how_read(mesh, mesh.warnings)
+            print_how_read(mesh, mesh.warnings)
             _write_mesh(mesh, folder / output.name)
         elif cloud is not None:
             with (folder / output.name).open("wb") as stream:
                 CLOUD_WRITERS[output.suffix.lower()](cloud, stream)
         num_bytes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
-    tell({str(output.parent / name): f"{size:,} bytes" for name, size in num_bytes.items()}, as_json=as_json)
+    show_result({str(output.parent / name): f"{size:,} bytes" for name, size in num_bytes.items()}, as_json=as_json)
 
 
 def _write_mesh(mesh: TriangleMesh, path: Path) -> None:

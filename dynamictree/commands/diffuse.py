@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 
 from dynamictree import method
-from dynamictree.commands.input_files import file_sha256, is_tensor_file, read_source, say_foliage
+from dynamictree.commands.input_files import file_sha256, is_tensor_file, read_source, warn_of_unknown_foliage
 from dynamictree.commands.options import OutputFile, shape_file
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, progress, tell
-from dynamictree.files import opened, published
+from dynamictree.commands.terminal import AsJson, progress, show_result
+from dynamictree.files import atomic_folder, open_input
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
 from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
@@ -35,7 +35,7 @@ def diffuse(
     """Generate the spectrum of a tree's motion from its shape (*.spectrum.safetensors)."""
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
         capture = None
-        with opened(source) as stream:
+        with open_input(source) as stream:
             voxels = read_voxels(stream)
     else:
         mesh, capture = read_source(source, reading, choice=cloud)
@@ -49,7 +49,7 @@ def diffuse(
             on_step=lambda done, total: report("diffuse", done / total),
             **dict(params),
         )
-    say_foliage(spectrum)
-    with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
+    warn_of_unknown_foliage(spectrum)
+    with atomic_folder(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_spectrum(spectrum, stream)
-    tell({"file": str(output), "num_voxels": len(spectrum.grid), "period_s": spectrum.period_s}, as_json=as_json)
+    show_result({"file": str(output), "num_voxels": len(spectrum.grid), "period_s": spectrum.period_s}, as_json=as_json)

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from dynamictree.errors import InputError
-from dynamictree.files import opened
+from dynamictree.files import open_input
 from dynamictree.formats.companions import Companions
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.source_file import read_capture, source_kind
@@ -27,7 +27,7 @@ def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    with opened(path) as stream:
+    with open_input(path) as stream:
         return path.name.endswith(ending) or tensor_format(stream) == file_format
 
 
@@ -37,7 +37,7 @@ def is_cloud(path: Path) -> bool:
     Raises:
         InputError: it cannot be read, or its format is unknown.
     """
-    with opened(path) as stream:
+    with open_input(path) as stream:
         return source_kind(stream, path.name)[0] == "cloud"
 
 
@@ -59,17 +59,17 @@ def read_source(
         if mask is not None or beside is not None:
             raise InputError(f"{path} is a mesh; --mask and --mesh are for splats and scans")
         mesh = with_choice(load_mesh(path, reading), choice or CloudParams())
-        say_how_read(mesh, mesh.warnings)
+        print_how_read(mesh, mesh.warnings)
         return mesh if number is None else only_tree_of(mesh, number), None
     capture = load_capture(path, reading, mask=mask, mesh=beside)
     if number is not None:
         capture = only_tree(capture, number)
     mesh = carrying_mesh(capture, choice)
-    say_how_read(mesh, capture.warnings)
+    print_how_read(mesh, capture.warnings)
     return mesh, capture
 
 
-def say_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
+def print_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
     """Print height, axis and unit as they were read, and the reader's warnings, to standard error."""
     unit = f"unit {mesh.source.scale:g} m"
     typer.echo(f"read as {mesh.height_text} tall, {mesh.source.up_axis} up, {unit}", err=True)
@@ -77,7 +77,7 @@ def say_how_read(mesh: TriangleMesh, warnings: Sequence[SourceWarning]) -> None:
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
 
 
-def say_foliage(spectrum: SparseVoxelSpectrum) -> None:
+def warn_of_unknown_foliage(spectrum: SparseVoxelSpectrum) -> None:
     """Warn on standard error if the shape does not show whether the tree is in leaf."""
     if spectrum.foliage is None:
         typer.echo(
@@ -93,7 +93,7 @@ def file_sha256(path: Path) -> str:
     Raises:
         InputError: it cannot be read.
     """
-    with opened(path) as stream:
+    with open_input(path) as stream:
         digest = hashlib.sha256()
         while block := stream.read(1 << 20):
             digest.update(block)
@@ -106,7 +106,7 @@ def load_mesh(path: Path, reading: Reading | None = None) -> TriangleMesh:
     Raises:
         InputError: it cannot be read, or the method cannot use the mesh.
     """
-    with opened(path) as stream:
+    with open_input(path) as stream:
         file_type = sniff_file_type(stream.read(4096), path.name)
         stream.seek(0)
         return read_mesh(stream, file_type=file_type, reading=reading, companions=Companions(path))
@@ -125,13 +125,13 @@ def load_capture(
         InputError: one of them cannot be read, or they do not fit together.
     """
     with ExitStack() as stack:
-        stream = stack.enter_context(opened(path))
+        stream = stack.enter_context(open_input(path))
         _, file_type = source_kind(stream, path.name)
         return read_capture(
             stream,
             file_type=file_type,
             reading=reading,
-            mask=None if mask is None else stack.enter_context(opened(mask)),
-            mesh=None if mesh is None else (mesh.name, stack.enter_context(opened(mesh))),
+            mask=None if mask is None else stack.enter_context(open_input(mask)),
+            mesh=None if mesh is None else (mesh.name, stack.enter_context(open_input(mesh))),
             companions=Companions(mesh or path),
         )

@@ -12,9 +12,9 @@ from safetensors.numpy import save
 from dynamictree.commands.input_files import load_mesh
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.commands.terminal import AsJson, show_result
 from dynamictree.errors import InputError
-from dynamictree.files import opened, published
+from dynamictree.files import atomic_folder, open_input
 from dynamictree.formats.motion.ply_sequence import iter_ply_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
@@ -73,7 +73,7 @@ def interact(
     --warp needs --mesh; the place of a point is then the nearest vertex, which --displacement moves.
     """
     wanted = _formats(formats, has_mesh=mesh is not None)
-    with opened(spectrum) as stream:
+    with open_input(spectrum) as stream:
         sway = read_spectrum(stream)
         system = modal_system(
             sway,
@@ -110,7 +110,7 @@ def interact(
         "reached_m": [[round(float(x), 4) for x in one.reached_m] for one in answer.reached],
         "place_m": [round(float(x), 4) for x in (at.drawn.point_m if at.drawn else system.grid.centres_m[at.rows[0]])],
     }
-    tell(facts, as_json=as_json)
+    show_result(facts, as_json=as_json)
 
 
 def _formats(formats: str, *, has_mesh: bool) -> tuple[str, ...]:
@@ -169,7 +169,7 @@ def _write(
     wanted: tuple[str, ...],
     fps: float,
 ) -> list[Path]:
-    with published(output) as folder:
+    with atomic_folder(output) as folder:
         for name in wanted:
             with (folder / FILE_NAMES[name]).open("wb") as stream:
                 if name == "modal":  # the same as from /v1/interact

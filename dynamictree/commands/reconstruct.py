@@ -10,9 +10,9 @@ import typer
 from dynamictree.commands.interruption import Interrupted, stopping_on_signals
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.commands.terminal import AsJson, show_result
 from dynamictree.errors import InputError
-from dynamictree.files import published
+from dynamictree.files import atomic_folder
 from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.photo_requests import CutParams, PhotoParams
@@ -53,7 +53,7 @@ def reconstruct(
         with (
             stopping_on_signals() as check,
             stage_progress(as_json=as_json) as report,
-            published(output) as folder,
+            atomic_folder(output) as folder,
         ):
 
             def on_progress(progress: Progress) -> None:
@@ -77,7 +77,7 @@ def reconstruct(
             raise SystemExit(error.exit_status) from None
         raise
     shutil.rmtree(work)
-    tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)
+    show_result({"files": [str(output / name) for name in names], **facts}, as_json=as_json)
 
 
 def _input_files(source: Path) -> list[Path]:

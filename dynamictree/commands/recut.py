@@ -8,8 +8,8 @@ import typer
 
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, tell
-from dynamictree.files import published
+from dynamictree.commands.terminal import AsJson, show_result
+from dynamictree.files import atomic_folder
 from dynamictree.photo_requests import CutParams
 
 
@@ -27,8 +27,8 @@ def recut(
     """
     from dynamictree.reconstruct.recut import recut as recut_folder
 
-    with published(output) as folder:
+    with atomic_folder(output) as folder:
         recut_folder(source, folder, params)
         names = sorted(path.name for path in folder.iterdir())
         facts = json.loads((folder / "report.json").read_text())
-    tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)
+    show_result({"files": [str(output / name) for name in names], **facts}, as_json=as_json)

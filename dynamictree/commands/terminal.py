@@ -48,7 +48,7 @@ def progress(*, quiet: bool) -> Iterator[Report]:
         yield report
 
 
-def tell(facts: dict[str, Any], *, as_json: bool) -> None:
+def show_result(facts: dict[str, Any], *, as_json: bool) -> None:
     """Print the result as aligned text or as JSON."""
     if as_json:
         typer.echo(json.dumps(facts))

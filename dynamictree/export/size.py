@@ -7,7 +7,7 @@ from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, level_count
 from dynamictree.requests import ExportParams, Format
 
 
-def sequence_bytes(
+def min_sequence_bytes(
     formats: Iterable[Format],
     num_frames: int,
     params: ExportParams,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from dynamictree.color import STILL_SHARE, greyed, linear_to_srgb
-from dynamictree.gaussian.animate import lighter
+from dynamictree.gaussian.animate import reduced_splat
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud, area_m2
 from dynamictree.gaussian.deform import Pose
@@ -30,7 +30,7 @@ class SplatScene:
         """Prepare a scene: large clouds at a lower level of detail, still parts in grey if `grey_still` is set."""
         # a larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores
         preview_gaussians = 200_000
-        binding = lighter(binding, share=min(1.0, preview_gaussians / binding.cloud.num_gaussians))
+        binding = reduced_splat(binding, share=min(1.0, preview_gaussians / binding.cloud.num_gaussians))
         if grey_still:
             binding = replace(binding, cloud=_grey_where(binding.cloud, ~binding.moving))
         cloud = binding.cloud

@@ -8,10 +8,10 @@ import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw
-from dynamictree.export.size import sequence_bytes
+from dynamictree.export.size import min_sequence_bytes
 from dynamictree.export.stored_rig import Recall, stored_rig
 from dynamictree.export.table import PRODUCTS, require_available
-from dynamictree.gaussian.animate import lighter
+from dynamictree.gaussian.animate import reduced_splat
 from dynamictree.gaussian.binding import Binding, bind
 from dynamictree.mesh import AnyMesh, TriangleMesh, triangle_mesh
 from dynamictree.plant.capture import Capture, moving_part
@@ -52,7 +52,7 @@ def write_products(
     num_frames = params.count_frames(spectrum.period_s)
     binding = _binding(mesh, formats, capture, choice)
     cloud = (0, 0) if binding is None else (binding.cloud.num_gaussians, binding.cloud.sh_degree)
-    sequence_bytes(formats, num_frames, params, mesh=(mesh.num_vertices, mesh.num_faces), cloud=cloud)
+    min_sequence_bytes(formats, num_frames, params, mesh=(mesh.num_vertices, mesh.num_faces), cloud=cloud)
     report = on_progress or (lambda done: None)
     report(0.0)
     rig = stored_rig(mesh, spectrum, recall, lambda done: report(RIG_SHARE * done))
@@ -62,7 +62,7 @@ def write_products(
         spectrum=spectrum,
         rig=rig,
         params=params,
-        binding=None if binding is None else lighter(binding, share=params.share, sh_degree=params.sh_degree),
+        binding=None if binding is None else reduced_splat(binding, share=params.share, sh_degree=params.sh_degree),
         captured=capture is not None,
     )
     paths = {name: folder / PRODUCTS[name].file_name for name in formats}

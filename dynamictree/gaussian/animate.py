@@ -8,7 +8,7 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
-from dynamictree.gaussian.cloud import GaussianCloud, level_rows, look_level
+from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail, level_rows
 from dynamictree.gaussian.deform import Deformer, Pose, posed
 from dynamictree.spectrum import displacement_at, iter_motion
 
@@ -59,15 +59,15 @@ def iter_splat_frames(binding: Binding, displacements: Iterable[Float32[np.ndarr
         yield posed(binding.cloud, pose)
 
 
-def lighter(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -> Binding:
-    """Reduce a bound cloud: fewer Gaussians (see `cloud.look_level`), fewer harmonics, the same motion.
+def reduced_splat(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -> Binding:
+    """Reduce a bound cloud: fewer Gaussians (see `cloud.level_of_detail`), fewer harmonics, the same motion.
 
     Raises:
         InputError: the share is not in (0, 1], or the degree not in 0 to 3.
     """
     if not 0 <= sh_degree <= 3:
         raise InputError(f"sh_degree is {sh_degree}; 0 to 3 are allowed")
-    cloud = look_level(binding.cloud, share).with_sh_degree(sh_degree)
+    cloud = level_of_detail(binding.cloud, share).with_sh_degree(sh_degree)
     if cloud.num_gaussians == binding.cloud.num_gaussians:
         return replace(binding, cloud=cloud)
     rows = level_rows(binding.cloud, share)

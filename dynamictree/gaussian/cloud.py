@@ -131,7 +131,7 @@ def in_box(
     return inside
 
 
-def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
+def level_of_detail(cloud: GaussianCloud, share: float) -> GaussianCloud:
     """Return a level of detail: a cloud with about `share` of the Gaussians that looks alike from afar.
 
     A Gaussian remains with a probability in proportion to its visible area (opacity times area), and is enlarged by
@@ -146,7 +146,7 @@ def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
         return cloud
     rows = level_rows(cloud, share)
     subset = cloud.subset(rows)
-    growth = 1 / np.sqrt(_chances(cloud, share)[rows])
+    growth = 1 / np.sqrt(_probabilities(cloud, share)[rows])
     return replace(subset, scales=subset.scales * growth[:, None].astype(np.float32))
 
 
@@ -157,11 +157,11 @@ def level_count(num_gaussians: int, share: float) -> int:
 
 def level_rows(cloud: GaussianCloud, share: float) -> Int[np.ndarray, " M"]:
     """Return the rows of the Gaussians in a level of detail, in ascending order."""
-    taken = np.floor(np.cumsum(_chances(cloud, share)) + 0.5)  # systematic sampling (Madow 1949), with exact count
+    taken = np.floor(np.cumsum(_probabilities(cloud, share)) + 0.5)  # systematic sampling (Madow 1949), exact count
     return np.flatnonzero(np.diff(taken, prepend=0.0) > 0)
 
 
-def _chances(cloud: GaussianCloud, share: float) -> Float64[np.ndarray, " G"]:
+def _probabilities(cloud: GaussianCloud, share: float) -> Float64[np.ndarray, " G"]:
     """Compute each Gaussian's probability to remain, at most 1; they sum to the number that remains."""
     count = level_count(cloud.num_gaussians, share)
     visible = np.maximum((area_m2(cloud) * cloud.opacity).astype(np.float64), 1e-30)

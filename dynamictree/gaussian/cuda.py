@@ -12,7 +12,7 @@ from dynamictree.render.camera import Camera
 
 
 @cache
-def gsplat_is_there() -> bool:
+def has_gsplat() -> bool:
     """Whether gsplat and a CUDA device are available; does not import torch without gsplat."""
     if find_spec("gsplat") is None:
         return False

@@ -13,7 +13,7 @@ from jaxtyping import Float32, Int32, Int64, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.cuda import gsplat_is_there, render_with_gsplat
+from dynamictree.gaussian.cuda import has_gsplat, render_with_gsplat
 from dynamictree.gaussian.deform import Pose, posed
 from dynamictree.gaussian.rasterize_kernel import MIN_ALPHA, TILE, WIDEST, blend, list_tiles, project
 from dynamictree.parallel import in_bands
@@ -54,7 +54,7 @@ def render_cloud(
         InputError: the size is out of bounds.
     """
     check_size(width, height)
-    if gsplat_is_there():
+    if has_gsplat():
         posed_cloud = cloud if pose is None else posed(cloud, pose)
         color, alpha, depth = render_with_gsplat(posed_cloud, camera, width=width, height=height, antialias=antialias)
         far = np.where(alpha > MIN_ALPHA, depth, np.float32(np.inf)).astype(np.float32)

@@ -22,7 +22,7 @@ def turn_sh_fast(
     if degree == 0:
         return sh
     turned = np.empty_like(sh)
-    in_bands(_turn, len(sh), sh, quaternions, degree, _directions(), _inverses(), turned)
+    in_bands(_turn_table, len(sh), sh, quaternions, degree, _directions(), _inverses(), turned)
     return turned
 
 
@@ -107,7 +107,7 @@ def _turn_one(sh, qw, qx, qy, qz, degree, directions, inverses, values, y, turne
 
 @compiled_fused
 @no_type_check
-def _turn(first, end, sh, quaternions, degree, directions, inverses, turned):
+def _turn_table(first, end, sh, quaternions, degree, directions, inverses, turned):
     values, y = np.empty((7, 3), np.float32), np.empty(16, np.float32)
     for g in range(first, end):
         turned[g, 0] = sh[g, 0]

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, UInt8
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from dynamictree.files import replacing
+from dynamictree.files import atomic_file
 from dynamictree.reconstruct.fusion import Box
 from dynamictree.reconstruct.sky import Foreground
 from dynamictree.reconstruct.stereo import Hypotheses, StereoView, agreed_depths, match_view, neighbours_of
@@ -51,7 +51,7 @@ def save_depths(maps: DepthMaps, subject: Box | None, path: Path) -> None:
     arrays = {f"depth_{row}": depth for row, depth in enumerate(maps.depths)}
     if subject is not None:
         arrays["subject"] = np.stack([subject.low, subject.high])
-    with replacing(path) as stream:
+    with atomic_file(path) as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 

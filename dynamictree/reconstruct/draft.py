@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.files import replacing
+from dynamictree.files import atomic_file
 from dynamictree.formats.splat.ply import UP_AXIS
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.reconstruct.splat_start import spacing, thinned
@@ -61,7 +61,7 @@ class Draft:
         if len(table) == 0:
             return
         path = self.folder / DRAFT
-        with replacing(path) as stream:
+        with atomic_file(path) as stream:
             cloud = cloud_of(table)
             upright = replace(cloud.source, up_axis=UP_AXIS)  # a .splat file cannot state another axis
             write_splat(replace(cloud, source=upright), stream)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from dynamictree.files import opened
+from dynamictree.files import open_input
 from dynamictree.formats.tensors.container import read_tensors, write_tensors
 from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.views import View
@@ -44,7 +44,7 @@ def read_photo_previews(folder: Path) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
     """Read the pictures that `write_photo_previews` wrote, by photo name; none if there is no file."""
     if not (folder / PHOTO_PREVIEWS).exists():
         return {}
-    with opened(folder / PHOTO_PREVIEWS) as stream:
+    with open_input(folder / PHOTO_PREVIEWS) as stream:
         tensors, metadata = read_tensors(stream, file_format=_FORMAT, version=_VERSION)
     pictures = {}
     for number, name in enumerate(json.loads(metadata["photos"])):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from dynamictree.files import replacing
+from dynamictree.files import atomic_file
 from dynamictree.reconstruct.cameras import search_seconds
 from dynamictree.reconstruct.options import ReconstructOptions
 
@@ -92,7 +92,7 @@ class StageClock:
 
     def _save(self) -> None:
         if self._saved.parent.exists():
-            with replacing(self._saved) as stream:
+            with atomic_file(self._saved) as stream:
                 stream.write(
                     json.dumps({"seconds": self.seconds, "processor_seconds": self.processor_seconds}).encode()
                 )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.files import opened
+from dynamictree.files import open_input
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.ply_writer import write_ply
@@ -135,9 +135,9 @@ class Reconstruction:
         """
         if not (folder / "report.json").is_file():
             raise InputError(f"{folder} holds no report.json; name the output folder of `dynamictree reconstruct`")
-        with opened(folder / "mesh.ply") as stream:
+        with open_input(folder / "mesh.ply") as stream:
             mesh = read_ply_mesh(stream.read(), companions={})
-        with opened(folder / "scene.ply") as stream:
+        with open_input(folder / "scene.ply") as stream:
             scene = read_cloud(stream, file_type="ply")
         return Reconstruction(
             mesh=mesh,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.gaussian.cuda import gsplat_is_there
+from dynamictree.gaussian.cuda import has_gsplat
 from dynamictree.reconstruct.depth import DepthMaps
 from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, downscaled, on_black, optimise, render_target
 from dynamictree.reconstruct.picture_loss import psnr, ssim
@@ -94,7 +94,7 @@ def fit_splat(
         extent=camera_extent(model.views),
         cut_out=any(view.alpha is not None for view in model.views),
     )
-    if gsplat_is_there():
+    if has_gsplat():
         from dynamictree.reconstruct.optimise_on_gpu import optimise_on_gpu  # torch and gsplat
 
         optimise_on_gpu(state, task, schedule, on_step)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from dynamictree.files import replacing
+from dynamictree.files import atomic_file
 
 
 @dataclass(kw_only=True)
@@ -40,7 +40,7 @@ class SplatState:
 
     def save(self, path: Path) -> None:
         """Write the state atomically."""
-        with replacing(path) as stream:
+        with atomic_file(path) as stream:
             np.savez(stream, **vars(self))
 
     @property

@@ -14,7 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from dynamictree.errors import InputError
-from dynamictree.files import replacing
+from dynamictree.files import atomic_file
 from dynamictree.reconstruct.options import ReconstructOptions
 
 _OF_PHOTOS = (
@@ -92,5 +92,5 @@ def _delete_others(folder: Path, keys: dict[str, str]) -> None:
 
 
 def _write_key(path: Path, key: str) -> None:
-    with replacing(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(key.encode())

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.commands.terminal import AsJson, show_result
 from dynamictree.errors import InputError
 from lab.dataset.limits import DatasetLimits
 from lab.training.progress import bars
@@ -72,7 +72,7 @@ def generate(
             on_shard=lambda done, total: report("trees", done, total, 0.0),
         )
     facts = {name: value for name, value in manifest.items() if name != "shards"}
-    tell({"folder": str(folder), **facts}, as_json=as_json)
+    show_result({"folder": str(folder), **facts}, as_json=as_json)
 
 
 @app.command(name="filter")
@@ -108,10 +108,10 @@ def filter_trees(
              if rule not in ("seen", "accepted")}  # fmt: skip
     worst = {name: max(getattr(one, name) for one in measures) for name in asdict(measures[0])}
     if as_json:
-        tell({**counts, "worst": worst, "limits": limits.model_dump()}, as_json=True)
+        show_result({**counts, "worst": worst, "limits": limits.model_dump()}, as_json=True)
     else:
         worst_rows = {f"worst {name}": f"{value:.3g}" for name, value in worst.items()}
-        tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_rows}, as_json=False)
+        show_result({"trees": trees, "accepted": counts["accepted"], **rates, **worst_rows}, as_json=False)
 
 
 @app.command()
@@ -150,7 +150,7 @@ def sheet(
     if not review.exists():  # never overwrite a person's review
         with review.open("wb") as stream:
             write_review(all_accepted(seeds), stream, notes=notes)
-    tell({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
+    show_result({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
 
 
 def _part(text: str) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page
 from benchmarks._played import z_up
 from dynamictree import method
 from dynamictree.export.write import write_products
-from dynamictree.gaussian.animate import iter_poses, lighter
+from dynamictree.gaussian.animate import iter_poses, reduced_splat
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
@@ -108,7 +108,7 @@ def test_the_page_plays_a_splat_from_disk(opened: Opened, swaying: Swaying, tmp_
     params = ExportParams(formats=("html-splat",), share=0.1)
     page = opened(write_products(swaying.mesh, swaying.spectrum, params, tmp_path)["html-splat"])
     page.wait_for_function("player.gaussians.drawn", timeout=60_000)
-    binding = lighter(splats_of_mesh(swaying.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
+    binding = reduced_splat(splats_of_mesh(swaying.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
     truth = list(iter_poses(binding, iter_motion(swaying.coefficients, np.array(FRAMES) / 100)))
     assert np.linalg.norm(truth[1].means - truth[2].means, axis=1).max() > 0.05
     for frame, pose in zip(FRAMES, truth, strict=True):

@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom, UsdVol
 from dynamictree import method
 from dynamictree.commands.input_files import load_capture
 from dynamictree.errors import FormatError, InputError
-from dynamictree.export.size import sequence_bytes
+from dynamictree.export.size import min_sequence_bytes
 from dynamictree.export.splat_scene import SplatScene
 from dynamictree.export.stored_rig import Recall
 from dynamictree.export.write import write_products
@@ -104,7 +104,7 @@ def test_all_products_show_one_motion(capture: Capture, animated: Write) -> None
     moved = frames[0].means[tree] - cloud.means[tree]
     expected = 0.025 * cloud.means[tree, 2] ** 2  # w c cos 0, w = 2
     assert np.abs(moved[:, 0] - expected).max() < 0.00375
-    stated = sequence_bytes(("splat-ply",), 4, options, cloud=(3000, 0))["splat-ply"]
+    stated = min_sequence_bytes(("splat-ply",), 4, options, cloud=(3000, 0))["splat-ply"]
     assert 1 < paths["splat-ply"].stat().st_size / stated < 1.02
     assert animated_splat(paths["splat"].read_bytes()).binding.cloud.num_gaussians == 3000
     with Image.open(paths["png"]) as picture:
@@ -131,7 +131,7 @@ def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(capture: Capture, an
     assert frame.num_gaussians == 300
     top = frame.means[(frame.means[:, 2] > 0.9) & (frame.means[:, 0] < 0.5)]
     assert top[:, 0].mean() < -0.0125  # half a loop on: to the left
-    stated = sequence_bytes(("splat-ply",), 1, options, cloud=(3000, 0))["splat-ply"]
+    stated = min_sequence_bytes(("splat-ply",), 1, options, cloud=(3000, 0))["splat-ply"]
     assert 1 < paths["splat-ply"].stat().st_size / stated < 1.1
 
 
@@ -233,10 +233,10 @@ def test_too_large_a_splat_is_refused_before_a_byte_is_written(
 def test_usd_has_every_pose_of_the_splat(capture: Capture, moving: Moving, animated: Write) -> None:
     params = ExportParams(formats=("usd-splat",), num_frames=4)
     path = animated(capture, params, [])["usd-splat"]
-    stated = sequence_bytes(("usd-splat",), 4, params, cloud=(3000, 0))["usd-splat"]
+    stated = min_sequence_bytes(("usd-splat",), 4, params, cloud=(3000, 0))["usd-splat"]
     assert 1 < path.stat().st_size / stated < 1.3
     half = ExportParams(formats=("usd-splat",), share=0.5)
-    assert sequence_bytes(("usd-splat",), 4, half, cloud=(3000, 0)) == {"usd-splat": stated // 2}
+    assert min_sequence_bytes(("usd-splat",), 4, half, cloud=(3000, 0)) == {"usd-splat": stated // 2}
     stage = Usd.Stage.Open(str(path))
     splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Tree/Splat"))
     assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]

@@ -12,7 +12,7 @@ from PIL import Image
 from safetensors.numpy import load_file
 
 from dynamictree.errors import InputError
-from dynamictree.export.size import sequence_bytes
+from dynamictree.export.size import min_sequence_bytes
 from dynamictree.export.stored_rig import Recall
 from dynamictree.export.table import PRODUCTS, available_products
 from dynamictree.export.write import RIG_SHARE, write_products
@@ -132,7 +132,7 @@ def test_files_of_a_turbulent_motion_have_a_largest_size(
 ) -> None:
     formats: tuple[Format, ...] = ("ply", "motion")
     params = ExportParams(wind_mode="turbulent", num_frames=32, formats=formats)
-    stated = sequence_bytes(formats, 32, params, mesh=(48, 80))
+    stated = min_sequence_bytes(formats, 32, params, mesh=(48, 80))
     for name, path in write_products(capture.mesh, spectrum, params, tmp_path).items():
         assert 1 <= path.stat().st_size / stated[name] < 1.6
         path.unlink()

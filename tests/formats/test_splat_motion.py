@@ -19,7 +19,7 @@ from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.motion.splat_sequence import iter_splat_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
-from dynamictree.gaussian.animate import AnimatedSplat, iter_splat_frames, lighter
+from dynamictree.gaussian.animate import AnimatedSplat, iter_splat_frames, reduced_splat
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.mesh import TriangleMesh
@@ -59,7 +59,7 @@ def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
 
 @pytest.mark.parametrize("degree", [0, 2, 3])
 def test_the_archive_holds_the_frames_where_the_capture_lay(splat: AnimatedSplat, degree: int) -> None:
-    binding = lighter(splat.binding, sh_degree=degree)
+    binding = reduced_splat(splat.binding, sh_degree=degree)
     np.testing.assert_array_equal(binding.cloud.sh, splat.binding.cloud.sh[:, : (degree + 1) ** 2])
     with archive_of(iter_splat_files(binding, frames_of(splat), first_number=7)) as archive:
         assert archive.testzip() is None
@@ -129,7 +129,7 @@ def test_the_player_for_other_engines_shows_the_same_pose(splat: AnimatedSplat, 
 
 def test_a_motion_that_does_not_fit_is_refused(splat: AnimatedSplat) -> None:
     with pytest.raises(InputError, match="sh_degree is 4"):
-        lighter(splat.binding, sh_degree=4)
+        reduced_splat(splat.binding, sh_degree=4)
     with pytest.raises(InputError, match="spectrum is of 7 vertices"):
         replace(splat, coefficients=splat.coefficients[:7])
     with pytest.raises(NumericsError, match="largest of coefficients"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.render_frame import crown
-from dynamictree.gaussian.cuda import gsplat_is_there
+from dynamictree.gaussian.cuda import has_gsplat
 from dynamictree.gaussian.deform import Pose
 from dynamictree.gaussian.rasterize import render_cloud, render_on_cpu
 from dynamictree.render.camera import Camera
@@ -14,7 +14,7 @@ from dynamictree.rotation import quaternion_products
 @pytest.mark.gpu
 @pytest.mark.parametrize("antialias", [True, False])
 def test_gsplat_and_the_cpu_draw_the_same_picture(antialias: bool, rng) -> None:
-    if not gsplat_is_there():
+    if not has_gsplat():
         pytest.skip("gsplat or a CUDA device is not there")
     cloud = crown(20_000)
     turn = np.array([np.cos(0.3), 0, 0, np.sin(0.3)])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.gaussian.cuda import gsplat_is_there
+from dynamictree.gaussian.cuda import has_gsplat
 from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, mean_psnr, render_target
 from dynamictree.reconstruct.picture_loss import picture_loss
 from dynamictree.reconstruct.splat_state import SplatState
@@ -145,7 +145,7 @@ def test_its_loss_is_that_of_the_cpu(trainer: Any, rng) -> None:
 
 @pytest.mark.gpu
 def test_gsplat_learns_what_photos_show(task: SplatTask, rng) -> None:
-    if not gsplat_is_there():
+    if not has_gsplat():
         pytest.skip("gsplat or a CUDA device is not there")
     optimise_on_gpu = importlib.import_module(TRAINER).optimise_on_gpu
     state = SplatState.beginning(table_of(rng))

@@ -25,7 +25,7 @@ def iter_splat_files(
     """Yield name and content, in parts, of frame_0000.ply, …, in the cloud's order.
 
     Displacements of the mesh's vertices [m] are consumed one by one. For a level of detail or a lower SH degree, see
-    `animate.lighter`; for a range of frames, pass only their displacements and the first frame's number.
+    `animate.reduced_splat`; for a range of frames, pass only their displacements and the first frame's number.
     """
     source, to_source = _in_source_axes(binding)
     header = ply_header(source.cloud.num_gaussians, source.cloud.sh.shape[1])
