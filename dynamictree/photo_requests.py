@@ -44,14 +44,14 @@ QUALITIES: dict[Quality, QualityLimits] = {
 
 
 class Scribble(Request):
-    """A stroke on a photo, or a click, that says what is seen under it."""
+    """A stroke or click on a photo that marks the plant or something else."""
 
     photo: str = Field(min_length=1, max_length=1024, description="The photo's name, as in cameras.json")
-    plant: bool = Field(description="Whether the plant is under it, or something else")
+    plant: bool = Field(description="True if the stroke marks the plant, false for anything else")
     points: tuple[tuple[Share, Share], ...] = Field(
         min_length=1,
         max_length=1000,
-        description="Places along the stroke, from left and from top, as shares of the photo's width and height",
+        description="Points along the stroke, from left and from top, as shares of the photo's width and height",
     )
 
 
@@ -59,33 +59,30 @@ _NUMBER: JsonDict = {"type": "number"}
 MarkerEdge = Annotated[Finite, Field(gt=0, lt=10)]
 Scribbles = Annotated[tuple[Scribble, ...], Field(min_length=1, max_length=200)]
 _SCRIBBLES = (
-    "Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the photos "
-    "show of it"
+    "Strokes on photos that mark what is the plant and what is not; the rest is decided from these and from its "
+    "look in the photos"
 )
 _MARKER = (
-    "Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a "
-    "marker of the sheet in the documentation gives it without this"
+    "For photos of a printed marker (AprilTag 36h11): edge of its black square [m], which sets the scale; markers of "
+    "the sheet in the documentation need no edge"
 )
-_ONLY_PLANT = (
-    "Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the photos"
-)
+_ONLY_PLANT = "Cut out the plant without strokes: the object in the middle of the photos, without ground and background"
 
 
 class LearningParams(Request):
     """What decides on the scene that is learned from photos, before the tree is cut out of it."""
 
     quality: Quality = Field(
-        default="standard",
-        description="Of photos: how much of them is used and how fine the splat becomes; numbers are in /v1/limits",
+        default="standard", description="For photos: sizes of photos and splat; the numbers are in /v1/limits"
     )
     splat_steps: int | None = Field(
-        default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; by the quality if unset"
+        default=None, ge=100, le=30_000, description="For photos: training steps of the splat; by default the quality's"
     )
     video_frames: int | None = Field(
         default=None,
         ge=MIN_PHOTOS,
         le=MAX_PHOTOS,
-        description=f"Of a film: sharp frames that are taken as photos; {PHOTOS_OF_VIDEO} if unset",
+        description=f"For a film: number of sharp frames used as photos; by default {PHOTOS_OF_VIDEO}",
     )
 
 
@@ -102,7 +99,7 @@ class PlantParams(Request):
         default=None,
         gt=0,
         lt=1000,
-        description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
+        description="For photos, which show no scale: height of the tree [m]; by default 1 m",
     )
     marker_m: MarkerEdge | None = Field(default=None, description=_MARKER)
     scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
@@ -123,11 +120,10 @@ class CutParams(PlantParams):
     """How to cut the plant out of a finished reconstruction."""
 
     box_m: Box | None = Field(
-        default=None,
-        description="Only what is inside is the plant: low and high corner [m] in the frame of the folder's files",
+        default=None, description="Box around the plant: low and high corner [m] in the frame of the folder's files"
     )
     height_m: Finite | None = Field(
-        default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
+        default=None, gt=0, lt=1000, description="Height of the plant [m]; by default the scale stays"
     )
 
     @property

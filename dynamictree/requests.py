@@ -67,20 +67,20 @@ class Reading(Request):
 
     up_axis: UpAxis | None = Field(
         default=None,
-        description="Up axis of the file: X, Y or Z, with + or - before it, or a direction in its axes such as "
-        "0.17,-0.97,0.17; detected if unset",
+        description="Up axis of the file: X, Y or Z with a sign, or a direction in its axes such as "
+        "0.17,-0.97,0.17; by default detected",
     )
     unit_m: Finite | None = Field(
         default=None,
         ge=1e-6,
         le=1e6,
-        description="Metres per unit of the file (0.01 for centimetres); detected if unset",
+        description="Metres per unit of the file (0.01 for centimetres); by default detected",
     )
     height_m: Finite | None = Field(
         default=None,
         gt=0,
         lt=1000,
-        description="Height of the tree [m]; scales what is read, in place of unit_m; the file's if unset",
+        description="Height of the tree [m], which sets the scale instead of unit_m; by default the file's",
     )
 
 
@@ -89,26 +89,26 @@ class CloudParams(Request):
 
     box_m: Box | None = Field(
         default=None,
-        description="Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: "
-        "only what is inside is the plant, in the frame of the job that had the same height_m and no box",
+        description="Box outside which nothing moves: low and high corner [m], +Z up; by default none. For photos: "
+        "box around the plant, in the frame of a job with the same height_m and no box",
     )
     still: PartNames | None = Field(
         default=None,
         description="Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; "
-        "* fits any letters, ? one",
+        "* matches any characters, ? one",
     )
     moving: PartNames | None = Field(
-        default=None, description="Parts that move although they were detected as no plant, named as in still"
+        default=None, description="Parts that move although they were detected as no plant; names as in still"
     )
-    still_box_m: Box | None = Field(default=None, description="What is inside stands still: low and high corner [m]")
+    still_box_m: Box | None = Field(default=None, description="Box in which all stands still: low and high corner [m]")
     moving_box_m: Box | None = Field(
-        default=None, description="What is inside moves although it was detected as no plant: low and high corner [m]"
+        default=None, description="Box in which all moves, also what is detected as no plant: low and high corner [m]"
     )
     tree: int | None = Field(
         default=None,
         ge=1,
         le=10_000,
-        description="Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself",
+        description="Number of the only tree to use, as in `trees`; by default all trees of a file, each by itself",
     )
 
 
@@ -118,33 +118,33 @@ Foliage = Annotated[Finite, Field(ge=0, le=1)]
 class GridParams(Request):
     """How fine the voxel grid is. Paper section 3.3."""
 
-    resolution: Resolution = Field(default=128, description="Voxels along the side of the cube")
+    resolution: Resolution = Field(default=128, description="Number of voxels per side of the cube")
 
 
 class GeneratorGridParams(Request):
     """The voxel grids that a model can move."""
 
-    resolution: Literal[128, 256, 512] = Field(default=128, description="Voxels along the side of the cube")
+    resolution: Literal[128, 256, 512] = Field(default=128, description="Number of voxels per side of the cube")
 
 
 class ModelParams(Request):
     """Which model generates the motion, and which of its motions."""
 
-    preset: str = Field(default="small", max_length=1024, description="The model that generates the motion")
-    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="The same seed gives the same motion")
+    preset: str = Field(default="small", max_length=1024, description="Model that generates the motion")
+    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="Random seed; the same seed gives the same motion")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wind:
-    """The wind that a motion is generated for. Not checked when built in Python: a file may record any wind."""
+    """Wind for which a motion is generated. Python does not check the ranges: a file may record any wind."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
     speed_m_s: Annotated[Finite, Field(ge=0, le=30, description="Mean speed of the wind [m/s]")] = 5.0
     direction_deg: Annotated[
-        Finite, Field(ge=-360, le=360, description="Where the wind blows to [°], from +X towards +Y")
+        Finite, Field(ge=-360, le=360, description="Direction to which the wind blows [°], from +X towards +Y")
     ] = 0.0
-    gust: Annotated[Finite, Field(ge=0, le=2, description="Standard deviation of the speed over its mean")] = 0.3
+    gust: Annotated[Finite, Field(ge=0, le=2, description="Standard deviation of speed / mean speed")] = 0.3
 
 
 class SpectrumParams(Request):
@@ -152,23 +152,23 @@ class SpectrumParams(Request):
 
     wind: Wind = Field(default_factory=Wind)
     num_steps: int | None = Field(
-        default=None, ge=1, le=1000, description="Sampler steps; the number of the preset if unset"
+        default=None, ge=1, le=1000, description="Number of sampler steps; by default the preset's"
     )
     period_s: Finite | None = Field(
         default=None,
         ge=2,
         le=30,
-        description="Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s "
-        "where num_frames is set or the preset is the paper's",
+        description="Length of the loop [s]; by default from the height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s "
+        "if num_frames is set or the preset is the paper's",
     )
     foliage: Foliage | None = Field(
         default=None,
-        description="Foliage of the tree, which damps it: 0 bare, 1 in leaf; of a mesh as its shape tells if unset, of "
-        "a splat, scan or photos in between",
+        description="Foliage, which damps the motion: 0 (bare) to 1 (in leaf); by default as a mesh's shape shows, in "
+        "between for a splat, scan or photos",
     )
     wind_bands: bool = Field(
         default=False,
-        description="Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind",
+        description="Also generate winds of 1, 4, 8, 14 and 20 m/s, for the strength of each mode in any wind",
     )
 
 
@@ -176,52 +176,54 @@ class SwingParams(Request):
     """How a tree answers forces, see docs/interaction.md."""
 
     damping_ratio: Finite | None = Field(
-        default=None, ge=0, le=2, description="Of every mode; 1 is critical; 0.04 (bare) to 0.13 (in leaf) if unset"
+        default=None, ge=0, le=2, description="Damping ratio of all modes; by default 0.04 (bare) to 0.13 (in leaf)"
     )
     foliage: Foliage | None = Field(
-        default=None, description="Chooses damping and frequency: 0 bare, 1 in leaf; the spectrum's if unset"
+        default=None, description="Foliage for damping and frequency: 0 bare, 1 in leaf; by default the spectrum's"
     )
     frequency_hz: Finite | None = Field(
         default=None,
         ge=1e-3,
         le=100,
-        description="Lowest natural frequency [Hz]; measured for the tree's height if unset",
+        description="Lowest natural frequency [Hz]; by default that of real trees of this height",
     )
     mass_kg: Finite | None = Field(
-        default=None, ge=1e-3, le=LARGEST, description="Mass that moves [kg]; by the tree's height if unset"
+        default=None, ge=1e-3, le=LARGEST, description="Moving mass [kg]; by default from the tree's height"
     )
     locality: Literal["none", "geodesic"] = Field(
-        default="geodesic", description="What a push may reach: the whole tree, or its branch and less of what bears it"
+        default="geodesic", description="Reach of a push: the whole tree, or its branch and, less, what carries it"
     )
     falloff_m: Finite | None = Field(
-        default=None, ge=1e-3, le=LARGEST, description="Length over which a push fades [m]; 15 % of the height if unset"
+        default=None,
+        ge=1e-3,
+        le=LARGEST,
+        description="Distance over which a push fades [m]; default: 15 % of the height",
     )
 
 
 class InteractParams(SwingParams):
     """How the answer of a tree to forces is computed."""
 
-    integrator: Integrator = Field(default="exact", description="How a time step is computed")
+    integrator: Integrator = Field(default="exact", description="Method of time integration")
     warp: bool = Field(
-        default=False, description="Bend, do not stretch; a drag by displacement then holds its point in the bent shape"
+        default=False, description="Bend without stretching; a drag by displacement holds its point in the bent shape"
     )
 
 
 class Shot(Request):
-    """Where the camera of pictures and videos stands."""
+    """Camera of pictures and videos."""
 
-    side_px: int = Field(default=512, ge=64, le=1080, description="Side of the pictures [px]")
+    side_px: int = Field(default=512, ge=64, le=1080, description="Side length of pictures [px]")
     azimuth_deg: Finite = Field(
         default=25.0, ge=-360, le=360, description="Direction from the tree to the camera [°]: 0 at -Y, 90 at +X"
     )
     elevation_deg: Finite = Field(
-        default=8.0, ge=-30, le=80, description="Height of the camera above the horizon, seen from the tree [°]"
+        default=8.0, ge=-30, le=80, description="Elevation of the camera above the horizon [°]"
     )
-    orbit: bool = Field(default=False, description="Go around the tree once while the frames go by")
+    orbit: bool = Field(default=False, description="Move the camera around the tree once")
     ground: bool = Field(default=True, description="Draw a floor with a shadow")
     grey_still: bool = Field(
-        default=True,
-        description="Draw what stands still because it is no plant (a pot, a table, the ground) in grey in films",
+        default=True, description="In films, draw still parts that are no plant (a pot, a table, the ground) in grey"
     )
 
 
@@ -229,30 +231,29 @@ class ExportParams(Request):
     """Which frames of a motion are written, and as what. Frame n shows the motion at time n · speed / fps."""
 
     wind_mode: WindMode = Field(
-        default="loop",
-        description="Motion that repeats after one period, or in turbulent wind that never repeats",
+        default="loop", description="Motion that repeats after one period (loop), or turbulent wind that never repeats"
     )
     first_frame: int = Field(default=0, ge=0, le=MAX_FIRST_FRAME, description="Number of the first frame to write")
     num_frames: int | None = Field(
         default=None,
         ge=1,
         le=MAX_TURBULENT_FRAMES,
-        description=f"Number of frames to write, at most {MAX_FRAMES} of a loop; if unset one period, or "
+        description=f"Number of frames to write, at most {MAX_FRAMES} of a loop; by default one period, or "
         f"{TURBULENT_S:g} s of turbulent wind",
     )
     fps: Finite = Field(
-        default=24.0, ge=1, le=240, description="Frames per second; does not change the speed of the motion"
+        default=24.0, ge=1, le=240, description="Frames per second, which do not change the speed of the motion"
     )
-    speed: Finite = Field(default=1.0, ge=0.01, le=100, description="Speed of the motion over its natural speed")
+    speed: Finite = Field(default=1.0, ge=0.01, le=100, description="Speed of the motion / natural speed")
     loop: bool = Field(
-        default=True, description="Refuse a number of frames that is not a whole number of periods; not if turbulent"
+        default=True, description="Refuse frames that are not a whole number of periods, except in turbulent wind"
     )
     flutter: Finite = Field(
         default=0.0,
         ge=0,
         le=2,
-        description="How far leaves turn above the spectrum, up to 8 Hz: 0 not at all, 1 as in nature by the "
-        "speed of the wind. In all that is written frame by frame and in skins. Morph targets, the page and pushes "
+        description="Flutter of leaves at frequencies above the spectrum's, up to 8 Hz: 0 is none, 1 as in nature at "
+        "this wind speed. It is in files with frames and in skins. Morph targets, the page and pushes "
         "have none, so by default all show one motion",
     )
     formats: (
@@ -261,25 +262,24 @@ class ExportParams(Request):
         default=None,
         min_length=1,
         max_length=16,
-        description=f"Files to write; if unset {', '.join(MESH_FORMATS)} of a mesh or photos, "
+        description=f"Files to write; by default {', '.join(MESH_FORMATS)} of a mesh or photos, "
         f"{', '.join(CLOUD_FORMATS)} of a splat or scan",
     )
     share: Finite = Field(default=1.0, gt=0, le=1, description="Share of a splat's Gaussians to write")
     sh_degree: int = Field(
         default=3, ge=0, le=3, description="Highest degree of a splat's spherical harmonics to write"
     )
-    normals: bool = Field(default=False, description="Write normals that move, as a texture of vat")
+    normals: bool = Field(default=False, description="Write moving normals as a texture of vat")
     glb_compression: Literal["none", "meshopt"] = Field(
-        default="none",
-        description="Compression of glb: meshopt needs a reader of EXT_meshopt_compression",
+        default="none", description="Compression of glb; meshopt needs a reader of EXT_meshopt_compression"
     )
     glb_textures: Literal["source", "webp"] = Field(
         default="source",
-        description="Textures of glb: PNG and JPEG as in the source, or WebP where that is smaller, which needs a "
+        description="Textures of glb: those of the source, or WebP where that is smaller, which needs a "
         "reader of EXT_texture_webp",
     )
     joints: Literal[32, 64, 256] | None = Field(
-        default=None, description="Joints of glb and usd-skinned, at most; all bones of the tree if unset"
+        default=None, description="Largest number of joints of glb and usd-skinned; by default all bones of the tree"
     )
     shot: Shot = Field(default_factory=Shot)
 
@@ -341,11 +341,11 @@ class ExportParams(Request):
 
 
 class ReconstructParams(PhotoParams, CloudParams):
-    """Parameters of a job that makes a mesh of photos or a cloud."""
+    """Parameters of a job that makes a mesh from photos or a cloud."""
 
 
 class VoxelizeParams(GridParams, ReconstructParams):
-    """Parameters of a job that makes the voxels of a surface."""
+    """Parameters of a job that voxelizes a surface."""
 
 
 class DiffuseParams(SpectrumParams, ReconstructParams):
@@ -353,7 +353,7 @@ class DiffuseParams(SpectrumParams, ReconstructParams):
 
 
 class AnimateParams(ExportParams, DiffuseParams):
-    """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
+    """Parameters of a job that writes a motion. The service always writes png too."""
 
 
 def _is_whole(periods: float) -> bool:

@@ -19,25 +19,25 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 class AnimateRequest(Model):
     """Generate a motion and write it as files."""
 
-    # The model that generates the motion
+    # Model that generates the motion
     preset: str = "small"
-    # The same seed gives the same motion
+    # Random seed; the same seed gives the same motion
     seed: int = 0
-    # high is begun first; with keys, one of scope high-priority
+    # high runs first; if keys are required, it needs the scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint that gets events of this job
+    # Id of a webhook endpoint that receives events of this job
     webhook: str | None = None
-    # which of them; those of its end if unset
+    # Events to send; by default those of the job's end
     webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
-    # what POST /v1/assets gave
+    # Id that POST /v1/assets returned
     asset_id: str
-    # your name for the job, by which lists can be filtered
+    # Your name for the job, for filtering lists
     external_id: str | None = None
-    # texts of yours, returned as they are
+    # Your texts, returned unchanged
     metadata: dict[str, str] | None = None
-    # where in an allowed bucket products are copied to
+    # URL in an allowed bucket to which products are copied
     destination: str | None = None
-    # canceled if it has not ended by then, running or not [s]
+    # Time after which the job is canceled unless it has ended [s]
     cancel_after_s: float | None = None
     type: Literal["animate"]
     params: "AnimateParams | None" = None
@@ -53,41 +53,41 @@ class Artifact(Model):
     bytes: int
     sha256: str
     url: str
-    # where a file is not exact, how far it is from the motion; [m] as _m says
+    # Errors of the file against the motion; names with _m are in metres
     facts: dict[str, int | float] | None = None
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     created_at: datetime
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     expires_at: datetime
 
 
 class Asset(Model):
-    """An upload that was read and can be used."""
+    """An asset: files that were read and that jobs can use."""
 
     id: str
     kind: Literal["mesh", "photos", "cloud"]
     parts: "list[Part]"
-    # what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, `still_parts` what
-    # is not the plant and does not move: `name` and `why`, `trees` where each stands and how tall it is: `tree`
-    # (its number), `x_m`, `y_m`, `z_m` and `height_m`
+    # Content of the files, lengths in metres; `warnings` are objects with `code` and `message`, `still_parts`
+    # (parts that are no plant and do not move) with `name` and `why`, `trees` with `tree` (number), foot `x_m`,
+    # `y_m`, `z_m` and `height_m`
     summary: dict[str, str | int | float | list[float | dict[str, str | int | float]] | None]
     metadata: dict[str, str]
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     created_at: datetime
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     expires_at: datetime
 
 
 class At(Model):
-    """Where a force acts: exactly one of point, vertex and voxel."""
+    """Place of a force: exactly one of point, vertex and voxel."""
 
-    # the nearest voxel to it
+    # Point; the nearest voxel is used [m]
     point_m: tuple[float, float, float] | None = None
-    # index into the source mesh's vertices
+    # Index of a vertex of the source mesh
     vertex: int | None = None
-    # row in the spectrum's coords
+    # Row of a voxel in the spectrum's coords
     voxel: int | None = None
-    # spread evenly over the voxels within it
+    # Radius over which the force is spread [m]
     radius_m: float = 0.0
 
 
@@ -99,43 +99,43 @@ class DeliveryList(Model):
 
 
 class Delivery(Model):
-    """A message for one address."""
+    """A message to one endpoint."""
 
     id: str
-    # the header webhook-id; each attempt has the same
+    # Header webhook-id, the same in every attempt
     message_id: str
     event: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
     job_id: str
     state: Literal["pending", "delivered", "failed"]
     tries: "list[Try]"
-    # the next attempt; null once it is over
+    # Time of the next attempt; null if there is none
     next_at: datetime | None
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     created_at: datetime
 
 
 class DiffuseRequest(Model):
     """Generate a spectrum."""
 
-    # The model that generates the motion
+    # Model that generates the motion
     preset: str = "small"
-    # The same seed gives the same motion
+    # Random seed; the same seed gives the same motion
     seed: int = 0
-    # high is begun first; with keys, one of scope high-priority
+    # high runs first; if keys are required, it needs the scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint that gets events of this job
+    # Id of a webhook endpoint that receives events of this job
     webhook: str | None = None
-    # which of them; those of its end if unset
+    # Events to send; by default those of the job's end
     webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
-    # what POST /v1/assets gave
+    # Id that POST /v1/assets returned
     asset_id: str
-    # your name for the job, by which lists can be filtered
+    # Your name for the job, for filtering lists
     external_id: str | None = None
-    # texts of yours, returned as they are
+    # Your texts, returned unchanged
     metadata: dict[str, str] | None = None
-    # where in an allowed bucket products are copied to
+    # URL in an allowed bucket to which products are copied
     destination: str | None = None
-    # canceled if it has not ended by then, running or not [s]
+    # Time after which the job is canceled unless it has ended [s]
     cancel_after_s: float | None = None
     type: Literal["diffuse"]
     params: "DiffuseParams | None" = None
@@ -154,16 +154,16 @@ class Endpoint(Model):
     url: str
     events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]]
     disabled_reason: str | None
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     created_at: datetime
 
 
 class EndpointRequest(Model):
     """URL and events of an endpoint."""
 
-    # https
+    # HTTPS address
     url: str
-    # of every job; none: only of jobs that name the endpoint
+    # Events of all jobs; if empty, of jobs that name the endpoint
     events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] = [
         "job.succeeded",
         "job.failed",
@@ -172,9 +172,9 @@ class EndpointRequest(Model):
 
 
 class FieldError(Model):
-    """One field that is wrong."""
+    """One invalid field."""
 
-    # JSON pointer into the body, or where:name
+    # JSON pointer into the body, or location:name
     pointer: str
     code: str
     detail: str
@@ -184,44 +184,44 @@ class Force(Model):
     """One force on the tree."""
 
     kind: Literal["impulse", "drag", "wind"]
-    # of an impulse or a drag; wind blows everywhere
+    # Place of an impulse or a drag; wind acts everywhere
     at: "At | None" = None
-    # [N s], of an impulse
+    # Impulse [N s]; only with kind impulse
     impulse_n_s: tuple[float, float, float] | None = None
-    # [N], of a drag; or displacement_m
+    # Force of a drag [N]; alternative to displacement_m
     force_n: tuple[float, float, float] | None = None
-    # [m], of a drag: where the point comes to rest, in the bent shape with warp
+    # Displacement of the dragged point at rest [m]; with warp, in the bent shape
     displacement_m: tuple[float, float, float] | None = None
-    # [m/s], of wind: one vector, or samples evenly spaced over the duration
+    # Velocity of wind [m/s]: one vector, or evenly spaced samples over the duration
     wind_m_s: list[float | list[float]] | None = None
-    # from the first frame of this call [s]
+    # Start, relative to this call's first frame [s]
     start_s: float = 0.0
-    # [s]; unset: within one step for an impulse, to the end for others
+    # Duration [s]; if unset, one step for an impulse, else until the end
     duration_s: float | None = None
 
 
 class Group(Model):
     """One group's modal coordinates."""
 
-    # null: the whole tree
+    # Locality of the group; null is the whole tree
     locality: "Locality | None"
-    # [frames, K]; index = frequency bin, bin 0 is no mode and 0
+    # Coordinates [frames, K] by frequency bin; bin 0 is always 0
     q: list[list[tuple[float, float]]]
-    # [frames, n] turns of the joints from the grip's joint towards the root [rad]; null: none bends
+    # Bends of joints from the grip towards the root, [frames, n] vectors [rad]; null if none bends
     bend: list[list[tuple[float, float, float]]] | None
 
 
 class GroupState(Model):
     """One group's coordinates: K complex numbers, index = frequency bin; bin 0 is no mode and stays 0."""
 
-    # null: the whole tree
+    # Locality of the group; null is the whole tree
     locality: "Locality | None"
     q: list[tuple[float, float]]
-    # [1/s]
+    # Rates of q [1/s]
     q_dot: list[tuple[float, float]]
-    # local bends [rad], from the grip's joint towards the root
+    # Local bends [rad], from the grip's joint towards the root
     bend: list[tuple[float, float, float]] | None = None
-    # [rad/s]
+    # Rates of bend [rad/s]
     bend_rate: list[tuple[float, float, float]] | None = None
 
 
@@ -233,50 +233,50 @@ class Interact(Model):
     integrator: str
     dt_s: float
     num_frames: int
-    # natural frequencies by bin; bin 0 is no mode and 0
+    # Natural frequencies by bin [Hz]; bin 0 is always 0
     frequencies_hz: list[float]
     damping_ratio: float
-    # that chose damping and frequency, 0 bare to 1 in leaf; null where neither the request nor the shape told it,
-    # and the middle was taken
+    # Foliage, which sets damping and frequency, 0 (bare) to 1 (in leaf); null if neither request nor shape states
+    # it, and the middle is used
     foliage: float | None
     mass_kg: float
-    # m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
+    # m in m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
     modal_mass_kg_m2: float
     groups: "list[Group]"
-    # of drags by displacement, by group: with warp where they end, without it empty
+    # Result of each drag by displacement, by group; empty without warp
     reached: "list[Reached]"
-    # the next call's initial_state
+    # The initial_state of the next call
     final_state: "State"
 
 
 class InteractRequest(Model):
     """Forces on a tree, and the response to compute."""
 
-    # Of every mode; 1 is critical; 0.04 (bare) to 0.13 (in leaf) if unset
+    # Damping ratio of all modes; by default 0.04 (bare) to 0.13 (in leaf)
     damping_ratio: float | None = None
-    # Chooses damping and frequency: 0 bare, 1 in leaf; the spectrum's if unset
+    # Foliage for damping and frequency: 0 bare, 1 in leaf; by default the spectrum's
     foliage: float | None = None
-    # Lowest natural frequency [Hz]; measured for the tree's height if unset
+    # Lowest natural frequency [Hz]; by default that of real trees of this height
     frequency_hz: float | None = None
-    # Mass that moves [kg]; by the tree's height if unset
+    # Moving mass [kg]; by default from the tree's height
     mass_kg: float | None = None
-    # What a push may reach: the whole tree, or its branch and less of what bears it
+    # Reach of a push: the whole tree, or its branch and, less, what carries it
     locality: Literal["none", "geodesic"] = "geodesic"
-    # Length over which a push fades [m]; 15 % of the height if unset
+    # Distance over which a push fades [m]; default: 15 % of the height
     falloff_m: float | None = None
-    # How a time step is computed
+    # Method of time integration
     integrator: Literal["exact", "symplectic-euler", "explicit-euler"] = "exact"
-    # Bend, do not stretch; a drag by displacement then holds its point in the bent shape
+    # Bend without stretching; a drag by displacement holds its point in the bent shape
     warp: bool = False
-    # from a job's result
+    # The spectrum_id in a job's result
     spectrum_id: str
     forces: "list[Force] | None" = None
-    # of a step, which is a frame [s]
+    # Time step, which is also the time of a frame [s]
     dt_s: float = 0.016666666666666666
     num_frames: int = 60
-    # without initial_state: at rest, in equilibrium with the forces, or Davis'
+    # Start without initial_state: at rest, in equilibrium (held), or after Davis et al.
     start: Literal["rest", "held", "davis"] = "rest"
-    # final_state of an earlier call
+    # The final_state of an earlier call
     initial_state: "State | None" = None
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
 
@@ -292,15 +292,15 @@ class JobEventData(Model):
     external_id: str | None
     metadata: dict[str, str]
     error_code: str | None
-    # path of the job
+    # Path of the job
     url: str
 
 
 class JobEvent(Model):
-    """What an endpoint receives, signed."""
+    """Body of a signed event."""
 
     type: Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     timestamp: datetime
     data: "JobEventData"
 
@@ -313,7 +313,7 @@ class JobList(Model):
 
 
 class Job(Model):
-    """A job as it is now."""
+    """Current state of a job."""
 
     id: str
     type: Literal["reconstruct", "voxelize", "diffuse", "animate"]
@@ -323,14 +323,14 @@ class Job(Model):
     seed: int
     params: dict[str, Any]
     attempt: int
-    # mean over the stages; of photos weighed by the time that stages usually take
+    # Mean over the stages; of photos, weighted by typical durations
     progress: float
-    # jobs before this one; null once it has begun
+    # Number of jobs before this one; null once started
     queue_position: int | None
-    # null where it is not known
+    # Remaining time [s]; null if unknown
     eta_s: float | None
     stages: "list[Stage]"
-    # what is there so far; null before the first product
+    # Products so far; null before the first
     result: "Result | None"
     error: "Problem | None"
     priority: Literal["high", "normal", "low"]
@@ -340,15 +340,15 @@ class Job(Model):
     metadata: dict[str, str]
     cancel_at: datetime | None
     destination: str | None
-    # processor time of all attempts that have ended [s]
+    # CPU time of all ended attempts [s]
     processor_s: float
-    # time of theirs on a worker with a GPU [s]
+    # Run time of ended attempts on a GPU worker [s]
     gpu_s: float
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
-    # when its record is removed; null until it has ended
+    # Time at which its record is deleted; null until it ends
     expires_at: datetime | None
 
 
@@ -358,9 +358,9 @@ class Limits(Model):
     mesh_formats: list[str]
     cloud_formats: list[str]
     photo_formats: list[str]
-    # of a walk around one tree, from which photos are chosen
+    # Formats of films, from which photos are chosen
     film_formats: list[str]
-    # what params.formats of an animate job may name
+    # Values of params.formats of an animate job
     products: "list[Product]"
     max_json_bytes: int
     max_interact_bytes: int
@@ -368,57 +368,57 @@ class Limits(Model):
     min_photos: int
     max_photos: int
     max_photo_bytes: int
-    # what quality of a job on photos may be
+    # Values of quality of a job with photos
     photo_qualities: "list[PhotoQuality]"
     max_film_bytes: int
     max_film_s: float
-    # width times height
+    # Largest width times height [px]
     max_film_pixels: int
-    # of one asset: parts of a form, entries of a zip, or uploads
+    # Files per asset: form parts, zip entries or uploads
     max_files: int
     max_archive_ratio: int
     max_vertices: int
     max_faces: int
-    # of a loop
+    # Frames of a loop
     max_frames: int
-    # of a motion that never repeats
+    # Frames of a turbulent motion
     max_turbulent_frames: int
     max_gaussians: int
-    # of a sequence of splats
+    # Size of a sequence of splats [bytes]
     max_sequence_bytes: int
-    # of one push
+    # Forces per request
     max_forces: int
-    # places that swing at once
+    # Groups of forces (places) per request
     max_force_groups: int
-    # of one answer in voxels, vertices or Gaussians
+    # Size of a binary response of /v1/interact [bytes]
     max_displacement_bytes: int
     max_queued_jobs: int
-    # lifetime of artifacts [s]
+    # Lifetime of artifacts [s]
     artifact_retention_s: float
-    # lifetime of uploads after their last use [s]
+    # Lifetime of assets after their last use [s]
     asset_retention_s: float
 
 
 class Link(Model):
-    """A link. Whoever has it may GET the file."""
+    """A signed link, with which anyone can GET the file."""
 
-    # path and query; put the service's own address in front
+    # Path and query, relative to the service's address
     url: str
-    # null where no key is required, and the path itself opens
+    # Null if no key is required; then the path suffices
     expires_at: datetime | None
 
 
 class LinkRequest(Model):
     """Path to open without a key, and for how long."""
 
-    # of an artifact, a spectrum, or the surface, modes, reach or points of a tree
+    # Path of an artifact, a spectrum, or a tree's surface, modes, reach or points
     path: str
-    # seconds until the link opens nothing
+    # Lifetime of the link [s]
     expires_s: int = 3600
 
 
 class Live(Model):
-    """The process answers."""
+    """Liveness of the process."""
 
     status: Literal["ok"] = "ok"
 
@@ -434,24 +434,24 @@ class Manifest(Model):
     """Files that a job has produced."""
 
     job_id: str
-    # whether the job has succeeded and nothing will be added
+    # True if the job has succeeded and adds no more files
     complete: bool
     artifacts: "list[Artifact]"
 
 
 class Month(Model):
-    """What attempts of jobs took that ended in one month (UTC)."""
+    """Resource use of attempts of jobs that ended in one month (UTC)."""
 
-    # 2026-11
+    # Month (UTC) as YYYY-MM
     month: str
     attempts: int
     processor_s: float
-    # during which a worker with a GPU was at work [s]
+    # Run time on workers with a GPU [s]
     gpu_s: float
 
 
 class Ops(Model):
-    """The whole service at a glance."""
+    """State of the whole service."""
 
     queues: "list[Queue]"
     jobs: dict[str, int]
@@ -469,24 +469,24 @@ class Part(Model):
 
 
 class PhotoQuality(Model):
-    """What a reconstruction of one `quality` uses of its photos, and how large its splat may become."""
+    """Limits of a reconstruction of one `quality`: sizes of photos and splat."""
 
     quality: Literal["draft", "standard", "high"]
-    # long side to which photos are reduced before features are sought
+    # Long side of photos for feature detection [px]
     photo_px: int
-    # long side of the pictures that the splat is learned from
+    # Long side of photos for training the splat [px]
     splat_px: int
     max_gaussians: int
-    # of the splat's colours
+    # Degree of the splat's spherical harmonics
     sh_degree: int
-    # photos that depths and splat are made of; cameras are found for all
+    # Largest number of photos for depth maps and splat
     max_views: int
-    # of training, unless splat_steps says otherwise
+    # Training steps if splat_steps is unset
     num_steps: int
 
 
 class PresetList(Model):
-    """The models that jobs may name."""
+    """The models that jobs can use."""
 
     data: "list[Preset]"
 
@@ -499,7 +499,7 @@ class Preset(Model):
 
 
 class Problem(Model):
-    """RFC 9457. Some problems have members of their own besides."""
+    """Problem object (RFC 9457). Some problems have additional members."""
 
     model_config = ConfigDict(frozen=True, extra="allow", defer_build=True)
 
@@ -516,7 +516,7 @@ class Problem(Model):
 
 
 class Product(Model):
-    """One format that a motion can be written as."""
+    """One file format of a motion."""
 
     format: Literal[
         "glb",
@@ -543,12 +543,12 @@ class Product(Model):
     file_name: str
     media_type: str
     shows: Literal["mesh", "splat", "pictures"]
-    # parameters of an animate job that this file depends on
+    # Parameters of an animate job that affect this file
     options: list[str]
 
 
 class Queue(Model):
-    """Jobs of one queue: how many wait, for how long the oldest does, how many run."""
+    """Jobs of one queue: number waiting, age of the oldest, number running."""
 
     name: str
     jobs: int
@@ -557,18 +557,18 @@ class Queue(Model):
 
 
 class Reached(Model):
-    """How far a drag by displacement goes: less than wanted where the tree would have to stretch."""
+    """Result of a drag by displacement, which falls short where the tree would have to stretch."""
 
     wanted_m: tuple[float, float, float]
-    # where the point rests in the bent shape, from rest [m]
+    # Displacement of the point in the bent shape [m]
     reached_m: tuple[float, float, float]
     error_m: float
-    # why it goes less far; null where it is within 1 % of the pull
+    # Reason for a shortfall; null if below 1 % of the pull
     why: str | None
 
 
 class Ready(Model):
-    """What the service depends on. `absent` means that jobs wait; all else that is not ok means 503."""
+    """State of the dependencies. `absent` means that jobs wait; any other state but ok means status 503."""
 
     status: Literal["ready", "unready"]
     database: Literal["ok", "unavailable", "full", "absent"]
@@ -579,63 +579,62 @@ class Ready(Model):
 
 
 class ReconstructParams(Model):
-    """Parameters of a job that makes a mesh of photos or a cloud."""
+    """Parameters of a job that makes a mesh from photos or a cloud."""
 
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
-    # inside is the plant, in the frame of the job that had the same height_m and no box
+    # Box outside which nothing moves: low and high corner [m], +Z up; by default none. For photos: box around the
+    # plant, in the frame of a job with the same height_m and no box
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
-    # one
+    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * matches any
+    # characters, ? one
     still: list[str] | None = None
-    # Parts that move although they were detected as no plant, named as in still
+    # Parts that move although they were detected as no plant; names as in still
     moving: list[str] | None = None
-    # What is inside stands still: low and high corner [m]
+    # Box in which all stands still: low and high corner [m]
     still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # What is inside moves although it was detected as no plant: low and high corner [m]
+    # Box in which all moves, also what is detected as no plant: low and high corner [m]
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
+    # Number of the only tree to use, as in `trees`; by default all trees of a file, each by itself
     tree: int | None = None
-    # Of photos: how much of them is used and how fine the splat becomes; numbers are in /v1/limits
+    # For photos: sizes of photos and splat; the numbers are in /v1/limits
     quality: Literal["draft", "standard", "high"] = "standard"
-    # Of photos: training steps of the splat; by the quality if unset
+    # For photos: training steps of the splat; by default the quality's
     splat_steps: int | None = None
-    # Of a film: sharp frames that are taken as photos; 40 if unset
+    # For a film: number of sharp frames used as photos; by default 40
     video_frames: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
+    # For photos, which show no scale: height of the tree [m]; by default 1 m
     height_m: float | None = None
-    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
-    # marker of the sheet in the documentation gives it without this
+    # For photos of a printed marker (AprilTag 36h11): edge of its black square [m], which sets the scale; markers
+    # of the sheet in the documentation need no edge
     marker_m: float | None = None
-    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
-    # photos show of it
+    # Strokes on photos that mark what is the plant and what is not; the rest is decided from these and from its
+    # look in the photos
     scribbles: "list[Scribble] | None" = None
-    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
-    # photos
+    # Cut out the plant without strokes: the object in the middle of the photos, without ground and background
     only_plant: bool = False
 
 
 class ReconstructRequest(Model):
-    """Reconstruct a mesh from photos."""
+    """Reconstruct a mesh from photos or a cloud."""
 
-    # The model that generates the motion
+    # Model that generates the motion
     preset: str = "small"
-    # The same seed gives the same motion
+    # Random seed; the same seed gives the same motion
     seed: int = 0
-    # high is begun first; with keys, one of scope high-priority
+    # high runs first; if keys are required, it needs the scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint that gets events of this job
+    # Id of a webhook endpoint that receives events of this job
     webhook: str | None = None
-    # which of them; those of its end if unset
+    # Events to send; by default those of the job's end
     webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
-    # what POST /v1/assets gave
+    # Id that POST /v1/assets returned
     asset_id: str
-    # your name for the job, by which lists can be filtered
+    # Your name for the job, for filtering lists
     external_id: str | None = None
-    # texts of yours, returned as they are
+    # Your texts, returned unchanged
     metadata: dict[str, str] | None = None
-    # where in an allowed bucket products are copied to
+    # URL in an allowed bucket to which products are copied
     destination: str | None = None
-    # canceled if it has not ended by then, running or not [s]
+    # Time after which the job is canceled unless it has ended [s]
     cancel_after_s: float | None = None
     type: Literal["reconstruct"]
     params: "ReconstructParams | None" = None
@@ -644,44 +643,44 @@ class ReconstructRequest(Model):
 class Result(Model):
     """Ids of the products."""
 
-    # artefact of the reconstructed mesh
+    # Artifact of the reconstructed mesh
     mesh_id: str | None
     voxels_id: str | None
-    # for /v1/spectra and /v1/interact
+    # Id for /v1/spectra and /v1/interact
     spectrum_id: str | None
-    # how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, `still_parts`;
-    # null once the asset's record is removed
+    # How the upload was read, as in the asset's `summary`: height, up axis, unit, `warnings`, `still_parts`; null
+    # once the asset's record is deleted
     source: dict[str, str | int | float | list[float | dict[str, str | int | float]] | None] | None
-    # of photos: what makes the reconstruction doubtful, and what to do
+    # Warnings about a reconstruction, with advice
     warnings: list[str]
     artifacts_url: str
 
 
 class Scribble(Model):
-    """A stroke on a photo, or a click, that says what is seen under it."""
+    """A stroke or click on a photo that marks the plant or something else."""
 
     # The photo's name, as in cameras.json
     photo: str
-    # Whether the plant is under it, or something else
+    # True if the stroke marks the plant, false for anything else
     plant: bool
-    # Places along the stroke, from left and from top, as shares of the photo's width and height
+    # Points along the stroke, from left and from top, as shares of the photo's width and height
     points: list[tuple[float, float]]
 
 
 class Shot(Model):
-    """Where the camera of pictures and videos stands."""
+    """Camera of pictures and videos."""
 
-    # Side of the pictures [px]
+    # Side length of pictures [px]
     side_px: int = 512
     # Direction from the tree to the camera [°]: 0 at -Y, 90 at +X
     azimuth_deg: float = 25.0
-    # Height of the camera above the horizon, seen from the tree [°]
+    # Elevation of the camera above the horizon [°]
     elevation_deg: float = 8.0
-    # Go around the tree once while the frames go by
+    # Move the camera around the tree once
     orbit: bool = False
     # Draw a floor with a shadow
     ground: bool = True
-    # Draw what stands still because it is no plant (a pot, a table, the ground) in grey in films
+    # In films, draw still parts that are no plant (a pot, a table, the ground) in grey
     grey_still: bool = True
 
 
@@ -689,18 +688,18 @@ class Spectrum(Model):
     """A sparse voxel spectrum without its coefficients. Lengths in metres, +Z up."""
 
     id: str
-    # K
+    # Number K of frequency bins
     num_frequencies: int
     frequencies_hz: list[float]
-    # V
+    # Number V of occupied voxels
     num_voxels: int
     resolution: int
     voxel_size_m: float
-    # low corner of the grid's cube [m]
+    # Low corner of the grid's cube [m]
     origin_m: list[float]
-    # low corner of the occupied voxels [m]
+    # Low corner of the occupied voxels [m]
     low_m: list[float]
-    # high corner of the occupied voxels [m]
+    # High corner of the occupied voxels [m]
     high_m: list[float]
     fps: float
     num_frames: int
@@ -709,9 +708,9 @@ class Spectrum(Model):
     model: str
     seed: int
     wind: "Wind | None"
-    # 0 bare, 1 in leaf; null where the shape did not tell
+    # Foliage, 0 (bare) to 1 (in leaf); null if unknown
     foliage: float | None
-    # null unless the job asked for them
+    # Null unless the job requested them
     wind_bands: "WindBands | None"
     units: str = "m"
     up_axis: str = "+Z"
@@ -724,9 +723,9 @@ class Stage(Model):
     name: Literal["reconstruct", "voxelize", "diffuse", "animate"]
     state: Literal["queued", "running", "succeeded", "failed", "canceled"]
     progress: float
-    # taken from an earlier job with the same inputs
+    # True if taken from an earlier job with the same inputs
     cached: bool
-    # earlier by the work of attempts that the stage continues
+    # Start, moved back by the work of earlier attempts
     started_at: datetime | None
     finished_at: datetime | None
 
@@ -740,47 +739,47 @@ class State(Model):
 class Try(Model):
     """One delivery attempt."""
 
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     at: datetime
-    # null where no answer came
+    # HTTP status; null without a response
     status: int | None
     detail: str
     seconds: float
 
 
 class TurbulentWind(Model):
-    """Coordinates of the bins in wind that never repeats, as sums of cosines. docs/engines.md evaluates them."""
+    """Coordinates of the bins in wind that never repeats, as sums of cosines. See docs/engines.md."""
 
     spectrum_id: str
     seed: int
-    # mean speed, direction and gust
+    # Mean speed, direction and gust
     wind: "Wind"
-    # lowest, of a tree of this height
+    # Lowest frequency of a tree of this height [Hz]
     natural_frequency_hz: float
-    # of a tree with this foliage
+    # Damping ratio of a tree with this foliage
     damping_ratio: float
-    # of the turbulence at the top of the tree
+    # Turbulence length scale at the top of the tree [m]
     length_scale_m: float
-    # of the K bins; bin 0 is the lean
+    # Frequencies of the K bins [Hz]; bin 0 is the lean
     frequencies_hz: list[float]
-    # half-width of each bin's line at half of its power
+    # Half width at half maximum of each bin's line [Hz]
     bandwidth_hz: list[float]
-    # [K - 1][J] from bin 1
+    # Frequencies of partials [K - 1][J], from bin 1 [Hz]
     partial_hz: list[list[float]]
-    # [K - 1][J] from bin 1
+    # Phases of partials [K - 1][J], from bin 1 [rad]
     partial_phase_rad: list[list[float]]
-    # factor on the coordinates of bins 1 to K - 1
+    # Factor on the coordinates of bins 1 to K - 1
     strength: "Wave"
-    # coordinate of bin 0, which is real
+    # Coordinate of bin 0, which is real
     lean: "Wave"
-    # factors on the coordinates by mean speed: by the model where the job asked for wind_bands, else a power law
+    # Factors on the coordinates by mean speed: from the model if the job requested wind_bands, else a power law
     bands: "WindBands"
-    # of the whole displacement about the vertical, from +X towards +Y
+    # Rotation of all displacements about +Z, from +X towards +Y
     turn_rad: "Wave"
 
 
 class UploadPart(Model):
-    """One piece of an upload, to PUT to object storage."""
+    """One part of an upload, to PUT to object storage."""
 
     offset: int
     bytes: int
@@ -788,66 +787,66 @@ class UploadPart(Model):
 
 
 class UploadParts(Model):
-    """The pieces that an upload lacks."""
+    """The missing parts of an upload."""
 
     parts: "list[UploadPart]"
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     expires_at: datetime
 
 
 class Upload(Model):
-    """A file that comes in pieces, or from an address."""
+    """A file that is received in parts, or fetched from a URL."""
 
     id: str
-    # receiving or fetching; received; ready with an asset; failed
+    # receiving or fetching, received, ready (has an asset), failed
     state: Literal["receiving", "fetching", "received", "ready", "failed"]
     filename: str
     bytes_received: int
-    # null while an address does not tell
+    # Size of the file [bytes]; null while unknown
     length: int | None
-    # as promised
+    # Announced hash of the file
     sha256: str | None
     asset_id: str | None
     error: "Problem | None"
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     created_at: datetime
-    # RFC 3339, UTC
+    # Time (RFC 3339, UTC)
     expires_at: datetime
 
 
 class Usage(Model):
-    """What the caller has, and may have; null where no key is asked for."""
+    """Resource use and limits of the caller; null if no key is required."""
 
     owner: str | None
     active_jobs: int
     bytes: int
     limits: dict[str, int] | None
-    # newest first, at most 12
+    # Up to 12 months, newest first
     months: "list[Month]"
 
 
 class VoxelizeRequest(Model):
     """Compute the occupied voxels and their normals."""
 
-    # The model that generates the motion
+    # Model that generates the motion
     preset: str = "small"
-    # The same seed gives the same motion
+    # Random seed; the same seed gives the same motion
     seed: int = 0
-    # high is begun first; with keys, one of scope high-priority
+    # high runs first; if keys are required, it needs the scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
-    # id of a webhook endpoint that gets events of this job
+    # Id of a webhook endpoint that receives events of this job
     webhook: str | None = None
-    # which of them; those of its end if unset
+    # Events to send; by default those of the job's end
     webhook_events: list[Literal["job.first-artifact", "job.succeeded", "job.failed", "job.canceled"]] | None = None
-    # what POST /v1/assets gave
+    # Id that POST /v1/assets returned
     asset_id: str
-    # your name for the job, by which lists can be filtered
+    # Your name for the job, for filtering lists
     external_id: str | None = None
-    # texts of yours, returned as they are
+    # Your texts, returned unchanged
     metadata: dict[str, str] | None = None
-    # where in an allowed bucket products are copied to
+    # URL in an allowed bucket to which products are copied
     destination: str | None = None
-    # canceled if it has not ended by then, running or not [s]
+    # Time after which the job is canceled unless it has ended [s]
     cancel_after_s: float | None = None
     type: Literal["voxelize"]
     params: "VoxelizeParams | None" = None
@@ -864,24 +863,24 @@ class Wave(Model):
 
 
 class Wind(Model):
-    """The wind that a motion is generated for. Not checked when built in Python: a file may record any wind."""
+    """Wind for which a motion is generated. Python does not check the ranges: a file may record any wind."""
 
     # Mean speed of the wind [m/s]
     speed_m_s: float = 5.0
-    # Where the wind blows to [°], from +X towards +Y
+    # Direction to which the wind blows [°], from +X towards +Y
     direction_deg: float = 0.0
-    # Standard deviation of the speed over its mean
+    # Standard deviation of speed / mean speed
     gust: float = 0.3
 
 
 class WindBands(Model):
-    """How much stronger each mode is in other winds. Between two speeds the gain is linear in the drag.  The drag is
-    speed^1.4 up to 12 m/s, and in proportion to the speed above.
+    """Gain of each mode by wind speed. Between two speeds, the gain is linear in the drag.  The drag is speed^1.4 up
+    to 12 m/s, and proportional to the speed above.
     """
 
-    # [B] rising from 0; above the last the gains stay
+    # Mean speeds [B], from 0 upward; gains are constant above the last
     speeds_m_s: list[float]
-    # [B][K] over the size in the spectrum's own wind; bin 0 is the lean
+    # Gains [B][K] relative to the spectrum's own wind; bin 0 is the lean
     gains: list[list[float]]
 
 
@@ -889,52 +888,52 @@ class DiffuseParams(ReconstructParams):
     """Parameters of a job that generates a spectrum."""
 
     wind: "Wind | None" = None
-    # Sampler steps; the number of the preset if unset
+    # Number of sampler steps; by default the preset's
     num_steps: int | None = None
-    # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
-    # num_frames is set or the preset is the paper's
+    # Length of the loop [s]; by default from the height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s if num_frames
+    # is set or the preset is the paper's
     period_s: float | None = None
-    # Foliage of the tree, which damps it: 0 bare, 1 in leaf; of a mesh as its shape tells if unset, of a splat,
-    # scan or photos in between
+    # Foliage, which damps the motion: 0 (bare) to 1 (in leaf); by default as a mesh's shape shows, in between for a
+    # splat, scan or photos
     foliage: float | None = None
-    # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
+    # Also generate winds of 1, 4, 8, 14 and 20 m/s, for the strength of each mode in any wind
     wind_bands: bool = False
 
 
 class EndpointWithSecret(Endpoint):
     """An endpoint with its secret, which is returned only once."""
 
-    # whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body
+    # Key of HMAC-SHA256 over id.timestamp.body, as whsec_ and base64
     secret: str
 
 
 class VoxelizeParams(ReconstructParams):
-    """Parameters of a job that makes the voxels of a surface."""
+    """Parameters of a job that voxelizes a surface."""
 
-    # Voxels along the side of the cube
+    # Number of voxels per side of the cube
     resolution: Literal[32, 64, 128, 256, 512] = 128
 
 
 class AnimateParams(DiffuseParams):
-    """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
+    """Parameters of a job that writes a motion. The service always writes png too."""
 
-    # Motion that repeats after one period, or in turbulent wind that never repeats
+    # Motion that repeats after one period (loop), or turbulent wind that never repeats
     wind_mode: Literal["loop", "turbulent"] = "loop"
     # Number of the first frame to write
     first_frame: int = 0
-    # Number of frames to write, at most 1000 of a loop; if unset one period, or 10 s of turbulent wind
+    # Number of frames to write, at most 1000 of a loop; by default one period, or 10 s of turbulent wind
     num_frames: int | None = None
-    # Frames per second; does not change the speed of the motion
+    # Frames per second, which do not change the speed of the motion
     fps: float = 24.0
-    # Speed of the motion over its natural speed
+    # Speed of the motion / natural speed
     speed: float = 1.0
-    # Refuse a number of frames that is not a whole number of periods; not if turbulent
+    # Refuse frames that are not a whole number of periods, except in turbulent wind
     loop: bool = True
-    # How far leaves turn above the spectrum, up to 8 Hz: 0 not at all, 1 as in nature by the speed of the wind. In
-    # all that is written frame by frame and in skins. Morph targets, the page and pushes have none, so by default
+    # Flutter of leaves at frequencies above the spectrum's, up to 8 Hz: 0 is none, 1 as in nature at this wind
+    # speed. It is in files with frames and in skins. Morph targets, the page and pushes have none, so by default
     # all show one motion
     flutter: float = 0.0
-    # Files to write; if unset ply, glb, png of a mesh or photos, splat, png of a splat or scan
+    # Files to write; by default ply, glb, png of a mesh or photos, splat, png of a splat or scan
     formats: (
         list[
             Literal[
@@ -965,13 +964,12 @@ class AnimateParams(DiffuseParams):
     share: float = 1.0
     # Highest degree of a splat's spherical harmonics to write
     sh_degree: int = 3
-    # Write normals that move, as a texture of vat
+    # Write moving normals as a texture of vat
     normals: bool = False
-    # Compression of glb: meshopt needs a reader of EXT_meshopt_compression
+    # Compression of glb; meshopt needs a reader of EXT_meshopt_compression
     glb_compression: Literal["none", "meshopt"] = "none"
-    # Textures of glb: PNG and JPEG as in the source, or WebP where that is smaller, which needs a reader of
-    # EXT_texture_webp
+    # Textures of glb: those of the source, or WebP where that is smaller, which needs a reader of EXT_texture_webp
     glb_textures: Literal["source", "webp"] = "source"
-    # Joints of glb and usd-skinned, at most; all bones of the tree if unset
+    # Largest number of joints of glb and usd-skinned; by default all bones of the tree
     joints: Literal[32, 64, 256] | None = None
     shot: "Shot | None" = None

@@ -36,7 +36,7 @@ from dynamictree_client.models import (
 
 
 def get_upload_protocol() -> Call[None]:
-    """Supported tus versions and extensions."""
+    """Return the supported versions and extensions of tus."""
     return Call(method="OPTIONS", path="/v1/uploads", answer=None)
 
 
@@ -48,7 +48,7 @@ def create_upload(
     upload_metadata: str | None = None,
     content_type: str | None = None,
 ) -> Call[None]:
-    """Begin an upload; its first bytes may come with it."""
+    """Create an upload; the request may contain its first bytes."""
     return Call(
         method="POST",
         path="/v1/uploads",
@@ -65,7 +65,7 @@ def create_upload(
 
 
 def head_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
-    """Current offset of an upload."""
+    """Return the current offset of an upload."""
     return Call(
         method="HEAD",
         path=path_of("/v1/uploads/{id}", {"id": id}),
@@ -94,12 +94,12 @@ def append_to_upload(
 
 
 def get_upload(id: str, *, prefer: str | None = None) -> Call[Upload]:
-    """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
+    """Return an upload: state, size, asset. Prefer: wait=N waits until the asset exists or the upload has failed."""
     return Call(method="GET", path=path_of("/v1/uploads/{id}", {"id": id}), answer=Upload, headers={"prefer": prefer})
 
 
 def delete_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
-    """Give an upload up. An asset that was made of it stays."""
+    """Delete an upload. An asset that was made from it remains."""
     return Call(
         method="DELETE",
         path=path_of("/v1/uploads/{id}", {"id": id}),
@@ -109,31 +109,31 @@ def delete_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
 
 
 def create_upload_parts(id: str) -> Call[UploadParts]:
-    """Addresses in object storage to PUT the missing bytes to; then PATCH at the whole length, without bytes.  409
-    where the bytes lie in a folder, or the setting `presigned_links` is off.
+    """Return URLs in object storage to PUT the missing bytes to; then PATCH at the full length without a body.
+    Status 409 if uploads are stored in a folder, or the setting `presigned_links` is off.
     """
     return Call(method="POST", path=path_of("/v1/uploads/{id}/parts", {"id": id}), answer=UploadParts)
 
 
 def create_asset(body: dict[str, Any]) -> Call[Asset | Upload]:
-    """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
+    """Create an asset from sent files (a mesh, splat, scan, photos or a film), from uploads, or from a URL."""
     return Call(method="POST", path="/v1/assets", answer=Asset | Upload, body=body)
 
 
 def get_asset(id: str) -> Call[Asset]:
-    """What was uploaded, and what was found in it."""
+    """Return an asset: its files and a summary of their content."""
     return Call(method="GET", path=path_of("/v1/assets/{id}", {"id": id}), answer=Asset)
 
 
 def delete_asset(id: str) -> Call[None]:
-    """Forget an upload. What was made of it stays until it expires."""
+    """Delete an asset. Products that were made from it remain until they expire."""
     return Call(method="DELETE", path=path_of("/v1/assets/{id}", {"id": id}), answer=None)
 
 
 def create_job(
     body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest, *, idempotency_key: str | None = None
 ) -> Call[Job]:
-    """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
+    """Create a job for voxels, a spectrum, a motion, or a mesh from photos. Earlier stages run first or are cached."""
     return Call(method="POST", path="/v1/jobs", answer=Job, headers={"idempotency-key": idempotency_key}, body=body)
 
 
@@ -147,7 +147,7 @@ def list_jobs(
     cursor: str | None = None,
     limit: int | None = None,
 ) -> Call[JobList]:
-    """Jobs, newest first."""
+    """List jobs, newest first."""
     return Call(
         method="GET",
         path="/v1/jobs",
@@ -165,13 +165,13 @@ def list_jobs(
 
 
 def retry_job(id: str) -> Call[Job]:
-    """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
+    """Create a new job with the request of a job that has ended; finished stages are taken from the cache."""
     return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job)
 
 
 def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = None) -> Call[Job]:
-    """A job: state, stages, progress, place in the queue, products, error.  With Prefer: wait=N the answer waits for
-    the job's end; with If-None-Match besides, for its next change.
+    """Return a job: state, stages, progress, queue position, products, error.  With Prefer: wait=N, the response
+    waits for the job's end; with If-None-Match too, for its next change.
     """
     return Call(
         method="GET",
@@ -182,22 +182,22 @@ def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = N
 
 
 def delete_job(id: str) -> Call[None]:
-    """Forget a job that has ended, and its files. Other jobs keep what they share with it."""
+    """Delete a job that has ended, and its files. Files that it shares with other jobs remain."""
     return Call(method="DELETE", path=path_of("/v1/jobs/{id}", {"id": id}), answer=None)
 
 
 def cancel_job(id: str) -> Call[Job]:
-    """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
+    """Cancel a job: at once if it waits, within one sampler step if it runs. A repeated request changes nothing."""
     return Call(method="POST", path=path_of("/v1/jobs/{id}/cancel", {"id": id}), answer=Job)
 
 
 def list_artifacts(id: str) -> Call[Manifest]:
-    """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
+    """List the files that a job has made so far, with hashes. Files of finished stages remain if a later one fails."""
     return Call(method="GET", path=path_of("/v1/jobs/{id}/artifacts", {"id": id}), answer=Manifest)
 
 
 def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:
-    """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
+    """Stream the changes of a job. Each event is the whole job, so a client that reconnects loses nothing."""
     return Call(
         method="GET",
         path=path_of("/v1/jobs/{id}/events", {"id": id}),
@@ -214,7 +214,7 @@ def get_artifact(
     if_range: str | None = None,
     if_none_match: str | None = None,
 ) -> Call[bytes]:
-    """Download a file, or go on with a download."""
+    """Download a file, or resume a download."""
     return Call(
         method="GET",
         path=path_of("/v1/artifacts/{id}", {"id": id}),
@@ -225,7 +225,7 @@ def get_artifact(
 
 
 def head_artifact(id: str, *, if_none_match: str | None = None) -> Call[bytes]:
-    """Size, hash and type of a file."""
+    """Return the size, hash and type of a file in headers."""
     return Call(
         method="HEAD",
         path=path_of("/v1/artifacts/{id}", {"id": id}),
@@ -235,21 +235,21 @@ def head_artifact(id: str, *, if_none_match: str | None = None) -> Call[bytes]:
 
 
 def create_link(body: LinkRequest) -> Call[Link]:
-    """Sign an address, so that `<model-viewer src>` or a download manager can open it without a header.  The link
-    ends with its time, with the key that asked for it, or with the file.
+    """Sign a path, so that `<model-viewer src>` or a download manager can open it without a header.  The link
+    expires after its lifetime, with the key that created it, or with the file.
     """
     return Call(method="POST", path="/v1/links", answer=Link, body=body)
 
 
 def get_spectrum(id: str) -> Call[Spectrum]:
-    """What a spectrum is: frequencies, voxels, bounds, model. The coefficients are the artefact's bytes."""
+    """Return properties of a spectrum: frequencies, voxels, bounds, model. Its coefficients are in the artifact."""
     return Call(method="GET", path=path_of("/v1/spectra/{id}", {"id": id}), answer=Spectrum)
 
 
 def get_wind(
     id: str, *, seed: int | None = None, gust: float | None = None, speed_m_s: float | None = None
 ) -> Call[TurbulentWind]:
-    """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
+    """Return wind that never repeats, as sums of cosines; with mode shapes, they move every voxel at any time."""
     return Call(
         method="GET",
         path=path_of("/v1/spectra/{id}/wind", {"id": id}),
@@ -259,29 +259,29 @@ def get_wind(
 
 
 def interact(body: InteractRequest, *, accept: str | None = None) -> Call[Interact | bytes]:
-    """Push a tree, and read how it swings."""
+    """Apply forces to a tree, and return its response."""
     return Call(method="POST", path="/v1/interact", answer=Interact | bytes, headers={"accept": accept}, body=body)
 
 
 def get_asset_surface(id: str) -> Call[bytes]:
-    """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
+    """Return a mesh as it was read, in metres and +Z up, to display while its job runs."""
     return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
 
 
 def get_surface(id: str) -> Call[bytes]:
-    """The source mesh, and the bones that turn in the wind and under a push."""
+    """Return the source mesh, and the bones that move it in wind and under forces."""
     return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
 
 
 def get_modes(id: str, *, shapes: bool | None = None) -> Call[bytes]:
-    """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
+    """Return mode shapes in 16 bits, and bones. With coordinates of /v1/interact, they displace every voxel."""
     return Call(
         method="GET", path=path_of("/v1/spectra/{id}/modes", {"id": id}), answer=bytes, query={"shapes": shapes}
     )
 
 
 def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
-    """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
+    """Return each voxel's weight w_g in a group of forces, a byte per voxel, in the order of the modes' coords."""
     return Call(
         method="GET",
         path=path_of("/v1/spectra/{id}/reach", {"id": id}),
@@ -291,12 +291,12 @@ def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
 
 
 def get_asset_points(id: str) -> Call[bytes]:
-    """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
+    """Return points of a splat or scan as it was read, in metres and +Z up, to display while its job runs."""
     return Call(method="GET", path=path_of("/v1/assets/{id}/points", {"id": id}), answer=bytes)
 
 
 def list_webhook_endpoints() -> Call[EndpointList]:
-    """All endpoints."""
+    """List all endpoints."""
     return Call(method="GET", path="/v1/webhook-endpoints", answer=EndpointList)
 
 
@@ -311,7 +311,7 @@ def delete_webhook_endpoint(id: str) -> Call[None]:
 
 
 def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | None = None) -> Call[DeliveryList]:
-    """Deliveries to an endpoint, newest first, with every attempt."""
+    """List deliveries to an endpoint, newest first, with every attempt."""
     return Call(
         method="GET",
         path=path_of("/v1/webhook-endpoints/{id}/deliveries", {"id": id}),
@@ -321,35 +321,35 @@ def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | 
 
 
 def list_presets() -> Call[PresetList]:
-    """The models that diffuse and animate jobs may name."""
+    """List the models that diffuse and animate jobs can use."""
     return Call(method="GET", path="/v1/presets", answer=PresetList)
 
 
 def get_limits() -> Call[Limits]:
-    """Sizes, numbers and formats that are allowed."""
+    """Return limits of sizes and numbers, and supported formats."""
     return Call(method="GET", path="/v1/limits", answer=Limits)
 
 
 def get_usage() -> Call[Usage]:
-    """Jobs that have not ended, bytes stored, the limits of the key, and what jobs took by month."""
+    """Return active jobs, stored bytes, the limits of the key, and resource use by month."""
     return Call(method="GET", path="/v1/usage", answer=Usage)
 
 
 def get_liveness() -> Call[Live]:
-    """Whether the process answers."""
+    """Return status 200 if the process responds."""
     return Call(method="GET", path="/livez", answer=Live)
 
 
 def get_readiness() -> Call[Ready]:
-    """Whether jobs can be taken and run."""
+    """Return whether the service can accept and run jobs."""
     return Call(method="GET", path="/readyz", answer=Ready)
 
 
 def get_metrics() -> Call[bytes]:
-    """Counts, ages and durations for Prometheus."""
+    """Return counts, ages and durations for Prometheus."""
     return Call(method="GET", path="/metrics", answer=bytes)
 
 
 def get_operations() -> Call[Ops]:
-    """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
+    """Return queues, jobs by state, attempts and workers, as totals over all keys."""
     return Call(method="GET", path="/v1/ops", answer=Ops)

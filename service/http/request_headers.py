@@ -52,7 +52,7 @@ _WAIT = re.compile(r"\bwait\s*=\s*\"?(\d{1,6})")
 
 
 async def _preferred(
-    prefer: Annotated[str | None, Header(description=f"wait=N waits up to N s, at most {MAX_WAIT_S:g}")] = None,
+    prefer: Annotated[str | None, Header(description=f"wait=N: wait up to N s, at most {MAX_WAIT_S:g}")] = None,
 ) -> float:
     match = _WAIT.search(prefer or "")
     return min(float(match.group(1)), MAX_WAIT_S) if match else 0.0

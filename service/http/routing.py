@@ -50,7 +50,7 @@ def file_route(media_type: str, description: str, *codes: str) -> dict[str, Any]
     return {"response_class": Response, "responses": refusals(*codes) | {200: file}}
 
 
-async def _valid_id(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
+async def _valid_id(id: Annotated[str, Path(description="Id (ULID) that the service returned")]) -> str:
     if not is_id(id):
         raise ProblemError("not-found", f"there is nothing with the id {id[:64]!r}; ids have 26 letters and digits")
     return id
@@ -61,4 +61,4 @@ Id = Annotated[str, Depends(_valid_id)]
 CACHED = {"Cache-Control": "private, max-age=86400"}
 """Headers of results that are computed from a spectrum, which never changes."""
 
-Cursor = Annotated[str | None, Query(description="next_cursor of the page before", pattern="^[0-9A-Z]{26}$")]
+Cursor = Annotated[str | None, Query(description="The previous page's next_cursor", pattern="^[0-9A-Z]{26}$")]

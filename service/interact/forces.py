@@ -25,7 +25,7 @@ MAX_BENDS = 1024  # joints per group
 
 Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
 Vector = tuple[Component, Component, Component]
-Complex = Annotated[tuple[Component, Component], Field(description="real, imaginary")]
+Complex = Annotated[tuple[Component, Component], Field(description="Real and imaginary part")]
 _NUMBER = {"type": "number"}
 _EACH = {"anyOf": [_NUMBER, {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}]}
 Winds = Annotated[
@@ -39,12 +39,12 @@ _VECTORS = {"impulse": ("impulse_n_s",), "drag": ("force_n", "displacement_m"), 
 
 
 class AtPayload(Payload):
-    """Where a force acts: exactly one of point, vertex and voxel."""
+    """Place of a force: exactly one of point, vertex and voxel."""
 
-    point_m: Vector | None = Field(default=None, description="the nearest voxel to it")
-    vertex: int | None = Field(default=None, ge=0, description="index into the source mesh's vertices")
-    voxel: int | None = Field(default=None, ge=0, description="row in the spectrum's coords")
-    radius_m: Finite = Field(default=0.0, ge=0, le=1e3, description="spread evenly over the voxels within it")
+    point_m: Vector | None = Field(default=None, description="Point; the nearest voxel is used [m]")
+    vertex: int | None = Field(default=None, ge=0, description="Index of a vertex of the source mesh")
+    voxel: int | None = Field(default=None, ge=0, description="Row of a voxel in the spectrum's coords")
+    radius_m: Finite = Field(default=0.0, ge=0, le=1e3, description="Radius over which the force is spread [m]")
 
     @model_validator(mode="after")
     def _one_place(self) -> "AtPayload":
@@ -58,18 +58,18 @@ class ForcePayload(Payload):
     """One force on the tree."""
 
     kind: Literal["impulse", "drag", "wind"]
-    at: AtPayload | None = Field(default=None, description="of an impulse or a drag; wind blows everywhere")
-    impulse_n_s: Vector | None = Field(default=None, description="[N s], of an impulse")
-    force_n: Vector | None = Field(default=None, description="[N], of a drag; or displacement_m")
+    at: AtPayload | None = Field(default=None, description="Place of an impulse or a drag; wind acts everywhere")
+    impulse_n_s: Vector | None = Field(default=None, description="Impulse [N s]; only with kind impulse")
+    force_n: Vector | None = Field(default=None, description="Force of a drag [N]; alternative to displacement_m")
     displacement_m: Vector | None = Field(
-        default=None, description="[m], of a drag: where the point comes to rest, in the bent shape with warp"
+        default=None, description="Displacement of the dragged point at rest [m]; with warp, in the bent shape"
     )
     wind_m_s: Winds | None = Field(
-        default=None, description="[m/s], of wind: one vector, or samples evenly spaced over the duration"
+        default=None, description="Velocity of wind [m/s]: one vector, or evenly spaced samples over the duration"
     )
-    start_s: Finite = Field(default=0.0, ge=-1e6, le=1e6, description="from the first frame of this call [s]")
+    start_s: Finite = Field(default=0.0, ge=-1e6, le=1e6, description="Start, relative to this call's first frame [s]")
     duration_s: Finite | None = Field(
-        default=None, ge=0, le=1e6, description="[s]; unset: within one step for an impulse, to the end for others"
+        default=None, ge=0, le=1e6, description="Duration [s]; if unset, one step for an impulse, else until the end"
     )
 
     @model_validator(mode="after")
@@ -96,13 +96,13 @@ class LocalityPayload(Payload):
 class GroupStatePayload(Payload):
     """One group's coordinates: K complex numbers, index = frequency bin; bin 0 is no mode and stays 0."""
 
-    locality: LocalityPayload | None = Field(description="null: the whole tree")
+    locality: LocalityPayload | None = Field(description="Locality of the group; null is the whole tree")
     q: list[Complex] = Field(max_length=4096)
-    q_dot: list[Complex] = Field(max_length=4096, description="[1/s]")
+    q_dot: list[Complex] = Field(max_length=4096, description="Rates of q [1/s]")
     bend: list[Vector] | None = Field(
-        default=None, max_length=MAX_BENDS, description="local bends [rad], from the grip's joint towards the root"
+        default=None, max_length=MAX_BENDS, description="Local bends [rad], from the grip's joint towards the root"
     )
-    bend_rate: list[Vector] | None = Field(default=None, max_length=MAX_BENDS, description="[rad/s]")
+    bend_rate: list[Vector] | None = Field(default=None, max_length=MAX_BENDS, description="Rates of bend [rad/s]")
 
 
 class StatePayload(Payload):
@@ -114,14 +114,14 @@ class StatePayload(Payload):
 class InteractRequest(InteractParams):
     """Forces on a tree, and the response to compute."""
 
-    spectrum_id: str = Field(max_length=64, description="from a job's result")
+    spectrum_id: str = Field(max_length=64, description="The spectrum_id in a job's result")
     forces: list[ForcePayload] = Field(default_factory=list, max_length=MAX_FORCES)
-    dt_s: Finite = Field(default=1 / 60, ge=1e-6, le=10, description="of a step, which is a frame [s]")
+    dt_s: Finite = Field(default=1 / 60, ge=1e-6, le=10, description="Time step, which is also the time of a frame [s]")
     num_frames: int = Field(default=60, ge=1, le=MAX_FRAMES)
     start: Start = Field(
-        default="rest", description="without initial_state: at rest, in equilibrium with the forces, or Davis'"
+        default="rest", description="Start without initial_state: at rest, in equilibrium (held), or after Davis et al."
     )
-    initial_state: StatePayload | None = Field(default=None, description="final_state of an earlier call")
+    initial_state: StatePayload | None = Field(default=None, description="The final_state of an earlier call")
     output: Output = "modal"
 
 

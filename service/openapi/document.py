@@ -10,24 +10,24 @@ from service.http.routing import refusals_of
 from service.openapi.examples import REQUESTS
 
 DESCRIPTION = """\
-Send a tree (a mesh, photos, a Gaussian splat or a scan), ask for its motion, wait, download it; then push it.
+Upload a tree (a mesh, photos, a Gaussian splat or a scan), create a job, download its motion, apply forces.
 
 Lengths are metres, +Z is up, times are seconds, unless a name says otherwise. Errors are problem objects (RFC 9457)
-whose `code` tells what to do; a request that may be sent again says when, in `Retry-After`."""
+with a stable `code`; if a request can be sent again, `Retry-After` states when."""
 
 TAGS = [
-    {"name": "uploads", "description": "Files that come in pieces, by the tus protocol, version 1.0."},
-    {"name": "assets", "description": "What jobs work on: meshes, photos, splats, scans."},
-    {"name": "jobs", "description": "Stages that run one after another: reconstruct, voxelize, diffuse, animate."},
-    {"name": "artifacts", "description": "The files that jobs make."},
-    {"name": "spectra", "description": "What a tree's motion is made of, and its surface, for viewers."},
-    {"name": "interact", "description": "Forces in, motion out; stateless."},
-    {"name": "webhooks", "description": "Receivers of events when jobs end."},
-    {"name": "events", "description": "What receivers get."},
-    {"name": "catalogue", "description": "Models, limits, and what was used."},
-    {"name": "health", "description": "For probes and balancers."},
+    {"name": "uploads", "description": "Resumable uploads by the tus protocol, version 1.0."},
+    {"name": "assets", "description": "Inputs of jobs: meshes, photos, splats, scans."},
+    {"name": "jobs", "description": "Jobs, whose stages run in order: reconstruct, voxelize, diffuse, animate."},
+    {"name": "artifacts", "description": "Files that jobs produce."},
+    {"name": "spectra", "description": "Spectra of trees, and data for viewers: surface, modes, wind."},
+    {"name": "interact", "description": "Response of a tree to forces; stateless."},
+    {"name": "webhooks", "description": "Endpoints that receive events of jobs."},
+    {"name": "events", "description": "Events that endpoints receive."},
+    {"name": "catalogue", "description": "Models, limits and resource use."},
+    {"name": "health", "description": "Probes of liveness and readiness."},
 ]
-KEY = {"type": "http", "scheme": "bearer", "description": "where the service asks for keys"}
+KEY = {"type": "http", "scheme": "bearer", "description": "API key, if the service requires one"}
 AUTH_PROBLEMS = ("unauthorized", "forbidden", "rate-limited")  # problems of the authentication under /v1
 LICENSE = {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
 CONTACT = {"name": "The maintainers of DynamicTree"}
@@ -38,7 +38,7 @@ HEADERS = {
     "RateLimit": "what is left of the rate, and until when (IETF draft)",
     "RateLimit-Policy": "the rate of the key (IETF draft)",
 }
-SERVERS = [{"url": "/", "description": "where this page came from"}]
+SERVERS = [{"url": "/", "description": "This server"}]
 
 Page = dict[str, Any]
 

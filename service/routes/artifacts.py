@@ -16,10 +16,10 @@ router = APIRouter(prefix="/v1/artifacts", tags=["artifacts"])
 
 _BYTES = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 _RESPONSES = refusals("not-found", "expired", "range-not-satisfiable") | {
-    200: {"description": "The whole file", **_BYTES, **headers(ETag="sha256 of the file", Accept_Ranges="bytes")},
-    206: {"description": "The range that was asked for", **_BYTES, **headers(Content_Range="bytes FIRST-LAST/SIZE")},
-    307: {"description": "Where the bytes are, with `presigned_links`", **headers(Location="in object storage")},
-    304: {"description": "The ETag that was sent is the file's"},
+    200: {"description": "The whole file", **_BYTES, **headers(ETag="SHA-256 of the file", Accept_Ranges="bytes")},
+    206: {"description": "The requested range", **_BYTES, **headers(Content_Range="bytes FIRST-LAST/SIZE")},
+    307: {"description": "Redirect, with the setting `presigned_links`", **headers(Location="URL of the bytes")},
+    304: {"description": "Unchanged: the file has the ETag that was sent"},
 }
 
 
@@ -27,12 +27,12 @@ _RESPONSES = refusals("not-found", "expired", "range-not-satisfiable") | {
 def get_artifact(
     id: Id,
     owned: OwnedDep,
-    range: Annotated[str | None, Header(description="one range of bytes; more than one gives the whole")] = None,
-    if_range: Annotated[str | None, Header(description="ETag; the range counts only if it is the file's")] = None,
+    range: Annotated[str | None, Header(description="One range of bytes; several return the whole file")] = None,
+    if_range: Annotated[str | None, Header(description="ETag; range applies only if it is the file's")] = None,
     if_none_match: Annotated[str | None, Header()] = None,
-    filename: Annotated[str | None, Query(max_length=255, description="name to save it as; its own if unset")] = None,
+    filename: Annotated[str | None, Query(max_length=255, description="Name for saving; by default the file's")] = None,
 ) -> Response:
-    """Download a file, or go on with a download."""
+    """Download a file, or resume a download."""
     artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
         return Response(status_code=304, headers=_headers(artifact, filename))
@@ -55,7 +55,7 @@ def get_artifact(
 
 @router.head("/{id}", response_class=Response, responses=_RESPONSES)
 def head_artifact(id: Id, owned: OwnedDep, if_none_match: Annotated[str | None, Header()] = None) -> Response:
-    """Size, hash and type of a file."""
+    """Return the size, hash and type of a file in headers."""
     artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
         return Response(status_code=304, headers=_headers(artifact))

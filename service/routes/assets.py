@@ -47,8 +47,8 @@ _FORM = {
                             "maxItems": MAX_FILES,
                             "items": {"type": "string", "contentMediaType": "application/octet-stream"},
                         },
-                        "kind": {"type": "string", "enum": list(ASSET_KINDS), "description": "by name if unset"},
-                        "metadata": {"type": "string", "description": "a JSON object of your texts, returned as it is"},
+                        "kind": {"type": "string", "enum": list(ASSET_KINDS), "description": "By file name if unset"},
+                        "metadata": {"type": "string", "description": "JSON object of your texts, returned unchanged"},
                         **{
                             name: field["anyOf"][0] | {"description": field["description"]}  # forms have no null
                             for name, field in Reading.model_json_schema()["properties"].items()
@@ -71,17 +71,17 @@ _FORM = {
         *("disk-full", "not-found", "expired", "conflict", "checksum-mismatch", "fetch-failed", "quota-exceeded"),
     )
     | {
-        200: {"description": "The same files were sent before; the same asset", "model": AssetPayload},
-        201: {"description": "A new asset", **headers(Location="the asset")},
+        200: {"description": "The existing asset with the same files", "model": AssetPayload},
+        201: {"description": "A new asset", **headers(Location="URL of the asset")},
         202: {
-            "description": "The address is being fetched; the upload tells of the asset",
+            "description": "The URL is being fetched; poll the upload for the asset",
             "model": UploadPayload,
-            **headers(Location="the upload", Retry_After="seconds until it is worth a look"),
+            **headers(Location="URL of the upload", Retry_After="seconds until the next poll"),
         },
     },
 )
 async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
-    """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
+    """Create an asset from sent files (a mesh, splat, scan, photos or a film), from uploads, or from a URL."""
     length = int(request.headers.get("content-length", "0"))
     content_type = request.headers.get("content-type", "")
     if content_type.partition(";")[0].strip() == JSON:
@@ -135,11 +135,11 @@ def _asset_response(asset: AssetRecord, new: bool, response: Response) -> AssetP
 
 @router.get("/{id}", responses=refusals("not-found", "expired"))
 def get_asset(id: Id, owned: OwnedDep) -> AssetPayload:
-    """What was uploaded, and what was found in it."""
+    """Return an asset: its files and a summary of their content."""
     return AssetPayload.of(asset_rows.read_asset(owned.store, id))
 
 
 @router.delete("/{id}", status_code=204, responses=refusals("not-found", "conflict", "expired"))
 def delete_asset(id: Id, owned: OwnedDep) -> None:
-    """Forget an upload. What was made of it stays until it expires."""
+    """Delete an asset. Products that were made from it remain until they expire."""
     asset_rows.delete_asset(owned.store, id)

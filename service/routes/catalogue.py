@@ -32,32 +32,32 @@ class PresetPayload(Payload):
 
 
 class PresetListPayload(Payload):
-    """The models that jobs may name."""
+    """The models that jobs can use."""
 
     data: list[PresetPayload]
 
 
 class ProductPayload(Payload):
-    """One format that a motion can be written as."""
+    """One file format of a motion."""
 
     format: Format
     title: str
     file_name: str
     media_type: str
     shows: Literal["mesh", "splat", "pictures"]
-    options: list[str] = Field(description="parameters of an animate job that this file depends on")
+    options: list[str] = Field(description="Parameters of an animate job that affect this file")
 
 
 class PhotoQualityPayload(Payload):
-    """What a reconstruction of one `quality` uses of its photos, and how large its splat may become."""
+    """Limits of a reconstruction of one `quality`: sizes of photos and splat."""
 
     quality: Quality
-    photo_px: int = Field(description="long side to which photos are reduced before features are sought")
-    splat_px: int = Field(description="long side of the pictures that the splat is learned from")
+    photo_px: int = Field(description="Long side of photos for feature detection [px]")
+    splat_px: int = Field(description="Long side of photos for training the splat [px]")
     max_gaussians: int
-    sh_degree: int = Field(description="of the splat's colours")
-    max_views: int = Field(description="photos that depths and splat are made of; cameras are found for all")
-    num_steps: int = Field(description="of training, unless splat_steps says otherwise")
+    sh_degree: int = Field(description="Degree of the splat's spherical harmonics")
+    max_views: int = Field(description="Largest number of photos for depth maps and splat")
+    num_steps: int = Field(description="Training steps if splat_steps is unset")
 
 
 class LimitsPayload(Payload):
@@ -66,32 +66,32 @@ class LimitsPayload(Payload):
     mesh_formats: list[str]
     cloud_formats: list[str]
     photo_formats: list[str]
-    film_formats: list[str] = Field(description="of a walk around one tree, from which photos are chosen")
-    products: list[ProductPayload] = Field(description="what params.formats of an animate job may name")
+    film_formats: list[str] = Field(description="Formats of films, from which photos are chosen")
+    products: list[ProductPayload] = Field(description="Values of params.formats of an animate job")
     max_json_bytes: int
     max_interact_bytes: int
     max_multipart_bytes: int
     min_photos: int
     max_photos: int
     max_photo_bytes: int
-    photo_qualities: list[PhotoQualityPayload] = Field(description="what quality of a job on photos may be")
+    photo_qualities: list[PhotoQualityPayload] = Field(description="Values of quality of a job with photos")
     max_film_bytes: int
     max_film_s: float
-    max_film_pixels: int = Field(description="width times height")
-    max_files: int = Field(description="of one asset: parts of a form, entries of a zip, or uploads")
+    max_film_pixels: int = Field(description="Largest width times height [px]")
+    max_files: int = Field(description="Files per asset: form parts, zip entries or uploads")
     max_archive_ratio: int
     max_vertices: int
     max_faces: int
-    max_frames: int = Field(description="of a loop")
-    max_turbulent_frames: int = Field(description="of a motion that never repeats")
+    max_frames: int = Field(description="Frames of a loop")
+    max_turbulent_frames: int = Field(description="Frames of a turbulent motion")
     max_gaussians: int
-    max_sequence_bytes: int = Field(description="of a sequence of splats")
-    max_forces: int = Field(description="of one push")
-    max_force_groups: int = Field(description="places that swing at once")
-    max_displacement_bytes: int = Field(description="of one answer in voxels, vertices or Gaussians")
+    max_sequence_bytes: int = Field(description="Size of a sequence of splats [bytes]")
+    max_forces: int = Field(description="Forces per request")
+    max_force_groups: int = Field(description="Groups of forces (places) per request")
+    max_displacement_bytes: int = Field(description="Size of a binary response of /v1/interact [bytes]")
     max_queued_jobs: int
-    artifact_retention_s: float = Field(description="lifetime of artifacts [s]")
-    asset_retention_s: float = Field(description="lifetime of uploads after their last use [s]")
+    artifact_retention_s: float = Field(description="Lifetime of artifacts [s]")
+    asset_retention_s: float = Field(description="Lifetime of assets after their last use [s]")
 
 
 MAX_PRESET_NAME = 64
@@ -113,13 +113,13 @@ def require_preset(name: str) -> None:
 
 @router.get("/presets", responses=refusals())
 def list_presets() -> PresetListPayload:
-    """The models that diffuse and animate jobs may name."""
+    """List the models that diffuse and animate jobs can use."""
     return PresetListPayload(data=[PresetPayload(name=name, bytes=size) for name, size in preset_sizes().items()])
 
 
 @router.get("/limits", responses=refusals())
 def get_limits(owned: OwnedDep) -> LimitsPayload:
-    """Sizes, numbers and formats that are allowed."""
+    """Return limits of sizes and numbers, and supported formats."""
     from dynamictree.export.table import available_products
     from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
     from dynamictree.mesh import MAX_FACES, MAX_VERTICES
@@ -146,27 +146,27 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
 
 
 class MonthPayload(Payload):
-    """What attempts of jobs took that ended in one month (UTC)."""
+    """Resource use of attempts of jobs that ended in one month (UTC)."""
 
-    month: str = Field(description="2026-11")
+    month: str = Field(description="Month (UTC) as YYYY-MM")
     attempts: int
     processor_s: float
-    gpu_s: float = Field(description="during which a worker with a GPU was at work [s]")
+    gpu_s: float = Field(description="Run time on workers with a GPU [s]")
 
 
 class UsagePayload(Payload):
-    """What the caller has, and may have; null where no key is asked for."""
+    """Resource use and limits of the caller; null if no key is required."""
 
     owner: str | None
     active_jobs: int
     bytes: int
     limits: dict[Limit, int] | None
-    months: list[MonthPayload] = Field(description="newest first, at most 12")
+    months: list[MonthPayload] = Field(description="Up to 12 months, newest first")
 
 
 @router.get("/usage", responses=refusals())
 def get_usage(owned: OwnedDep) -> UsagePayload:
-    """Jobs that have not ended, bytes stored, the limits of the key, and what jobs took by month."""
+    """Return active jobs, stored bytes, the limits of the key, and resource use by month."""
     caller = owned.caller
     return UsagePayload(
         owner=caller.owner,

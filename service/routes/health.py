@@ -21,13 +21,13 @@ Check = Literal["ok", "unavailable", "full", "absent"]
 
 
 class LivePayload(Payload):
-    """The process answers."""
+    """Liveness of the process."""
 
     status: Literal["ok"] = "ok"
 
 
 class ReadyPayload(Payload):
-    """What the service depends on. `absent` means that jobs wait; all else that is not ok means 503."""
+    """State of the dependencies. `absent` means that jobs wait; any other state but ok means status 503."""
 
     status: Literal["ready", "unready"]
     database: Check
@@ -39,16 +39,16 @@ class ReadyPayload(Payload):
 
 @router.get("/livez", responses=refusals())
 async def get_liveness() -> LivePayload:
-    """Whether the process answers."""
+    """Return status 200 if the process responds."""
     return LivePayload()
 
 
 @router.get(
     "/readyz",
-    responses=refusals() | {503: {"description": "Something that the service needs is away", "model": ReadyPayload}},
+    responses=refusals() | {503: {"description": "A dependency of the service is unavailable", "model": ReadyPayload}},
 )
 def get_readiness(response: Response, owned: OwnedDep) -> ReadyPayload:
-    """Whether jobs can be taken and run."""
+    """Return whether the service can accept and run jobs."""
     database, there = _database(owned)
     checks = {"database": database, "redis": _redis(owned), "storage": _storage(owned)}
     ready = all(check == "ok" for check in checks.values())

@@ -67,20 +67,20 @@ MAX_QUICK = 256
 class GroupPayload(Payload):
     """One group's modal coordinates."""
 
-    locality: LocalityPayload | None = Field(description="null: the whole tree")
-    q: list[list[Complex]] = Field(description="[frames, K]; index = frequency bin, bin 0 is no mode and 0")
+    locality: LocalityPayload | None = Field(description="Locality of the group; null is the whole tree")
+    q: list[list[Complex]] = Field(description="Coordinates [frames, K] by frequency bin; bin 0 is always 0")
     bend: list[list[Vector]] | None = Field(
-        description="[frames, n] turns of the joints from the grip's joint towards the root [rad]; null: none bends"
+        description="Bends of joints from the grip towards the root, [frames, n] vectors [rad]; null if none bends"
     )
 
 
 class ReachedPayload(Payload):
-    """How far a drag by displacement goes: less than wanted where the tree would have to stretch."""
+    """Result of a drag by displacement, which falls short where the tree would have to stretch."""
 
     wanted_m: Vector
-    reached_m: Vector = Field(description="where the point rests in the bent shape, from rest [m]")
+    reached_m: Vector = Field(description="Displacement of the point in the bent shape [m]")
     error_m: float
-    why: str | None = Field(description="why it goes less far; null where it is within 1 % of the pull")
+    why: str | None = Field(description="Reason for a shortfall; null if below 1 % of the pull")
 
 
 class InteractPayload(Payload):
@@ -91,19 +91,19 @@ class InteractPayload(Payload):
     integrator: str
     dt_s: float
     num_frames: int
-    frequencies_hz: list[float] = Field(description="natural frequencies by bin; bin 0 is no mode and 0")
+    frequencies_hz: list[float] = Field(description="Natural frequencies by bin [Hz]; bin 0 is always 0")
     damping_ratio: float
     foliage: float | None = Field(
-        description="that chose damping and frequency, 0 bare to 1 in leaf; null where neither the request nor the "
-        "shape told it, and the middle was taken"
+        description="Foliage, which sets damping and frequency, 0 (bare) to 1 (in leaf); null if neither request nor "
+        "shape states it, and the middle is used"
     )
     mass_kg: float
-    modal_mass_kg_m2: float = Field(description="m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
+    modal_mass_kg_m2: float = Field(description="m in m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
     groups: list[GroupPayload]
     reached: list[ReachedPayload] = Field(
-        description="of drags by displacement, by group: with warp where they end, without it empty"
+        description="Result of each drag by displacement, by group; empty without warp"
     )
-    final_state: StatePayload = Field(description="the next call's initial_state")
+    final_state: StatePayload = Field(description="The initial_state of the next call")
 
 
 @router.post(
@@ -112,7 +112,7 @@ class InteractPayload(Payload):
     responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep", "overloaded")
     | {
         200: {
-            "description": "modal coordinates; voxels, vertices and gaussians in binary only (see docs/interaction.md)",
+            "description": "Modal coordinates; other outputs only as safetensors (see docs/interaction.md)",
             "content": {SAFETENSORS: {"schema": {"type": "string", "format": "binary"}}},
         }
     },
@@ -120,7 +120,7 @@ class InteractPayload(Payload):
 async def interact(
     request: Request, body: InteractRequest, owned: OwnedDep, accept: Annotated[str | None, Header()] = None
 ) -> Response:
-    """Push a tree, and read how it swings."""
+    """Apply forces to a tree, and return its response."""
     offered = (JSON, SAFETENSORS) if body.output == "modal" else (SAFETENSORS,)
     media_type = preferred_media_type(accept, offered)
     tree = living_tree(owned, body.spectrum_id)

@@ -33,7 +33,7 @@ async def _counted(owned: OwnedDep) -> AsyncIterator[None]:
     responses=refusals("not-found")
     | {
         200: {
-            "description": "Events `job`; data is the job as GET gives it, id its version",
+            "description": "Events `job`; data is the job as in GET, id its version",
             "content": {"text/event-stream": {"schema": {"type": "string"}}},
         }
     },
@@ -42,10 +42,10 @@ async def stream_job(
     id: Id,
     owned: OwnedDep,
     last_event_id: Annotated[
-        str | None, Header(description="the version that was received last; it is not sent again")
+        str | None, Header(description="Last received version of the job, which is not sent again")
     ] = None,
 ) -> EventSourceResponse:
-    """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
+    """Stream the changes of a job. Each event is the whole job, so a client that reconnects loses nothing."""
     await run_in_threadpool(owned.store.job, id)
     seen = last_event_id if last_event_id is not None and last_event_id.isdecimal() else ""
     return EventSourceResponse(

@@ -22,7 +22,7 @@ MAX_PAGE = 100
 
 _QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
 _REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
-_ACCEPTED = {"description": "Accepted", **headers(Location="the job", Retry_After="seconds until it is worth a look")}
+_ACCEPTED = {"description": "Accepted", **headers(Location="URL of the job", Retry_After="seconds until the next poll")}
 
 
 @router.post("", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})
@@ -32,30 +32,30 @@ def create_job(
     owned: OwnedDep,
     request_id: RequestId,
     idempotency_key: Annotated[
-        str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
+        str | None, Header(min_length=1, max_length=128, description="The same key within 24 h returns the same job")
     ] = None,
 ) -> JobPayload:
-    """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
+    """Create a job for voxels, a spectrum, a motion, or a mesh from photos. Earlier stages run first or are cached."""
     key = None if idempotency_key is None else f"post:{idempotency_key}"
     return add_job(owned, body, request_id, response, key=key)
 
 
 @router.post("/{id}/retry", status_code=202, responses=refusals(*_REFUSALS) | {202: _ACCEPTED})
 def retry_job(id: Id, response: Response, owned: OwnedDep, request_id: RequestId) -> JobPayload:
-    """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
+    """Create a new job with the request of a job that has ended; finished stages are taken from the cache."""
     return add_retry(owned, owned.store.job(id), request_id, response)
 
 
 class JobFilter(BaseModel):
-    """Which jobs to list, and which page of them."""
+    """Filter and page of a list of jobs."""
 
     model_config = ConfigDict(extra="ignore")
 
-    state: JobState | None = Field(None, description="only jobs in this state")
-    type: JobType | None = Field(None, description="only jobs of this type")
-    asset_id: str | None = Field(None, max_length=64, description="only jobs of this asset")
-    external_id: str | None = Field(None, max_length=128, description="only jobs that you named so")
-    since: datetime | None = Field(None, description="only jobs created at this time or later")
+    state: JobState | None = Field(None, description="Only jobs in this state")
+    type: JobType | None = Field(None, description="Only jobs of this type")
+    asset_id: str | None = Field(None, max_length=64, description="Only jobs of this asset")
+    external_id: str | None = Field(None, max_length=128, description="Only jobs with this external_id")
+    since: datetime | None = Field(None, description="Only jobs created at or after this time")
     cursor: Cursor = None
 
     @field_validator("since", mode="before")
@@ -65,14 +65,14 @@ class JobFilter(BaseModel):
             raise ValueError("since is a time as RFC 3339 writes it, such as 2026-11-25T18:00:00Z; seconds were sent")
         return value
 
-    limit: int = Field(20, ge=1, le=MAX_PAGE, description="jobs a page")
+    limit: int = Field(20, ge=1, le=MAX_PAGE, description="Jobs per page")
 
 
 @router.get("", responses=refusals())
 def list_jobs(
     request: Request, response: Response, owned: OwnedDep, wanted: Annotated[JobFilter, Query()]
 ) -> JobListPayload:
-    """Jobs, newest first."""
+    """List jobs, newest first."""
     since_s = None if wanted.since is None else wanted.since.timestamp() - 1e-6  # times are sent in microseconds
     chosen = wanted.model_dump(include={"state", "type", "asset_id", "external_id"})
     records = owned.store.jobs(chosen, since=since_s, before=wanted.cursor, limit=wanted.limit + 1)
@@ -91,7 +91,7 @@ def list_jobs(
     | {
         200: {
             "description": "The job",
-            **headers(ETag="of state, stages and place in the queue", Retry_After="seconds, until it has ended"),
+            **headers(ETag="version of the job", Retry_After="seconds until the next poll"),
         },
         304: {"description": "Unchanged since the ETag that was sent"},
     },
@@ -101,11 +101,11 @@ async def get_job(
     response: Response,
     owned: OwnedDep,
     wait_s: WaitS,
-    if_none_match: Annotated[str | None, Header(description="the ETag that was seen last")] = None,
+    if_none_match: Annotated[str | None, Header(description="ETag of the last response")] = None,
 ) -> JobPayload | Response:
-    """A job: state, stages, progress, place in the queue, products, error.
+    """Return a job: state, stages, progress, queue position, products, error.
 
-    With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change.
+    With Prefer: wait=N, the response waits for the job's end; with If-None-Match too, for its next change.
     """
     job, payload = await run_in_threadpool(job_and_payload, owned, id, response)
     deadline = time.monotonic() + wait_s
@@ -124,17 +124,17 @@ async def get_job(
 
 @router.post("/{id}/cancel", status_code=202, responses=refusals("not-found", "conflict"))
 def cancel_job(id: Id, response: Response, owned: OwnedDep) -> JobPayload:
-    """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
+    """Cancel a job: at once if it waits, within one sampler step if it runs. A repeated request changes nothing."""
     return job_payload(owned, owned.store.cancel(id), response)
 
 
 @router.delete("/{id}", status_code=204, responses=refusals("not-found", "conflict", "expired"))
 def delete_job(id: Id, owned: OwnedDep) -> None:
-    """Forget a job that has ended, and its files. Other jobs keep what they share with it."""
+    """Delete a job that has ended, and its files. Files that it shares with other jobs remain."""
     owned.store.delete_job(id)
 
 
 @router.get("/{id}/artifacts", responses=refusals("not-found"))
 def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
-    """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
+    """List the files that a job has made so far, with hashes. Files of finished stages remain if a later one fails."""
     return manifest_payload(owned.store.job(id), owned.store.artifacts_of(id))

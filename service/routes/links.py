@@ -25,25 +25,25 @@ class LinkRequest(Payload):
         str,
         Field(
             max_length=128,
-            description="of an artifact, a spectrum, or the surface, modes, reach or points of a tree",
+            description="Path of an artifact, a spectrum, or a tree's surface, modes, reach or points",
             examples=["/v1/artifacts/01ARZ3NDEKTSV4RRFFQ69G5FAV"],
         ),
     ]
-    expires_s: Annotated[int, Field(ge=1, le=7 * DAY_S, description="seconds until the link opens nothing")] = 3600
+    expires_s: Annotated[int, Field(ge=1, le=7 * DAY_S, description="Lifetime of the link [s]")] = 3600
 
 
 class LinkPayload(Payload):
-    """A link. Whoever has it may GET the file."""
+    """A signed link, with which anyone can GET the file."""
 
-    url: str = Field(description="path and query; put the service's own address in front")
-    expires_at: Time | None = Field(description="null where no key is required, and the path itself opens")
+    url: str = Field(description="Path and query, relative to the service's address")
+    expires_at: Time | None = Field(description="Null if no key is required; then the path suffices")
 
 
 @router.post("", status_code=201, responses=refusals("not-found", "expired"))
 def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkPayload:
-    """Sign an address, so that `<model-viewer src>` or a download manager can open it without a header.
+    """Sign a path, so that `<model-viewer src>` or a download manager can open it without a header.
 
-    The link ends with its time, with the key that asked for it, or with the file.
+    The link expires after its lifetime, with the key that created it, or with the file.
     """
     _require_file(owned, body.path)
     response.headers["Cache-Control"] = "no-store"

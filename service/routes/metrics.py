@@ -32,10 +32,10 @@ router = APIRouter(tags=["health"])
     "/metrics",
     response_class=Response,
     responses=refusals("storage-unavailable")
-    | {200: {"description": "Prometheus' text", "content": {"text/plain": {"schema": {"type": "string"}}}}},
+    | {200: {"description": "Prometheus' text format", "content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 def get_metrics(owned: OwnedDep) -> Response:
-    """Counts, ages and durations for Prometheus."""
+    """Return counts, ages and durations for Prometheus."""
     registry = CollectorRegistry()
     store_metrics = StoreMetrics(
         owned.store,

@@ -15,7 +15,7 @@ router = APIRouter()
 
 
 class QueuePayload(Payload):
-    """Jobs of one queue: how many wait, for how long the oldest does, how many run."""
+    """Jobs of one queue: number waiting, age of the oldest, number running."""
 
     name: str
     jobs: int
@@ -24,7 +24,7 @@ class QueuePayload(Payload):
 
 
 class OpsPayload(Payload):
-    """The whole service at a glance."""
+    """State of the whole service."""
 
     queues: list[QueuePayload]
     jobs: dict[str, int]
@@ -35,7 +35,7 @@ class OpsPayload(Payload):
 
 @router.get("/v1/ops", responses=refusals(), tags=["health"])
 def get_operations(owned: OwnedDep) -> OpsPayload:
-    """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
+    """Return queues, jobs by state, attempts and workers, as totals over all keys."""
     with owned.store.reading() as connection:
         now = census(connection, owned.store.clock())
         attempts = tallies(connection).get("attempts", {})

@@ -20,27 +20,27 @@ Row = Annotated[list[float], BeforeValidator(lambda row: np.asarray(row).tolist(
 
 
 class WindBandsPayload(Payload):
-    """How much stronger each mode is in other winds. Between two speeds the gain is linear in the drag.
+    """Gain of each mode by wind speed. Between two speeds, the gain is linear in the drag.
 
-    The drag is speed^1.4 up to 12 m/s, and in proportion to the speed above.
+    The drag is speed^1.4 up to 12 m/s, and proportional to the speed above.
     """
 
-    speeds_m_s: list[float] = Field(description="[B] rising from 0; above the last the gains stay")
-    gains: list[list[float]] = Field(description="[B][K] over the size in the spectrum's own wind; bin 0 is the lean")
+    speeds_m_s: list[float] = Field(description="Mean speeds [B], from 0 upward; gains are constant above the last")
+    gains: list[list[float]] = Field(description="Gains [B][K] relative to the spectrum's own wind; bin 0 is the lean")
 
 
 class SpectrumPayload(Payload):
     """A sparse voxel spectrum without its coefficients. Lengths in metres, +Z up."""
 
     id: str
-    num_frequencies: int = Field(description="K")
+    num_frequencies: int = Field(description="Number K of frequency bins")
     frequencies_hz: Row
-    num_voxels: int = Field(description="V")
+    num_voxels: int = Field(description="Number V of occupied voxels")
     resolution: int
     voxel_size_m: float
-    origin_m: list[float] = Field(description="low corner of the grid's cube [m]")
-    low_m: list[float] = Field(description="low corner of the occupied voxels [m]")
-    high_m: list[float] = Field(description="high corner of the occupied voxels [m]")
+    origin_m: list[float] = Field(description="Low corner of the grid's cube [m]")
+    low_m: list[float] = Field(description="Low corner of the occupied voxels [m]")
+    high_m: list[float] = Field(description="High corner of the occupied voxels [m]")
     fps: float
     num_frames: int
     period_s: float
@@ -48,8 +48,8 @@ class SpectrumPayload(Payload):
     model: str
     seed: int
     wind: Wind | None
-    foliage: float | None = Field(description="0 bare, 1 in leaf; null where the shape did not tell")
-    wind_bands: WindBandsPayload | None = Field(description="null unless the job asked for them")
+    foliage: float | None = Field(description="Foliage, 0 (bare) to 1 (in leaf); null if unknown")
+    wind_bands: WindBandsPayload | None = Field(description="Null unless the job requested them")
     units: str = "m"
     up_axis: str = "+Z"
     artifact_url: str
@@ -57,7 +57,7 @@ class SpectrumPayload(Payload):
 
 @router.get("/{id}", responses=refusals("not-found", "expired"))
 def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
-    """What a spectrum is: frequencies, voxels, bounds, model. The coefficients are the artefact's bytes."""
+    """Return properties of a spectrum: frequencies, voxels, bounds, model. Its coefficients are in the artifact."""
     spectrum = load_spectrum(owned, id)
     grid = spectrum.grid
     low, high = grid.coords.min(axis=0), grid.coords.max(axis=0) + 1
@@ -86,42 +86,42 @@ class WavePayload(Payload):
 
 
 class TurbulentWindPayload(Payload):
-    """Coordinates of the bins in wind that never repeats, as sums of cosines. docs/engines.md evaluates them."""
+    """Coordinates of the bins in wind that never repeats, as sums of cosines. See docs/engines.md."""
 
     spectrum_id: str
     seed: int
-    wind: Wind = Field(description="mean speed, direction and gust")
-    natural_frequency_hz: float = Field(description="lowest, of a tree of this height")
-    damping_ratio: float = Field(description="of a tree with this foliage")
-    length_scale_m: float = Field(description="of the turbulence at the top of the tree")
-    frequencies_hz: Row = Field(description="of the K bins; bin 0 is the lean")
-    bandwidth_hz: Row = Field(description="half-width of each bin's line at half of its power")
-    partial_hz: list[list[float]] = Field(description="[K - 1][J] from bin 1")
-    partial_phase_rad: list[list[float]] = Field(description="[K - 1][J] from bin 1")
-    strength: WavePayload = Field(description="factor on the coordinates of bins 1 to K - 1")
-    lean: WavePayload = Field(description="coordinate of bin 0, which is real")
+    wind: Wind = Field(description="Mean speed, direction and gust")
+    natural_frequency_hz: float = Field(description="Lowest frequency of a tree of this height [Hz]")
+    damping_ratio: float = Field(description="Damping ratio of a tree with this foliage")
+    length_scale_m: float = Field(description="Turbulence length scale at the top of the tree [m]")
+    frequencies_hz: Row = Field(description="Frequencies of the K bins [Hz]; bin 0 is the lean")
+    bandwidth_hz: Row = Field(description="Half width at half maximum of each bin's line [Hz]")
+    partial_hz: list[list[float]] = Field(description="Frequencies of partials [K - 1][J], from bin 1 [Hz]")
+    partial_phase_rad: list[list[float]] = Field(description="Phases of partials [K - 1][J], from bin 1 [rad]")
+    strength: WavePayload = Field(description="Factor on the coordinates of bins 1 to K - 1")
+    lean: WavePayload = Field(description="Coordinate of bin 0, which is real")
     bands: WindBandsPayload = Field(
-        description="factors on the coordinates by mean speed: by the model where the job asked for wind_bands, else a "
+        description="Factors on the coordinates by mean speed: from the model if the job requested wind_bands, else a "
         "power law"
     )
-    turn_rad: WavePayload = Field(description="of the whole displacement about the vertical, from +X towards +Y")
+    turn_rad: WavePayload = Field(description="Rotation of all displacements about +Z, from +X towards +Y")
 
 
 @router.get("/{id}/wind", responses=refusals("not-found", "expired"))
 def get_wind(
     id: Id,
     owned: OwnedDep,
-    seed: Annotated[int, Query(ge=0, le=MAX_SEED, description="the same seed gives the same wind")] = 0,
+    seed: Annotated[int, Query(ge=0, le=MAX_SEED, description="Random seed of the wind")] = 0,
     gust: Annotated[
         float | None,
-        Query(ge=0, le=2, allow_inf_nan=False, description="standard deviation of the speed over its mean"),
+        Query(ge=0, le=2, allow_inf_nan=False, description="Standard deviation of the speed, relative to its mean"),
     ] = None,
     speed_m_s: Annotated[
         float | None,
-        Query(ge=0, le=30, allow_inf_nan=False, description="mean speed; the spectrum's own if unset [m/s]"),
+        Query(ge=0, le=30, allow_inf_nan=False, description="Mean speed [m/s]; by default the spectrum's own"),
     ] = None,
 ) -> TurbulentWindPayload:
-    """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
+    """Return wind that never repeats, as sums of cosines; with mode shapes, they move every voxel at any time."""
     spectrum = load_spectrum(owned, id)
     chosen = {name: value for name, value in (("gust", gust), ("speed_m_s", speed_m_s)) if value is not None}
     turbulent = turbulent_wind(spectrum, seed=seed, wind=replace(spectrum.wind or Wind(), **chosen))

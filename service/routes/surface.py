@@ -44,13 +44,13 @@ _OF_ASSET = file_route(SAFETENSORS, _SEEN, "not-found", "conflict", "expired")
 
 @router.get("/assets/{id}/surface", tags=["assets"], **_OF_ASSET)
 def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
-    """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
+    """Return a mesh as it was read, in metres and +Z up, to display while its job runs."""
     return _response(load_asset_mesh(owned, id), {})
 
 
 @router.get("/spectra/{id}/surface", **file_route(SAFETENSORS, _SEEN, "not-found", "expired"))
 def get_surface(id: Id, owned: OwnedDep) -> Response:
-    """The source mesh, and the bones that turn in the wind and under a push."""
+    """Return the source mesh, and the bones that move it in wind and under forces."""
     tree = served_tree(owned, id)
     return _response(tree.mesh(), _motion(tree))
 
@@ -61,9 +61,9 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
 def get_modes(
     id: Id,
     owned: OwnedDep,
-    shapes: Annotated[bool, Query(description="false leaves out what the bones of …/surface say as well")] = True,
+    shapes: Annotated[bool, Query(description="False omits data that …/surface has too")] = True,
 ) -> Response:
-    """Mode shapes in 16 bits, and the bones that turn. With the coordinates of /v1/interact they give every voxel."""
+    """Return mode shapes in 16 bits, and bones. With coordinates of /v1/interact, they displace every voxel."""
     tree = served_tree(owned, id).with_rig()
     tensors = mode_tensors(tree.system, tree.bones, tree.joints, shapes=shapes)
     if shapes:
@@ -71,16 +71,16 @@ def get_modes(
     return packed_tensors(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
 
 
-@router.get("/spectra/{id}/reach", **file_route(BYTES, "one byte a voxel: 255 w", "not-found", "expired"))
+@router.get("/spectra/{id}/reach", **file_route(BYTES, "One byte per voxel: 255 w", "not-found", "expired"))
 def get_reach(
     id: Id,
     owned: OwnedDep,
-    seed_voxel: Annotated[int, Query(ge=0, description="of the group's locality")],
+    seed_voxel: Annotated[int, Query(ge=0, description="Row of the locality's voxel")],
     falloff_m: Annotated[
-        float, Query(gt=0, le=LARGEST, allow_inf_nan=False, description="of the group's locality [m]")
+        float, Query(gt=0, le=LARGEST, allow_inf_nan=False, description="Falloff of the locality [m]")
     ],
 ) -> Response:
-    """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
+    """Return each voxel's weight w_g in a group of forces, a byte per voxel, in the order of the modes' coords."""
     place = Locality(seed_voxel=seed_voxel, falloff_m=falloff_m)
     (weights,) = served_tree(owned, id).with_rig().weights([ForceGroup(locality=place)])
     content = np.rint(weights * 255).astype(np.uint8).tobytes()
@@ -89,7 +89,7 @@ def get_reach(
 
 @router.get("/assets/{id}/points", tags=["assets"], **_OF_ASSET)
 def get_asset_points(id: Id, owned: OwnedDep) -> Response:
-    """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
+    """Return points of a splat or scan as it was read, in metres and +Z up, to display while its job runs."""
     return packed_tensors(point_tensors(load_asset_cloud(owned, id)), {"format": "tree-points", "version": "1"})
 
 

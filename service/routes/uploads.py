@@ -37,15 +37,15 @@ PART_BYTES = 64 * 1024**2
 
 _POLL_S = 0.25
 
-_Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
+_Version = Annotated[str | None, Header(alias="Tus-Resumable", description="Version of tus: 1.0.0")]
 _BODY = {
     "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
-    "description": "bytes from Upload-Offset on",
+    "description": "Bytes from Upload-Offset on",
 }
 _BYTES_BODY: dict[str, Any] = {"response_class": Response, "openapi_extra": {"requestBody": _BODY}}
 _OFFSET_HEADERS = headers(
-    Upload_Offset="bytes that are there",
-    Upload_Expires="when it is removed unless more comes",
+    Upload_Offset="bytes received",
+    Upload_Expires="time of deletion if no more bytes arrive",
     Tus_Resumable="1.0.0",
 )
 _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mismatch", "request-timeout", "disk-full")
@@ -53,7 +53,7 @@ _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mi
 
 @router.options("", status_code=204, responses=refusals())
 async def get_upload_protocol(owned: OwnedDep) -> Response:
-    """Supported tus versions and extensions."""
+    """Return the supported versions and extensions of tus."""
     protocol_headers = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
@@ -67,22 +67,20 @@ async def get_upload_protocol(owned: OwnedDep) -> Response:
     status_code=201,
     **_BYTES_BODY,
     responses=refusals("invalid-input", "quota-exceeded", *_ERRORS)
-    | {201: {"description": "Begun", **headers(Location="the upload", Upload_Offset="bytes that are there")}},
+    | {201: {"description": "Created", **headers(Location="URL of the upload", Upload_Offset="bytes received")}},
 )
 async def create_upload(
     request: Request,
     owned: OwnedDep,
     tus_resumable: _Version = None,
-    upload_length: Annotated[str | None, Header(description="size of the file [bytes]")] = None,
+    upload_length: Annotated[str | None, Header(description="Size of the file [bytes]")] = None,
     upload_metadata: Annotated[
         str | None,
-        Header(
-            description="filename, kind, sha256, up_axis, unit_m, metadata, asset=auto; each a name, a space, base64"
-        ),
+        Header(description="Pairs of name and base64: filename, kind, sha256, up_axis, unit_m, metadata, asset (auto)"),
     ] = None,
     content_type: Annotated[str | None, Header()] = None,
 ) -> Response:
-    """Begin an upload; its first bytes may come with it."""
+    """Create an upload; the request may contain its first bytes."""
     _require_version(tus_resumable)
     length = _length(upload_length, owned)
     metadata = _metadata(upload_metadata)
@@ -107,10 +105,10 @@ async def create_upload(
     "/{id}",
     response_class=Response,
     responses=refusals("not-found", "expired", "precondition-failed")
-    | {200: {"description": "Where it stands", **_OFFSET_HEADERS}},
+    | {200: {"description": "Current offset", **_OFFSET_HEADERS}},
 )
 def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
-    """Current offset of an upload."""
+    """Return the current offset of an upload."""
     _require_version(tus_resumable)
     record = _with_size(owned, upload(owned.store, id))
     sent = _offset_headers(record) | {"Cache-Control": "no-store"}
@@ -126,14 +124,14 @@ def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Resp
     status_code=204,
     **_BYTES_BODY,
     responses=refusals("not-found", "expired", "upload-offset-conflict", *_ERRORS)
-    | {204: {"description": "Kept", **_OFFSET_HEADERS}},
+    | {204: {"description": "Stored", **_OFFSET_HEADERS}},
 )
 async def append_to_upload(
     id: Id,
     request: Request,
     owned: OwnedDep,
     tus_resumable: _Version = None,
-    upload_offset: Annotated[str | None, Header(description="bytes that are there already")] = None,
+    upload_offset: Annotated[str | None, Header(description="Number of bytes already received")] = None,
     content_type: Annotated[str | None, Header()] = None,
 ) -> Response:
     """Append to an upload. Bytes received before a connection breaks are stored."""
@@ -153,7 +151,7 @@ async def append_to_upload(
 
 @router.get("/{id}", responses=refusals("not-found", "expired"))
 async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
-    """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
+    """Return an upload: state, size, asset. Prefer: wait=N waits until the asset exists or the upload has failed."""
     deadline = time.monotonic() + wait_s
     while True:
         record = await run_in_threadpool(upload, owned.store, id)
@@ -166,9 +164,9 @@ async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
 
 @router.post("/{id}/parts", responses=refusals("not-found", "expired", "conflict"))
 def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
-    """Addresses in object storage to PUT the missing bytes to; then PATCH at the whole length, without bytes.
+    """Return URLs in object storage to PUT the missing bytes to; then PATCH at the full length without a body.
 
-    409 where the bytes lie in a folder, or the setting `presigned_links` is off.
+    Status 409 if uploads are stored in a folder, or the setting `presigned_links` is off.
     """
     record = upload(owned.store, id)
     parts, begin = owned.services.upload_parts, owned.services.upload_parts.size(id)
@@ -190,7 +188,7 @@ def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
     "/{id}", status_code=204, response_class=Response, responses=refusals("not-found", "expired", "precondition-failed")
 )
 def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
-    """Give an upload up. An asset that was made of it stays."""
+    """Delete an upload. An asset that was made from it remains."""
     _require_version(tus_resumable)
     upload(owned.store, id)
     owned.services.upload_parts.delete(id)

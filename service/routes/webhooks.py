@@ -19,9 +19,9 @@ router = APIRouter(prefix="/v1/webhook-endpoints", tags=["webhooks"])
 class EndpointRequest(Payload):
     """URL and events of an endpoint."""
 
-    url: str = Field(max_length=2048, description="https")
+    url: str = Field(max_length=2048, description="HTTPS address")
     events: tuple[Event, ...] = Field(
-        default=ENDS, max_length=len(EVENTS), description="of every job; none: only of jobs that name the endpoint"
+        default=ENDS, max_length=len(EVENTS), description="Events of all jobs; if empty, of jobs that name the endpoint"
     )
 
 
@@ -38,7 +38,7 @@ class EndpointPayload(Payload):
 class EndpointWithSecretPayload(EndpointPayload):
     """An endpoint with its secret, which is returned only once."""
 
-    secret: str = Field(description="whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body")
+    secret: str = Field(description="Key of HMAC-SHA256 over id.timestamp.body, as whsec_ and base64")
 
 
 class EndpointListPayload(Payload):
@@ -51,21 +51,21 @@ class TryPayload(Payload):
     """One delivery attempt."""
 
     at: Time
-    status: int | None = Field(description="null where no answer came")
+    status: int | None = Field(description="HTTP status; null without a response")
     detail: str
     seconds: float
 
 
 class DeliveryPayload(Payload):
-    """A message for one address."""
+    """A message to one endpoint."""
 
     id: str
-    message_id: str = Field(description="the header webhook-id; each attempt has the same")
+    message_id: str = Field(description="Header webhook-id, the same in every attempt")
     event: Event
     job_id: str
     state: DeliveryState
     tries: list[TryPayload]
-    next_at: Time | None = Field(description="the next attempt; null once it is over")
+    next_at: Time | None = Field(description="Time of the next attempt; null if there is none")
     created_at: Time
 
 
@@ -80,11 +80,11 @@ class JobEventData(Payload):
     external_id: str | None
     metadata: dict[str, str]
     error_code: str | None
-    url: str = Field(description="path of the job")
+    url: str = Field(description="Path of the job")
 
 
 class JobEventPayload(Payload):
-    """What an endpoint receives, signed."""
+    """Body of a signed event."""
 
     type: Event
     timestamp: Time
@@ -106,7 +106,7 @@ def describe_events(app: FastAPI) -> None:
             operation_id=f"on{name}",
             status_code=204,
             tags=["events"],
-            responses={"default": {"description": "Anything else: it is sent again later"}},
+            responses={"default": {"description": "Any other status: the event is sent again later"}},
         )
 
 
@@ -120,7 +120,7 @@ class DeliveryListPayload(Payload):
 @router.post(
     "",
     status_code=201,
-    responses=refusals("conflict", "fetch-failed") | {201: {"description": "Made", **headers(Location="the endpoint")}},
+    responses=refusals("conflict", "fetch-failed") | {201: {"description": "Created", **headers(Location="its URL")}},
 )
 async def create_webhook_endpoint(
     body: EndpointRequest, response: Response, owned: OwnedDep
@@ -134,7 +134,7 @@ async def create_webhook_endpoint(
 
 @router.get("", responses=refusals())
 def list_webhook_endpoints(owned: OwnedDep) -> EndpointListPayload:
-    """All endpoints."""
+    """List all endpoints."""
     return EndpointListPayload(data=[EndpointPayload.of(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
@@ -149,9 +149,9 @@ def list_webhook_deliveries(
     id: Id,
     owned: OwnedDep,
     cursor: Cursor = None,
-    limit: Annotated[int, Query(ge=1, le=100, description="deliveries a page")] = 20,
+    limit: Annotated[int, Query(ge=1, le=100, description="Deliveries per page")] = 20,
 ) -> DeliveryListPayload:
-    """Deliveries to an endpoint, newest first, with every attempt."""
+    """List deliveries to an endpoint, newest first, with every attempt."""
     records = webhooks.deliveries(owned.store, id, before=cursor, limit=limit + 1)
     page = records[:limit]
     return DeliveryListPayload(

@@ -27,15 +27,15 @@ AssetSummary = dict[str, str | int | float | list[float | dict[str, str | int | 
 
 
 class AssetPayload(Payload):
-    """An upload that was read and can be used."""
+    """An asset: files that were read and that jobs can use."""
 
     id: str
     kind: AssetKind
     parts: list[PartPayload]
     summary: AssetSummary = Field(
-        description="what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, "
-        "`still_parts` what is not the plant and does not move: `name` and `why`, "
-        "`trees` where each stands and how tall it is: `tree` (its number), `x_m`, `y_m`, `z_m` and `height_m`"
+        description="Content of the files, lengths in metres; `warnings` are objects with `code` and `message`, "
+        "`still_parts` (parts that are no plant and do not move) with `name` and `why`, "
+        "`trees` with `tree` (number), foot `x_m`, `y_m`, `z_m` and `height_m`"
     )
     metadata: dict[str, str]
     created_at: Time
@@ -43,10 +43,10 @@ class AssetPayload(Payload):
 
 
 class AssetOptions(Reading):
-    """How to read the files of an asset, and what comes back with it."""
+    """How to read the files of an asset, and texts that are returned with it."""
 
-    kind: AssetKind | None = Field(default=None, description="by name if unset")
-    metadata: Metadata | None = Field(default=None, description="texts of yours, returned as they are")
+    kind: AssetKind | None = Field(default=None, description="By file name if unset")
+    metadata: Metadata | None = Field(default=None, description="Your texts, returned unchanged")
 
     @classmethod
     def read(cls, values: Mapping[str, object], *, where: str) -> Self:
@@ -76,7 +76,7 @@ _NAME = r"^[^\x00-\x1f\x7f]*$"
 
 
 class UploadMetadata(AssetOptions):
-    """What `Upload-Metadata` may hold."""
+    """Fields of `Upload-Metadata`."""
 
     filename: str | None = Field(default=None, max_length=MAX_NAME_CHARS, pattern=_NAME)
     name: str | None = Field(default=None, max_length=MAX_NAME_CHARS, pattern=_NAME)
@@ -85,14 +85,14 @@ class UploadMetadata(AssetOptions):
 
 
 class AssetRequest(AssetOptions):
-    """What to make an asset of: uploads that are whole, or an address."""
+    """Source of an asset: complete uploads, or a URL."""
 
     upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
-        default=None, min_length=1, max_length=MAX_FILES, description="a mesh and what it names, photos, or one zip"
+        default=None, min_length=1, max_length=MAX_FILES, description="A mesh with companion files, photos, or one zip"
     )
-    url: str | None = Field(default=None, max_length=2048, description="https; fetched once, redirects are checked too")
-    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
-    filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
+    url: str | None = Field(default=None, max_length=2048, description="HTTPS address, which is fetched once")
+    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="Hash of the fetched file")
+    filename: str | None = Field(default=None, min_length=1, max_length=255, description="By default that of the URL")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -106,14 +106,14 @@ class AssetRequest(AssetOptions):
 
 
 class UploadPayload(Payload):
-    """A file that comes in pieces, or from an address."""
+    """A file that is received in parts, or fetched from a URL."""
 
     id: str
-    state: UploadState = Field(description="receiving or fetching; received; ready with an asset; failed")
+    state: UploadState = Field(description="receiving or fetching, received, ready (has an asset), failed")
     filename: str
     bytes_received: int
-    length: int | None = Field(description="null while an address does not tell")
-    sha256: str | None = Field(description="as promised")
+    length: int | None = Field(description="Size of the file [bytes]; null while unknown")
+    sha256: str | None = Field(description="Announced hash of the file")
     asset_id: str | None
     error: Problem | None
     created_at: Time
@@ -121,7 +121,7 @@ class UploadPayload(Payload):
 
 
 class UploadPartPayload(Payload):
-    """One piece of an upload, to PUT to object storage."""
+    """One part of an upload, to PUT to object storage."""
 
     offset: int
     bytes: int
@@ -129,7 +129,7 @@ class UploadPartPayload(Payload):
 
 
 class UploadPartsPayload(Payload):
-    """The pieces that an upload lacks."""
+    """The missing parts of an upload."""
 
     parts: list[UploadPartPayload]
     expires_at: Time

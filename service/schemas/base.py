@@ -15,7 +15,7 @@ Metadata = Annotated[
     dict[Annotated[str, Field(max_length=64)], Annotated[str, Field(max_length=512)]], Field(max_length=16)
 ]
 
-Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
+Time = Annotated[datetime, Field(description="Time (RFC 3339, UTC)")]
 
 
 class Payload(Bounded):
@@ -31,15 +31,15 @@ class Payload(Bounded):
 
 
 class FieldErrorPayload(Payload):
-    """One field that is wrong."""
+    """One invalid field."""
 
-    pointer: str = Field(description="JSON pointer into the body, or where:name")
+    pointer: str = Field(description="JSON pointer into the body, or location:name")
     code: str
     detail: str
 
 
 class Problem(BaseModel):
-    """RFC 9457. Some problems have members of their own besides."""
+    """Problem object (RFC 9457). Some problems have additional members."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

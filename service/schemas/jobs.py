@@ -13,32 +13,29 @@ from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time
 
 class _JobRequest(ModelParams):
     priority: Priority = Field(
-        default="normal", description="high is begun first; with keys, one of scope high-priority"
+        default="normal", description="high runs first; if keys are required, it needs the scope high-priority"
     )
     webhook: str | None = Field(
-        default=None, pattern=ULID_PATTERN, description="id of a webhook endpoint that gets events of this job"
+        default=None, pattern=ULID_PATTERN, description="Id of a webhook endpoint that receives events of this job"
     )
     webhook_events: list[Event] | None = Field(
-        default=None, max_length=len(EVENTS), description="which of them; those of its end if unset"
+        default=None, max_length=len(EVENTS), description="Events to send; by default those of the job's end"
     )
-    asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
+    asset_id: str = Field(max_length=64, description="Id that POST /v1/assets returned")
     external_id: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=128,
-        description="your name for the job, by which lists can be filtered",
+        default=None, min_length=1, max_length=128, description="Your name for the job, for filtering lists"
     )
-    metadata: Metadata = Field(default_factory=dict, description="texts of yours, returned as they are")
+    metadata: Metadata = Field(default_factory=dict, description="Your texts, returned unchanged")
     destination: str | None = Field(
-        default=None, min_length=1, max_length=1024, description="where in an allowed bucket products are copied to"
+        default=None, min_length=1, max_length=1024, description="URL in an allowed bucket to which products are copied"
     )
     cancel_after_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
-        default=None, description="canceled if it has not ended by then, running or not [s]"
+        default=None, description="Time after which the job is canceled unless it has ended [s]"
     )
 
 
 class ReconstructRequest(_JobRequest):
-    """Reconstruct a mesh from photos."""
+    """Reconstruct a mesh from photos or a cloud."""
 
     type: Literal["reconstruct"]
     params: ReconstructParams = Field(default_factory=ReconstructParams)
@@ -76,27 +73,27 @@ class StagePayload(Payload):
     name: JobType
     state: StageState
     progress: float = Field(ge=0, le=1)
-    cached: bool = Field(description="taken from an earlier job with the same inputs")
-    started_at: Time | None = Field(description="earlier by the work of attempts that the stage continues")
+    cached: bool = Field(description="True if taken from an earlier job with the same inputs")
+    started_at: Time | None = Field(description="Start, moved back by the work of earlier attempts")
     finished_at: Time | None
 
 
 class ResultPayload(Payload):
     """Ids of the products."""
 
-    mesh_id: str | None = Field(description="artefact of the reconstructed mesh")
+    mesh_id: str | None = Field(description="Artifact of the reconstructed mesh")
     voxels_id: str | None
-    spectrum_id: str | None = Field(description="for /v1/spectra and /v1/interact")
+    spectrum_id: str | None = Field(description="Id for /v1/spectra and /v1/interact")
     source: AssetSummary | None = Field(
-        description="how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, "
-        "`still_parts`; null once the asset's record is removed"
+        description="How the upload was read, as in the asset's `summary`: height, up axis, unit, `warnings`, "
+        "`still_parts`; null once the asset's record is deleted"
     )
-    warnings: list[str] = Field(description="of photos: what makes the reconstruction doubtful, and what to do")
+    warnings: list[str] = Field(description="Warnings about a reconstruction, with advice")
     artifacts_url: str
 
 
 class JobPayload(Payload):
-    """A job as it is now."""
+    """Current state of a job."""
 
     id: str
     type: JobType
@@ -106,13 +103,11 @@ class JobPayload(Payload):
     seed: int
     params: dict[str, object]
     attempt: int
-    progress: float = Field(
-        ge=0, le=1, description="mean over the stages; of photos weighed by the time that stages usually take"
-    )
-    queue_position: int | None = Field(description="jobs before this one; null once it has begun")
-    eta_s: float | None = Field(description="null where it is not known")
+    progress: float = Field(ge=0, le=1, description="Mean over the stages; of photos, weighted by typical durations")
+    queue_position: int | None = Field(description="Number of jobs before this one; null once started")
+    eta_s: float | None = Field(description="Remaining time [s]; null if unknown")
     stages: list[StagePayload]
-    result: ResultPayload | None = Field(description="what is there so far; null before the first product")
+    result: ResultPayload | None = Field(description="Products so far; null before the first")
     error: Problem | None
     priority: Priority
     webhook: str | None
@@ -121,12 +116,12 @@ class JobPayload(Payload):
     metadata: dict[str, str]
     cancel_at: Time | None
     destination: str | None
-    processor_s: float = Field(description="processor time of all attempts that have ended [s]")
-    gpu_s: float = Field(description="time of theirs on a worker with a GPU [s]")
+    processor_s: float = Field(description="CPU time of all ended attempts [s]")
+    gpu_s: float = Field(description="Run time of ended attempts on a GPU worker [s]")
     created_at: Time
     started_at: Time | None
     finished_at: Time | None
-    expires_at: Time | None = Field(description="when its record is removed; null until it has ended")
+    expires_at: Time | None = Field(description="Time at which its record is deleted; null until it ends")
 
 
 class JobListPayload(Payload):
@@ -147,7 +142,7 @@ class ArtifactPayload(Payload):
     sha256: str
     url: str
     facts: dict[str, int | float] = Field(
-        default_factory=dict, description="where a file is not exact, how far it is from the motion; [m] as _m says"
+        default_factory=dict, description="Errors of the file against the motion; names with _m are in metres"
     )
     created_at: Time
     expires_at: Time
@@ -157,7 +152,7 @@ class ManifestPayload(Payload):
     """Files that a job has produced."""
 
     job_id: str
-    complete: bool = Field(description="whether the job has succeeded and nothing will be added")
+    complete: bool = Field(description="True if the job has succeeded and adds no more files")
     artifacts: list[ArtifactPayload]
 
 
