@@ -263,8 +263,7 @@ def unit_vectors(vectors: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"
     """Normalise vectors; components that are not finite count as 0, and a zero vector stays 0."""
     sound = np.nan_to_num(vectors, nan=0.0, posinf=0.0, neginf=0.0)
     length = np.linalg.norm(sound, axis=1, keepdims=True)
-    units: Float32[np.ndarray, "N 3"] = (sound / np.where(length > 0, length, 1)).astype(np.float32)
-    return units
+    return np.asarray(sound / np.where(length > 0, length, 1), np.float32)
 
 
 def edges_of(faces: Int32[np.ndarray, "F 3"]) -> Int32[np.ndarray, "E 2"]:
@@ -293,8 +292,7 @@ def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32
 
     edges = edges_of(faces)
     joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(num_vertices, num_vertices))
-    part: Int32[np.ndarray, " N"] = connected_components(joined, directed=False)[1].astype(np.int32)
-    return part
+    return np.asarray(connected_components(joined, directed=False)[1], np.int32)
 
 
 def part_bounds(

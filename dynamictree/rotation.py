@@ -33,6 +33,11 @@ def quaternion_products(left: Float[np.ndarray, "#G 4"], right: Float[np.ndarray
     )
 
 
+def about_z(angle_rad: float) -> Float32[np.ndarray, "3 3"]:
+    """Return the matrix of a rotation from +X towards +Y."""
+    return np.asarray(Rotation.from_euler("z", angle_rad).as_matrix(), np.float32)
+
+
 def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
     """Normalise quaternions to unit length.
 
@@ -45,8 +50,7 @@ def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndar
         raise InputError(
             f"the quaternion of Gaussian {index} is {quaternions[index].tolist()}; a rotation has a length"
         )
-    result: Float32[np.ndarray, "G 4"] = (quaternions / length[:, None]).astype(np.float32)
-    return result
+    return np.asarray(quaternions / length[:, None], np.float32)
 
 
 def polar_rotations(gradients: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3 3"]:

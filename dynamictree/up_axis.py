@@ -38,5 +38,4 @@ def turn_to_z(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"
 
 def vertices_in_source_axes(vertices: Float32[np.ndarray, "N 3"], up_axis: str) -> Float32[np.ndarray, "N 3"]:
     """Convert positions with +Z up to the axes of a file, for writers."""
-    positions: Float32[np.ndarray, "N 3"] = (vertices @ up_rotation(up_axis)).astype(np.float32)
-    return positions
+    return np.asarray(vertices @ up_rotation(up_axis), np.float32)

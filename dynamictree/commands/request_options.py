@@ -48,7 +48,8 @@ def with_request_options(command: Callable[..., None]) -> Callable[..., None]:
     The command receives validated models; a value that is not allowed raises an InputError that names the option.
     """
     parameters = inspect.signature(command).parameters.values()
-    models = {p.name: p.annotation for p in parameters if _is_request(p.annotation)}
+    classes = {p.name: p.annotation for p in parameters if inspect.isclass(p.annotation)}
+    models = {name: one for name, one in classes.items() if issubclass(one, Request)}
     fields = {name: dict(_fields(model.model_json_schema())) for name, model in models.items()}
     flat: list[inspect.Parameter] = []
     for parameter in parameters:
@@ -67,10 +68,6 @@ def with_request_options(command: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in flat}
     return run
-
-
-def _is_request(annotation: object) -> bool:
-    return inspect.isclass(annotation) and issubclass(annotation, Request)
 
 
 def _fields(schema: Schema, definitions: Schema | None = None) -> Iterator[tuple[Place, Schema]]:

@@ -136,5 +136,4 @@ def _counts(corners: Float64[np.ndarray, "F 3 3"], per_face: int, at_least: int)
     """Return `per_face` for each face, plus a share by area of the number missing to `at_least` in total."""
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     missing = max(at_least - per_face * len(areas), 0)
-    counts: Int32[np.ndarray, " F"] = per_face + np.floor(areas / areas.sum() * missing).astype(np.int32)
-    return counts
+    return np.asarray(per_face + np.floor(areas / areas.sum() * missing), np.int32)

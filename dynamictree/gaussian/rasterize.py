@@ -33,8 +33,7 @@ class SplatPicture:
     def over(self, background: tuple[float, float, float] | Float32[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
         """Composite the picture over a colour, or over another picture, in [0, 1]."""
         behind = np.asarray(background, np.float32) * (1 - self.alpha[..., None])
-        whole: UInt8[np.ndarray, "H W 3"] = np.rint(np.clip(self.color + behind, 0, 1) * 255).astype(np.uint8)
-        return whole
+        return np.asarray(np.rint(np.clip(self.color + behind, 0, 1) * 255), np.uint8)
 
 
 def render_cloud(
@@ -53,7 +52,8 @@ def render_cloud(
     Raises:
         InputError: the size is out of bounds.
     """
-    check_size(width, height)
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise InputError(f"the picture is {width} × {height}; from 1 × 1 to {MAX_PIXELS:,} pixels are allowed")
     if has_gsplat():
         posed_cloud = cloud if pose is None else posed(cloud, pose)
         color, alpha, depth = render_with_gsplat(posed_cloud, camera, width=width, height=height, antialias=antialias)
@@ -116,16 +116,6 @@ def tile_lists(
     order = np.empty(int(starts[-1]), np.int32)
     list_tiles(nearest_first, bounds, columns, starts[:-1].copy(), order, True)
     return order, starts
-
-
-def check_size(width: int, height: int) -> None:
-    """Check that a picture has at least one pixel and not too many.
-
-    Raises:
-        InputError: the size is out of bounds.
-    """
-    if min(width, height) < 1 or width * height > MAX_PIXELS:
-        raise InputError(f"the picture is {width} × {height}; from 1 × 1 to {MAX_PIXELS:,} pixels are allowed")
 
 
 def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, " 19"]:

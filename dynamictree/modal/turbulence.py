@@ -22,6 +22,7 @@ from jaxtyping import Complex64, Complex128, Float32, Float64
 
 from dynamictree.modal.real_trees import natural_damping, natural_frequency_hz
 from dynamictree.requests import Wind
+from dynamictree.rotation import about_z
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.wind.air import turbulence_length_m
 from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
@@ -139,13 +140,7 @@ def iter_turbulent_sums(
         q = weights * wind.coordinates(some)
         coordinates = np.concatenate([q.real, q.imag], axis=1).astype(np.float32)  # [T, 2K]
         for row, turn in zip(coordinates, wind.turn_rad.at(some), strict=True):
-            yield (row @ stacked).reshape(num_points, 3), turned_about_z(float(turn))
-
-
-def turned_about_z(angle_rad: float) -> Float32[np.ndarray, "3 3"]:
-    """Return the matrix of a rotation from +X towards +Y."""
-    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]], np.float32)
+            yield (row @ stacked).reshape(num_points, 3), about_z(float(turn))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,14 +34,9 @@ def halvings_served(grid: VoxelGrid, resolution: int, model: str, *, max_voxels:
         InputError: the grid is coarser, or not finer by a power of two.
     """
     halvings = halvings_between(grid, resolution, model)
-    while len(grid) > max_voxels and _num_coarse(grid, halvings) > max_voxels:
+    while len(grid) > max_voxels and len(np.unique(grid.coords >> halvings, axis=0)) > max_voxels:
         halvings += 1
     return halvings
-
-
-def _num_coarse(grid: VoxelGrid, halvings: int) -> int:
-    x, y, z = (grid.coords >> halvings).astype(np.int64).T
-    return len(np.unique((x * grid.resolution + y) * grid.resolution + z))
 
 
 def coarsened(voxels: SurfaceVoxels, halvings: int) -> tuple[SurfaceVoxels, csr_array | None]:

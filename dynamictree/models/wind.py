@@ -5,6 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float32
 
+from dynamictree.rotation import about_z
 from dynamictree.spectrum import Wind
 from dynamictree.wind_bands import DRAG_EXPONENT
 
@@ -15,9 +16,7 @@ MIN_GUST = 0.01
 
 def wind_axes(wind: Wind) -> Float32[np.ndarray, "3 3"]:
     """Return unit vectors downwind, crosswind and up, one per row."""
-    angle = math.radians(wind.direction_deg)
-    cosine, sine = math.cos(angle), math.sin(angle)
-    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
+    return about_z(math.radians(wind.direction_deg)).T
 
 
 def log_drag(wind: Wind) -> float:

@@ -170,7 +170,8 @@ def boards(scene: Scene, gone: Things) -> Things:
         return detected
     order = np.argsort(scene.thing, kind="stable")
     ends = np.searchsorted(scene.thing[order], np.arange(len(gone) + 1))
-    long = [one for one in np.flatnonzero(~gone) if _may_be_board(scene.high[one] - scene.low[one])]
+    short, middle, longest = np.sort(scene.high - scene.low, axis=1).T
+    long = np.flatnonzero(~gone & ((longest > _LONG * middle) | ((middle > _LONG * short) & (short > 0))))
     axes = {one: _axes_of_box(scene.normals[order[ends[one] : ends[one + 1]]]) for one in long}
     rods = {
         one: _axis_of_rod(scene.points[rows], scene.normals[rows])
@@ -223,11 +224,6 @@ def _axis_of_rod(points: Points, normals: Points) -> Direction | None:
     away = np.linalg.norm(around - (around @ side)[:, None] * side, axis=1)
     even = np.ptp(away) < _EVEN * away.mean() and np.ptp(around @ side) > _LONG * away.mean()
     return side if even else None
-
-
-def _may_be_board(extent: Direction) -> bool:
-    _, middle, longest = np.sort(extent)
-    return bool(longest > _LONG * middle or middle > _LONG * extent.min() > 0)
 
 
 def _axes_of_box(normals: Points) -> Float64[np.ndarray, "3 3"] | None:

@@ -51,7 +51,9 @@ def find_cameras(
         pairs = [(camera, of_source[camera.photo]) for camera in given]
         cameras = [camera.scaled(photo.name, photo.width, photo.height).to_json() for camera, photo in pairs]
     job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": cameras})
-    _delete_leftovers(folder)
+    (folder / "views.json").unlink(missing_ok=True)  # output of an interrupted search; its features stay
+    for name in ("sparse", "chosen", "undistorted", "masks", "undistorted-masks"):  # COLMAP does not overwrite photos
+        shutil.rmtree(folder / name, ignore_errors=True)
     command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
     with (
         (folder / "mapping.log").open("w+b") as log,
@@ -95,13 +97,6 @@ def search_seconds(num_photos: int) -> dict[str, float]:
         "cameras": 0.5 * num_photos,
         "undistort": 0.05 * num_photos,
     }
-
-
-def _delete_leftovers(folder: Path) -> None:
-    """Delete the output of an interrupted search except its features: COLMAP does not overwrite existing photos."""
-    (folder / "views.json").unlink(missing_ok=True)
-    for name in ("sparse", "chosen", "undistorted", "masks", "undistorted-masks"):
-        shutil.rmtree(folder / name, ignore_errors=True)
 
 
 def _listen(

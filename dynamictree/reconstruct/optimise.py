@@ -76,7 +76,8 @@ def optimise(
     while state.step < schedule.num_steps:
         on_step(state)
         rng = np.random.default_rng([1, state.step])
-        shrink = _size_divisor(schedule, state.step)
+        share = state.step / schedule.num_steps
+        shrink = next((smaller for until, smaller in schedule.coarser if share < until), 1)
         degree = min(schedule.sh_degree, state.step // schedule.degree_every)
         _one_step(state, levels.target(state.step, shrink), task, schedule, degree, rng)
         if levels.held_out and state.step % schedule.check_every == 0:
@@ -165,11 +166,6 @@ def _rates(schedule: Schedule, state: SplatState, task: SplatTask) -> Float32[np
     rates[MEAN] = task.extent * first * (last / first) ** (state.step / schedule.num_steps)
     rates[QUATERNION], rates[LOG_SCALE], rates[LOGIT] = schedule.turn_rate, schedule.scale_rate, schedule.opacity_rate
     return rates
-
-
-def _size_divisor(schedule: Schedule, step: int) -> int:
-    share = step / schedule.num_steps
-    return next((smaller for until, smaller in schedule.coarser if share < until), 1)
 
 
 def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:

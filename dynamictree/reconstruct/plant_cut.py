@@ -88,8 +88,7 @@ def _cut(
 
 def lab_of(cloud: GaussianCloud) -> Float32[np.ndarray, "G 3"]:
     """Return each Gaussian's mean colour over all directions, in CIELAB."""
-    lab: Float32[np.ndarray, "G 3"] = rgb2lab(np.clip(cloud.sh[:, 0] * SH_0 + 0.5, 0, 1)).astype(np.float32)
-    return lab
+    return np.asarray(rgb2lab(np.clip(cloud.sh[:, 0] * SH_0 + 0.5, 0, 1)), np.float32)
 
 
 def _edges(

@@ -89,8 +89,7 @@ class Reconstruction:
         """Return the reconstruction scaled about a point, which becomes the origin."""
 
         def points(values: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
-            moved: Float32[np.ndarray, "N 3"] = (scale * (values - origin)).astype(np.float32)
-            return moved
+            return np.asarray(scale * (values - origin), np.float32)
 
         cameras = [
             replace(one, camera=replace(one.camera, position_m=scale * (one.camera.position_m - origin)))

@@ -53,8 +53,7 @@ def _elevation(view: View) -> Float32[np.ndarray, "H W"]:
     to_world = view.camera.world_to_camera.T @ np.linalg.inv(view.camera.intrinsics_px(width, height))
     column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([column, row, np.ones_like(row)], axis=2) @ to_world.T
-    sine: Float32[np.ndarray, "H W"] = (rays[..., 2] / np.linalg.norm(rays, axis=2)).astype(np.float32)
-    return sine
+    return np.asarray(rays[..., 2] / np.linalg.norm(rays, axis=2), np.float32)
 
 
 def _plain_sky(view: View, elevation: Float32[np.ndarray, "H W"], depth: Float32[np.ndarray, "h w"]) -> Mask:

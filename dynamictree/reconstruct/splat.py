@@ -88,10 +88,12 @@ def fit_splat(
     def target(view: int, depth: Float32[np.ndarray, "h w"] | None) -> Target:
         return _target(model.views[view], depth, None if sky is None else sky[view])
 
+    around = np.array([view.camera.position_m for view in model.views])
+    around -= around.mean(axis=0)
     task = SplatTask(
         targets=(target(view, None if depths is None else depths.depths[view]) for view in learned),
         held_out=(target(view, None) for view in held_out_rows),
-        extent=camera_extent(model.views),
+        extent=1.1 * float(np.linalg.norm(around, axis=1).max()),  # the scene extent of Kerbl et al.
         cut_out=any(view.alpha is not None for view in model.views),
     )
     if has_gsplat():
@@ -108,12 +110,6 @@ def fit_splat(
         table = np.concatenate([table, behind])
     figures = _figures(state, table, [model.views[view] for view in held_out_rows], schedule)
     return SplatFit(table, figures)
-
-
-def camera_extent(views: Sequence[View]) -> float:
-    """Compute Kerbl et al.'s scene extent: 1.1 times the largest distance of a camera from their centre."""
-    positions = np.array([view.camera.position_m for view in views])
-    return 1.1 * float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
 
 
 def _figures(

@@ -113,8 +113,7 @@ def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Compute half the mean distance to the three nearest points, with an upper limit; after Kerbl et al."""
     widest_share = 0.1  # [region's radius], limit for isolated points
     distance = np.asarray(cKDTree(points).query(points, k=4)[0])[:, 1:].mean(axis=1)
-    limited: Float32[np.ndarray, " G"] = np.clip(distance / 2, 1e-5, widest_share).astype(np.float32)
-    return limited
+    return np.asarray(np.clip(distance / 2, 1e-5, widest_share), np.float32)
 
 
 def dome_points(

@@ -236,8 +236,7 @@ def _carriers(
 
 def _connected(edges: Int32[np.ndarray, "E 2"], count: int) -> Int32[np.ndarray, " n"]:
     joined = scipy.sparse.coo_array((np.ones(len(edges), np.int8), edges.T), shape=(count, count))
-    label: Int32[np.ndarray, " n"] = connected_components(joined, directed=False)[1].astype(np.int32)
-    return label
+    return np.asarray(connected_components(joined, directed=False)[1], np.int32)
 
 
 def _first_of_each(group: Int64[np.ndarray, " n"], way: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " B"]:

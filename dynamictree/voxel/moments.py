@@ -35,8 +35,7 @@ def moments_of(
     total = np.stack([np.bincount(rows, pieces.areas * column, len(grid)) for column in columns], axis=1)
     mean = total / area[:, None]
     mean[:, 3:9] -= _six(mean[:, :3])
-    moments: Float32[np.ndarray, "V 16"] = np.concatenate([area[:, None], mean], axis=1).astype(np.float32)
-    return moments
+    return np.asarray(np.concatenate([area[:, None], mean], axis=1), np.float32)
 
 
 def _columns(

@@ -187,8 +187,7 @@ def _mean_normals(
     two_sided = np.flatnonzero(length < _MIN_NORMAL)
     if len(two_sided):
         mean[two_sided] = _shared_direction(grid, pieces, rows, normals, two_sided)
-    unit_mean: Float32[np.ndarray, "V 3"] = (mean / np.linalg.norm(mean, axis=1, keepdims=True)).astype(np.float32)
-    return unit_mean
+    return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True), np.float32)
 
 
 def _shared_direction(

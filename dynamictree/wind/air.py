@@ -6,12 +6,14 @@ vectors have a Cauchy distribution, the spectral density of that exponential. It
 (Taylor's frozen turbulence). The von Kármán spectrum distributes the variance of the gusts over the bins.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.requests import Wind
+from dynamictree.rotation import about_z
 
 DECAY_ACROSS, DECAY_ALONG = 10.0, 3.0
 """Decay c of Davenport's coherence; measured: 8 to 15 across the wind and 2 to 10 along it (Davenport 1961)."""
@@ -68,9 +70,7 @@ def turbulent_air(
     """
     num_waves = 64  # number per bin; one sample's coherence has an rms error of 1 / √64
     slowest_carrier_m_s = 1.0  # slowest speed of the field, which limits its phase in a calm
-    heading = np.deg2rad(wind.direction_deg)
-    cosine, sine = np.cos(heading), np.sin(heading)
-    axes = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
+    axes = about_z(math.radians(wind.direction_deg)).T
     carrier = max(wind.speed_m_s, slowest_carrier_m_s)
     shape = (len(frequency_hz), num_waves)
     cauchy = rng.standard_normal((*shape, 3)) / np.abs(rng.standard_normal((*shape, 1)))

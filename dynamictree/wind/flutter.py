@@ -38,8 +38,7 @@ def critical_speeds(count: int, rng: np.random.Generator) -> Float64[np.ndarray,
 def onset(speed_m_s: Float[np.ndarray, "*M T"], critical_m_s: Float64[np.ndarray, " M"]) -> Float32[np.ndarray, "*M T"]:
     """Return the relative amplitude of each leaf's flutter, 0 to 1, at an air speed."""
     above = np.maximum(speed_m_s / critical_m_s[:, None] - 1, 0)
-    size: Float32[np.ndarray, "*M T"] = (above**2 / (1 + above**2)).astype(np.float32)
-    return size
+    return np.asarray(above**2 / (1 + above**2), np.float32)
 
 
 def leaf_frequencies(count: int, rng: np.random.Generator) -> Float64[np.ndarray, " M"]:

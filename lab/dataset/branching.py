@@ -170,8 +170,7 @@ def _child_length(
         along = shape_ratio(species.shape, place)
     else:
         along = 1 - 0.6 * relative
-    length: Float32[np.ndarray, " M"] = (whole * level.length * along * spread).astype(np.float32)
-    return length
+    return np.asarray(whole * level.length * along * spread, np.float32)
 
 
 def _down_angle(

@@ -80,8 +80,7 @@ class Oscillators:
         rate = 1j * omega * transfer * (target + pushed)  # rate of the angle under linear drag
         again = self.static_angle(passing - irfft(arm * rate, n=air.shape[2], axis=2))
         answer = transfer * (rfft(again, axis=2) + air_damping * rate + pushed)
-        deflection: Float32[np.ndarray, "3 C T"] = irfft(answer, n=air.shape[2], axis=2).astype(np.float32)
-        return deflection
+        return np.asarray(irfft(answer, n=air.shape[2], axis=2), np.float32)
 
     def static_angle(self, passing: Float[np.ndarray, "3 C T"]) -> Float[np.ndarray, "3 C T"]:
         """Return θ_w, the static angle of a stem under the drag of the passing air [rad]."""

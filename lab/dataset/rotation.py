@@ -43,5 +43,4 @@ def rotate(
     x, y, z = vector
     matrix = to_matrix(quaternion)
     turned = matrix[:, 0] * x + matrix[:, 1] * y + matrix[:, 2] * z
-    moved: Float32[np.ndarray, "3 ..."] = (turned + vector).astype(np.float32)
-    return moved
+    return np.asarray(turned + vector, np.float32)

@@ -195,8 +195,7 @@ def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"
     ring = ABOVE_FLARE * stems.segments
     low, along = int(ring), ring - int(ring)
     above_flare = (1 - along) * stems.radii[:, low] + along * stems.radii[:, low + 1]
-    radius: Float32[np.ndarray, " M"] = np.where(stems.first > 0, base, above_flare / TRUNK_BEND).astype(np.float32)
-    return radius
+    return np.asarray(np.where(stems.first > 0, base, above_flare / TRUNK_BEND), np.float32)
 
 
 def _bending_share(stems: Stems, *, still_root: bool) -> Float32[np.ndarray, "M R"]:
@@ -206,8 +205,7 @@ def _bending_share(stems: Stems, *, still_root: bool) -> Float32[np.ndarray, "M 
     share = np.where(ring >= stems.first[:, None], (1 - place) / stems.radii[:, :-1], 0)
     if still_root:
         share[:, 0] = 0
-    normalised: Float32[np.ndarray, "M R"] = (share / share.sum(axis=1, keepdims=True)).astype(np.float32)
-    return normalised
+    return np.asarray(share / share.sum(axis=1, keepdims=True), np.float32)
 
 
 def _ring_motion(stems: Stems, moving: _Moving) -> Sway:

@@ -69,10 +69,8 @@ def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
 
 def random_phases(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
     """Draw a random phase for each frequency and axis."""
-    turn: Complex64[np.ndarray, "J 3"] = np.exp(2j * np.pi * rng.random((num_moving, 3))).astype(np.complex64)
-    return turn
+    return np.asarray(np.exp(2j * np.pi * rng.random((num_moving, 3))), np.complex64)
 
 
 def _in_metres(relative: np.ndarray, wind: Wind, height_m: float) -> Complex64[np.ndarray, "V K 3"]:
-    turned: Complex64[np.ndarray, "V K 3"] = (relative @ wind_axes(wind) * height_m).astype(np.complex64)
-    return turned
+    return np.asarray(relative @ wind_axes(wind) * height_m, np.complex64)

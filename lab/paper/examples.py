@@ -116,8 +116,7 @@ def _pooled(stored: StoredTree, coords: np.ndarray, preset: PaperPreset) -> Comp
     np.add.at(total, owner, coefficients)
     mean = total / np.bincount(owner, minlength=len(coarse))[:, None, None]
     _, nearest = cKDTree(coarse.coords).query(coords)
-    pooled: Complex64[np.ndarray, "V K 3"] = mean[nearest].astype(np.complex64)
-    return pooled
+    return np.asarray(mean[nearest], np.complex64)
 
 
 class ExampleCache(torch.utils.data.Dataset[PaperExample]):

@@ -38,8 +38,7 @@ def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10
     """Average the vertices' part labels over the surface in each voxel."""
     mesh = stored.mesh()
     at_vertex = _at_vertices(stored, mesh)
-    parts: Float32[np.ndarray, "V 10"] = (surface_average(mesh, grid) @ at_vertex).astype(np.float32)
-    return parts
+    return np.asarray(surface_average(mesh, grid) @ at_vertex, np.float32)
 
 
 def _at_vertices(stored: StoredTree, mesh: Surface) -> Float32[np.ndarray, "N 10"]:

@@ -147,12 +147,6 @@ def test_the_grid_is_the_model_s() -> None:
     assert paced(fine, seed=0).grid is coarse.grid
 
 
-@given(st.floats(0.3, 7.9), st.floats(1.01, 1.5))
-def test_the_smaller_of_two_trees_is_faster(height_m: float, taller: float) -> None:
-    paces = [speedup_of(height) / np.sqrt(height) for height in (height_m, height_m * taller)]
-    assert paces[0] > paces[1]
-
-
 def test_trees_of_two_to_eight_metres_sway_at_the_pace_of_their_height() -> None:
     for height_m in np.linspace(2, 8, 9):
         quickened = learned_law_hz(float(height_m)) * speedup_of(float(height_m))

@@ -17,13 +17,6 @@ def test_sway_is_the_root_mean_square_about_the_mean_place(rng):
     assert np.allclose(sway_amplitude(coefficients, 100), rms, rtol=1e-5)
 
 
-def test_colours_run_from_still_to_most():
-    colors = amplitude_colors(np.float32([0.0, 0.5, 1.0])).astype(int)
-    assert colors[0, 2] > colors[0, 0]
-    assert colors[2, 0] > 2 * colors[2, 2]
-    assert (amplitude_colors(np.zeros(3, np.float32))[:, :3] == amplitude_colors(np.float32([0, 1]))[0, :3]).all()
-
-
 def test_what_stands_still_is_grey():
     colors = amplitude_colors(np.float32([0.0, 0.5, 1.0]), np.array([True, False, False])).astype(int)
     assert np.ptp(colors[0, :3]) < 10

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from dynamictree.errors import InputError
 from dynamictree.voxel.graph import root_rows, voxel_graph
-from dynamictree.voxel.grid import VoxelGrid, distinct, grid_frame
+from dynamictree.voxel.grid import VoxelGrid, grid_frame
 
 
 def grid_of(coords: np.ndarray | list[list[int]], **options: object) -> VoxelGrid:
@@ -76,11 +76,6 @@ def test_a_grid_that_cannot_be_is_refused(coords: list[list[int]], options: dict
     frame = {"origin_m": (0.0, 0.0, 0.0), "voxel_size_m": 0.25, "resolution": 32} | options
     with pytest.raises(InputError, match=message):
         VoxelGrid(coords=np.array(coords, np.int32).reshape(-1, 3), **frame)
-
-
-def test_distinct_keys_are_those_of_numpy(rng) -> None:
-    for keys in (rng.integers(-50, 50, 400), np.zeros(3, np.int64), np.zeros(0, np.int64)):
-        np.testing.assert_array_equal(distinct(keys), np.unique(keys))
 
 
 def test_edges_are_those_of_a_slow_search_over_26_neighbours(rng) -> None:

@@ -49,8 +49,7 @@ def texture_coordinates(
     offset = np.array(numbers_field(transform, "offset", 2, (0.0, 0.0)))
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     moved = np.nan_to_num((uv * scale) @ turn.T + offset, nan=0.0, posinf=0.0, neginf=0.0)
-    bounded: Float32[np.ndarray, "n 2"] = np.clip(moved, -1e6, 1e6).astype(np.float32)
-    return bounded
+    return np.asarray(np.clip(moved, -1e6, 1e6), np.float32)
 
 
 def texture_placement(material: JsonObject) -> str:

@@ -229,5 +229,4 @@ def _colors(attributes: Mapping[str, Shaped[np.ndarray, "n width"]], count: int)
     rgba = np.ones((count, 4), np.float32)
     rgba[:, : linear.shape[1]] = linear
     rgba[:, :3] = linear_to_srgb(rgba[:, :3])
-    colors: UInt8[np.ndarray, "N 4"] = np.round(rgba * 255).astype(np.uint8)
-    return colors
+    return np.asarray(np.round(rgba * 255), np.uint8)

@@ -20,8 +20,7 @@ def opacity_from_logit(values: Float[np.ndarray, " G"]) -> Float32[np.ndarray, "
 def logit_from_opacity(opacity: Float32[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
     """Invert `opacity_from_logit`; 0 and 1 are clipped to the nearest values with a finite logit."""
     tiny = np.finfo(np.float32).eps / 2
-    result: Float32[np.ndarray, " G"] = logit(np.clip(opacity, tiny, 1 - tiny)).astype(np.float32)
-    return result
+    return np.asarray(logit(np.clip(opacity, tiny, 1 - tiny)), np.float32)
 
 
 def scales_from_log(values: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:

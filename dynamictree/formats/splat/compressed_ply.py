@@ -64,8 +64,7 @@ def _between(
     """Convert shares of each chunk's range to values."""
     of = np.arange(len(share)) // _CHUNK
     low, high = (np.stack([chunks[f"{side}_{name}"] for name in names], axis=1)[of] for side in ("min", "max"))
-    result: Float32[np.ndarray, "G 3"] = (low + (high - low) * share).astype(np.float32)
-    return result
+    return np.asarray(low + (high - low) * share, np.float32)
 
 
 def _unpack_11_10_11(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3"]:

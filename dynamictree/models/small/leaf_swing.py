@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Int, Int64
+from jaxtyping import Complex64, Float32, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -53,7 +53,8 @@ def leaves_of(
     """
     # distance from the leaf's base below which a voxel's motion does not change; one voxel further it swings in full
     base_voxels = 0.5
-    arm = arms_of(grid.coords, foliage_values)
+    # vector from the base of each voxel's leaf to the voxel [voxels]; about 0 on wood
+    arm = foliage_values[:, ARM].numpy() * ((int(np.ptp(grid.coords[:, 2])) + 1) / ARM_SCALE)
     length = np.linalg.norm(arm, axis=1)
     outward = arm @ axes.T / np.maximum(length, np.finfo(np.float32).tiny)[:, None]
     out = (length - base_voxels).clip(0, 1)
@@ -62,12 +63,6 @@ def leaves_of(
         outward=torch.from_numpy(outward.astype(np.float32)),
         share=free * foliage_values[:, 0].clamp(0, 1) * torch.from_numpy(out.astype(np.float32)),
     )
-
-
-def arms_of(coords: Int[np.ndarray, "V 3"], foliage_values: Float32[Tensor, "V O"]) -> Float32[np.ndarray, "V 3"]:
-    """Return the vectors from the base of each voxel's leaf to the voxel [voxels]; about 0 on wood."""
-    arm: Float32[np.ndarray, "V 3"] = foliage_values[:, ARM].numpy() * ((int(np.ptp(coords[:, 2])) + 1) / ARM_SCALE)
-    return arm
 
 
 def _size(vectors: Complex64[Tensor, "V K 3"]) -> Float32[Tensor, "V K"]:

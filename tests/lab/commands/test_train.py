@@ -15,7 +15,7 @@ from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.weights import weights_path
 from lab.commands.train import train
-from lab.dataset.sample import is_training_seed, make_sample
+from lab.dataset.sample import make_sample
 from lab.dataset.shards import stored_tree, write_shard
 from lab.evaluation.baselines import fit_by_height, training_tree
 from lab.evaluation.held_out_trees import iter_held_out
@@ -157,12 +157,6 @@ def test_rows_round_trip_to_half_precision(tiny_network: SmallNetwork, example: 
     spectrum = example.spectrum[torch.from_numpy(chosen)]
     error = (again.spectrum(torch.arange(len(rows))) - spectrum).abs().square().sum() / spectrum.abs().square().sum()
     assert error < 1e-6
-
-
-def test_training_seeds_are_the_datasets_own_split() -> None:
-    for seed, split in ((1000, "validation"), (1001, "train"), (1006, "unseen-species")):
-        assert make_sample(seed).split == split
-        assert is_training_seed(seed) == (split == "train")
 
 
 def test_the_baseline_is_what_it_says(example: Example) -> None:

@@ -13,9 +13,8 @@ import safetensors.numpy
 from dynamictree.errors import FormatError, InputError
 from lab.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
 from lab.dataset.limits import DatasetLimits
-from lab.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
+from lab.dataset.sample import make_sample, voxel_spectrum
 from lab.dataset.shards import iter_shard, stored_tree, write_shard
-from lab.dataset.species import SPECIES
 
 TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
 
@@ -38,12 +37,6 @@ def test_an_unknown_species_or_seed_is_refused():
         make_sample(0, "oak")
     with pytest.raises(InputError, match="seed is -1"):
         make_sample(-1)
-
-
-def test_held_out_species_are_never_trained_on():
-    for species in SPECIES.values():
-        splits = {split_of(seed, species) for seed in range(2 * VALIDATION_EVERY)}
-        assert splits == ({"unseen-species"} if species.held_out else {"train", "validation"})
 
 
 def test_a_voxel_has_the_motion_of_the_surface_inside(sapling):

@@ -152,13 +152,6 @@ def test_trunks_are_slow_twigs_faster_and_leaves_fastest():
     assert trunk < pitch[sample.part == LEAF].mean()
 
 
-def test_longer_stems_sway_slower_within_a_tree():
-    table = tables_of(make_sample(5, "bare-winter"))
-    order = np.argsort(table.length_m)
-    quarter = len(order) // 4
-    assert table.frequency_hz[order[:quarter]].mean() > 1.5 * table.frequency_hz[order[-quarter:]].mean()
-
-
 def test_leaves_are_rigid(sapling):
     tree_faces = sapling.mesh.faces[(sapling.part[sapling.mesh.faces] == LEAF).all(axis=1)]
     displacement = sapling.motion.frames(np.arange(0, 100, 10)).displacement(sapling.mesh.vertices, sapling.node)

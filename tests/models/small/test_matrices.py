@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, noise_basis
 from dynamictree.models.small.features import TreeFeatures, coarsen_features, turn_features
 from dynamictree.models.small.mixer import MixerBlock, batch_neighbourhoods, neighbourhood
-from dynamictree.sparse.matrices import link_matrices, neighbour_means, pool_matrix, sparse_rows, upsample_matrix
+from dynamictree.sparse.matrices import pool_matrix, sparse_rows, upsample_matrix
 from dynamictree.sparse.pool import pool_to, upsample
 
 
@@ -29,19 +29,6 @@ def test_pool_matrix_is_pooling_and_raising_keeps_constants(tree: TreeFeatures) 
     np.testing.assert_allclose(raised @ np.ones(raised.shape[1]), 1, rtol=1e-5)
     nearest = upsample_matrix(tree.grids, 1, 0, steps=0) @ pooled
     torch.testing.assert_close(torch.from_numpy(nearest), upsample(torch.from_numpy(pooled), tree.grids.parents[0]))
-
-
-def test_links_average_over_bearers_and_borne() -> None:
-    links = torch.tensor([[1, 0], [2, 1], [3, 1]])
-    down, up = (matrix.toarray() for matrix in link_matrices(links, 4))
-    np.testing.assert_array_equal(down, [[0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0]])
-    np.testing.assert_array_equal(up, [[0, 1, 0, 0], [0, 0, 0.5, 0.5], [0, 0, 0, 0], [0, 0, 0, 0]])
-
-
-def test_touching_reaches_neighbours_only(tree: TreeFeatures) -> None:
-    level = tree.grids.levels[0]
-    rows, columns = neighbour_means(level).nonzero()
-    assert (level.coords[rows] - level.coords[columns]).abs().max() == 1
 
 
 def test_noise_has_unit_variance_at_every_node(tree: TreeFeatures) -> None:
