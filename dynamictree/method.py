@@ -92,6 +92,7 @@ def generate(
     `on_step` receives the number of completed sampler steps and their total.
     """
     from dynamictree.models import loaded_once
+    from dynamictree.models.gust_travel import delayed_downwind
     from dynamictree.models.periods import PERIOD_S, period_by_height, with_period
     from dynamictree.models.several_trees import generate_trees, with_bands
 
@@ -102,7 +103,14 @@ def generate(
     def in_wind(blowing: Wind, report: Callable[[int, int], None] | None) -> SparseVoxelSpectrum:
         of_one = partial(trained.generate, wind=blowing, num_steps=num_steps)
         paced = with_period(of_one, period_s, quick_when_small=trained.paced_by_height)
-        return generate_trees(paced, voxels, seed=seed, on_step=report)
+
+        def of_tree(
+            voxels: SurfaceVoxels, *, seed: int, on_step: Callable[[int, int], None] | None = None
+        ) -> SparseVoxelSpectrum:
+            drawn = paced(voxels, seed=seed, on_step=on_step)
+            return delayed_downwind(drawn, blowing) if trained.adds_gust_travel else drawn
+
+        return generate_trees(of_tree, voxels, seed=seed, on_step=report)
 
     own = wind or Wind()
     spectrum = with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step)

@@ -59,6 +59,8 @@ class MotionModel(ABC):
     """File name of the weights without its suffix."""
     paced_by_height: bool
     """Whether the pace follows the tree's height: longer default periods for tall trees, faster motion for small."""
+    adds_gust_travel: bool
+    """Whether its phases lack the delay of gusts along the wind, so that `gust_travel` adds it."""
 
     @property
     @abstractmethod

@@ -34,7 +34,7 @@ MAX_VOXELS = 150_000  # limit of the spectrum's grid
 class PaperModel(MotionModel):
     """The paper's network with its sampler, on the GPU where there is one."""
 
-    paced_by_height = False  # the paper has one period
+    paced_by_height = adds_gust_travel = False  # the paper has one period and no delay
 
     def __init__(self, network: PaperNetwork, *, name: str) -> None:
         self.network = network.eval().requires_grad_(False).to(best_device())

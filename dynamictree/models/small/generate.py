@@ -49,7 +49,7 @@ def gusts_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tupl
 class SmallModel(MotionModel):
     """Amplitudes by regression, phases by diffusion, whose sampler runs on the GPU where there is one."""
 
-    paced_by_height = True
+    paced_by_height = adds_gust_travel = True
 
     def __init__(
         self,
