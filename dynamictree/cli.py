@@ -69,7 +69,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Captured trees that move: a sparse voxel spectrum from a tree's shape.",
+    help="Generate the motion of captured trees, as sparse voxel spectra.",
 )
 
 

@@ -33,14 +33,14 @@ def animate(
     reading: Reading,
     mask: Annotated[
         Path | None,
-        typer.Option(help="Of a splat or scan: .npy with one bool per Gaussian, true where it may move."),
+        typer.Option(help="For a splat or scan: .npy with one bool per Gaussian, true if it may move."),
     ] = None,
     mesh: Annotated[
-        Path | None, typer.Option("--mesh", help="Of a splat or scan: a mesh in the same place that carries it.")
+        Path | None, typer.Option("--mesh", help="For a splat or scan: a mesh at the same place that moves it.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a tree sway: mesh or splat → voxels → spectrum → motion files."""
+    """Generate the motion of a tree: mesh or splat → voxels → spectrum → motion files."""
     shape, capture = read_source(source, reading, choice=cloud, mask=mask, beside=mesh)
     period_s = generation.period_s or export.wanted_period_s
     if capture is not None and not as_json:

@@ -39,15 +39,15 @@ def convert(
         Path,
         typer.Argument(
             dir_okay=False,
-            help="File to write. Of a mesh: .glb, .obj, .ply. Of a cloud: .ply, .splat, .spz, .sog, .glb.",
+            help="File to write. Meshes: .glb, .obj, .ply. Clouds: .ply, .splat, .spz, .sog, .glb.",
         ),
     ],
     reading: Reading,
     as_json: AsJson = False,
 ) -> None:
-    """Write a mesh, splat or scan in another format; the ending of OUTPUT names it.
+    """Convert a mesh, splat or scan to the format of OUTPUT's ending.
 
-    Meshes are written in metres; OBJ and PLY with +Z up. A glTF that becomes GLB keeps all that is in it. Splats keep
+    Meshes are written in metres; OBJ and PLY with +Z up. A glTF keeps all of its content as GLB. Splats keep
     the axes and units of their file; SPZ and GLB are +Y up, SOG is -Y up.
     """
     cloud = load_capture(source, reading).cloud if is_cloud(source) else None

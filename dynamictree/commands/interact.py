@@ -41,36 +41,34 @@ def interact(
     output: OutputFolder,
     reading: Reading,
     params: InteractParams,
-    mesh: Annotated[
-        Path | None, typer.Option(help="The mesh that the spectrum was made for; motion and ply need it.")
-    ] = None,
+    mesh: Annotated[Path | None, typer.Option(help="Mesh of the spectrum, which motion and ply need.")] = None,
     formats: Annotated[
-        str, typer.Option("--format", help="Comma-separated: modal (coordinates), motion, ply.")
+        str, typer.Option("--format", help="Formats, separated by commas: modal (coordinates), motion, ply.")
     ] = "modal",
-    impulse: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="A knock at the place \\[N s].")] = None,
-    force: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="A pull at the place \\[N].")] = None,
+    impulse: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="Impulse at the place \\[N s].")] = None,
+    force: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="Force at the place \\[N].")] = None,
     displacement: Annotated[
-        Vector | None, typer.Option(metavar="X Y Z", help="A pull that would hold the place so far off \\[m].")
+        Vector | None, typer.Option(metavar="X Y Z", help="Displacement at which a pull holds the place \\[m].")
     ] = None,
     wind: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="Wind over the whole tree \\[m/s].")] = None,
     point: Annotated[
-        Vector | None, typer.Option(metavar="X Y Z", help="The place \\[m], +Z up; the top if none is given.")
+        Vector | None, typer.Option(metavar="X Y Z", help="Place of the force \\[m], +Z up; by default the top.")
     ] = None,
-    voxel: Annotated[int | None, typer.Option(min=0, help="The place as a row of the spectrum's voxels.")] = None,
-    radius: Annotated[float, typer.Option(min=0, max=1000, help="Spread the push over this radius \\[m].")] = 0.0,
-    start: Annotated[float, typer.Option(min=0, max=1e6, help="When the push begins \\[s].")] = 0.0,
+    voxel: Annotated[int | None, typer.Option(min=0, help="Place as a row of the spectrum's voxels.")] = None,
+    radius: Annotated[float, typer.Option(min=0, max=1000, help="Radius over which the force is spread \\[m].")] = 0.0,
+    start: Annotated[float, typer.Option(min=0, max=1e6, help="Start of the force \\[s].")] = 0.0,
     duration: Annotated[
         float | None,
-        typer.Option(min=0, max=1e6, help="How long it lasts \\[s]; a knock one frame, others to the end."),
+        typer.Option(min=0, max=1e6, help="Duration \\[s]; by default one frame for an impulse, else to the end."),
     ] = None,
-    held: Annotated[bool, typer.Option(help="Begin in equilibrium with the pull, to be let go.")] = False,
-    frames: Annotated[int, typer.Option(min=1, max=6000, help="Frames to write.")] = 120,
-    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second, each one step.")] = 60.0,
+    held: Annotated[bool, typer.Option(help="Start in equilibrium with the pull, and release it.")] = False,
+    frames: Annotated[int, typer.Option(min=1, max=6000, help="Number of frames.")] = 120,
+    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames per second; each is one step.")] = 60.0,
     as_json: AsJson = False,
 ) -> None:
-    """Push a tree: spectrum + forces → modal coordinates, moving mesh.
+    """Compute the response of a tree to forces: spectrum + forces → modal coordinates, moving mesh.
 
-    --warp needs --mesh; the place of a point is then the nearest vertex, which --displacement moves.
+    --warp needs --mesh; then the nearest vertex to the point is used, and --displacement moves it.
     """
     wanted = _formats(formats, has_mesh=mesh is not None)
     with open_input(spectrum) as stream:

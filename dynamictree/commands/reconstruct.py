@@ -27,18 +27,18 @@ def reconstruct(
         Path,
         typer.Argument(
             help="A folder of 8 to 300 photos (JPEG, PNG, WebP, TIFF, HEIC), taken around the tree; cameras in it "
-            "(transforms.json, a COLMAP model, poses_bounds.npy) and a folder `masks` are heeded. Or a film (MP4, MOV, "
+            "(transforms.json, a COLMAP model, poses_bounds.npy) and a folder `masks` are used. Or a film (MP4, MOV, "
             "WebM) of a walk around the tree."
         ),
     ],
     output: OutputFolder,
     params: PhotoParams,
-    fresh: Annotated[bool, typer.Option(help="Start anew, whatever an interrupted run has left.")] = False,
+    fresh: Annotated[bool, typer.Option(help="Start again, without results of an interrupted run.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find the cameras of photos, a splat and a mesh of what they show.
+    """Reconstruct cameras, a splat and a mesh from photos or a film.
 
-    An interrupted run leaves its finished stages in a folder beside the output; the same command continues there.
+    An interrupted run saves finished stages in a folder beside the output; the same command continues it.
     """
     from dynamictree.commands.stage_progress import stage_progress
     from dynamictree.reconstruct import Callbacks, Progress

@@ -20,10 +20,10 @@ def recut(
     params: CutParams,
     as_json: AsJson = False,
 ) -> None:
-    """Cut the plant out of a finished reconstruction, and give it its height; nothing is learned again.
+    """Cut the plant out of a finished reconstruction and scale it, without training again.
 
-    By a box, by strokes on photos (--scribble "IMG_3.jpg plant 0.5,0.4 0.5,0.7" and --scribble "IMG_3.jpg other
-    0.1,0.9", places as shares of the photo's width and height), or without help (--only-plant).
+    Choose the plant by a box, by strokes on photos (--scribble "IMG_3.jpg plant 0.5,0.4 0.5,0.7" and --scribble
+    "IMG_3.jpg other 0.1,0.9", points as shares of the photo's width and height), or automatically (--only-plant).
     """
     from dynamictree.reconstruct.recut import recut as recut_folder
 

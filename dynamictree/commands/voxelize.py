@@ -19,7 +19,7 @@ def voxelize(
     reading: Reading,
     as_json: AsJson = False,
 ) -> None:
-    """Write the voxels that hold a piece of the tree's surface (*.voxels.safetensors)."""
+    """Write the voxels that the tree's surface occupies (*.voxels.safetensors)."""
     mesh, _ = read_source(source, reading, choice=cloud)
     voxels = method.voxelize(mesh, resolution=grid.resolution, source_sha256=file_sha256(source))
     with atomic_folder(output.parent) as folder, (folder / output.name).open("wb") as stream:

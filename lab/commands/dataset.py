@@ -12,16 +12,16 @@ from dynamictree.errors import InputError
 from lab.dataset.limits import DatasetLimits
 from lab.training.progress import bars
 
-app = typer.Typer(no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet.")
+app = typer.Typer(no_args_is_help=True, help="Generate, filter and review 4DTree, a data set of animated trees.")
 
 Folder = Annotated[Path, typer.Argument(help="Folder of the dataset.")]
 BakedFolder = Annotated[
     Path | None,
-    typer.Argument(help="A baked folder: all its trees, from its records. Trees from seeds if not given.", exists=True),
+    typer.Argument(help="Folder of a dataset, whose records are used; by default trees from seeds.", exists=True),
 ]
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**40, help="Seed of the first tree.")]
-Workers = Annotated[int, typer.Option(min=1, max=256, help="Processes; the bytes do not depend on their number.")]
-SpeciesName = Annotated[str | None, typer.Option(help="Only this species; drawn from the seed if not given.")]
+Workers = Annotated[int, typer.Option(min=1, max=256, help="Number of processes; it does not affect the bytes.")]
+SpeciesName = Annotated[str | None, typer.Option(help="Only this species; by default drawn from the seed.")]
 
 
 @app.command()
@@ -29,24 +29,26 @@ SpeciesName = Annotated[str | None, typer.Option(help="Only this species; drawn 
 def generate(
     folder: Folder,
     limits: DatasetLimits,
-    trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Accepted trees wanted.")] = 8786,
+    trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Number of accepted trees.")] = 8786,
     first_seed: FirstSeed = 0,
-    trees_per_shard: Annotated[int, typer.Option(min=1, max=1000, help="Trees in a file.")] = 25,
+    trees_per_shard: Annotated[int, typer.Option(min=1, max=1000, help="Trees per file.")] = 25,
     resolution: Annotated[
-        list[int], typer.Option(help="Voxels along the largest extent, 32 to 512; may be given several times.")
+        list[int], typer.Option(help="Voxels along the largest extent, 32 to 512; several are allowed.")
     ] = [128],  # noqa: B006 typer copies it
     review: Annotated[
         Path | None,
-        typer.Option(help="Verdicts to honour, as `dataset sheet` writes them.", exists=True, dir_okay=False),
+        typer.Option(help="Review file with verdicts, as `dataset sheet` writes.", exists=True, dir_okay=False),
     ] = None,
-    shard: Annotated[str, typer.Option(help="i/n: bake only every n-th shard from the i-th (0 to n-1) on.")] = "0/1",
+    shard: Annotated[
+        str, typer.Option(help="i/n: generate only every n-th shard from the i-th (0 to n-1) on.")
+    ] = "0/1",
     species: Annotated[
-        str | None, typer.Option(help="Only this species, or `crossed`: parts of several; drawn if not given.")
+        str | None, typer.Option(help="Only this species, or `crossed` (mixed); by default drawn.")
     ] = None,
     workers: Workers = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Generate a dataset into a folder; an interrupted run continues."""
+    """Generate a dataset in a folder; continue an interrupted run."""
     from lab.dataset import generate as baking
     from lab.dataset.review import read_review
 
@@ -80,12 +82,12 @@ def generate(
 def filter_trees(
     limits: DatasetLimits,
     folder: BakedFolder = None,
-    trees: Annotated[int, typer.Option(min=1, max=1_000_000, help="Trees to look at, from seeds.")] = 100,
+    trees: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of trees from seeds.")] = 100,
     first_seed: FirstSeed = 0,
     species: SpeciesName = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print how many trees each rule would reject, and the worst of each measure; writes nothing."""
+    """Print how many trees each rule would reject, and the worst value of each measure; write nothing."""
     from dataclasses import asdict
 
     from lab.dataset.filter import measure, rejections
@@ -118,13 +120,13 @@ def filter_trees(
 def sheet(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pages and the review file.")],
     folder: BakedFolder = None,
-    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to draw.")] = 24,
+    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Number of trees.")] = 24,
     first_seed: FirstSeed = 0,
     species: SpeciesName = None,
-    rows: Annotated[int, typer.Option(min=1, max=50, help="Trees on a page.")] = 12,
+    rows: Annotated[int, typer.Option(min=1, max=50, help="Trees per page.")] = 12,
     as_json: AsJson = False,
 ) -> None:
-    """Draw pages of trees with motion strips, and a review file to mark trees as rejected in."""
+    """Draw pages of trees with motion strips, and write a review file, in which trees can be rejected."""
     from dynamictree.render import write_png
     from lab.dataset.contact_sheet import draw_sheet
     from lab.dataset.records import iter_measured

@@ -22,26 +22,24 @@ if TYPE_CHECKING:
 
 def evaluate(
     model: Annotated[str, typer.Option(help="Model name, or a .safetensors file.")] = "small",
-    trees: Annotated[int, typer.Option(min=1, max=10_000, help="Of each group: seen and unseen species.")] = 6,
+    trees: Annotated[int, typer.Option(min=1, max=10_000, help="Trees per group: seen and unseen species.")] = 6,
     training_trees: Annotated[
-        int, typer.Option(min=1, max=10_000, help="Training trees that the baselines are fitted to.")
+        int, typer.Option(min=1, max=10_000, help="Number of training trees for the baselines.")
     ] = 40,
-    first_seed: Annotated[int, typer.Option(min=0, max=2**40, help="Of the training trees.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of the generated motions.")] = 0,
-    steps: Annotated[
-        int | None, typer.Option(min=1, max=1000, help="Of the sampler; the preset's own if not given.")
-    ] = None,
+    first_seed: Annotated[int, typer.Option(min=0, max=2**40, help="First seed of the training trees.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the generated motions.")] = 0,
+    steps: Annotated[int | None, typer.Option(min=1, max=1000, help="Sampler steps; by default the preset's.")] = None,
     samples: Annotated[
         Path | None,
         typer.Option(
             envvar="DYNAMICTREE_SAMPLES",
             exists=True,
             file_okay=False,
-            help="Folder of trees (.npz) that Blender's Sapling add-on baked: a third group.",
+            help="Folder of trees (.npz) from Blender's Sapling add-on, as a third group.",
         ),
     ] = None,
     classifier: Annotated[
-        bool, typer.Option(help="Instead, train a classifier to tell generated motions from true ones (long).")
+        bool, typer.Option(help="Instead, train a classifier to separate generated from true motions (slow).")
     ] = False,
     laws: Annotated[
         bool, typer.Option(help="Instead, check the simulator against measurements of real trees, from 1 to 35 m.")
@@ -58,20 +56,20 @@ def evaluate(
     ] = None,
     height_m: Annotated[
         float | None,
-        typer.Option(min=0.01, max=999.0, help="Height of that tree \\[m]; the file's if not given."),
+        typer.Option(min=0.01, max=999.0, help="Height of that tree \\[m]; by default the file's."),
     ] = None,
-    classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
+    classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Trees per class.")] = 200,
     max_voxels: Annotated[
-        int, typer.Option(min=1000, max=150_000, help="Leave larger trees out of the classifier, on both sides.")
+        int, typer.Option(min=1000, max=150_000, help="Largest number of voxels of a tree, for the classifier.")
     ] = 150_000,
     clip: Annotated[
         Path | None,
         typer.Option(help="CLIP's ViT-B/32 (model.safetensors, or its folder), for CLIP-I and CLIP-T.", exists=True),
     ] = None,
-    threads: Annotated[int, typer.Option(min=1, max=256, help="Of this process.")] = 2,
+    threads: Annotated[int, typer.Option(min=1, max=256, help="Threads of this process.")] = 2,
     as_json: AsJson = False,
 ) -> None:
-    """Measure a model on trees that no training saw, beside its baselines: a table, or JSON."""
+    """Measure a model and its baselines on held-out trees; print a table or JSON."""
     import torch
 
     torch.set_num_threads(threads)

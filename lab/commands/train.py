@@ -24,39 +24,39 @@ MAX = 10_000_000
 
 
 def train(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder for checkpoints and weights; a run that was stopped there continues.")
-    ],
+    folder: Annotated[Path, typer.Argument(help="Folder for checkpoints and weights; a stopped run continues.")],
     dataset: Annotated[
         list[Path],
-        typer.Option(help="Folder of shards from `dynamictree dataset generate`; of several, in turn."),
+        typer.Option(help="Folder of shards from `dynamictree dataset generate`; several are interleaved."),
     ],
-    preset: Annotated[str, typer.Option(help=f"Which network: {', '.join(PRESETS)}.")] = "small",
-    foliage_trees: Annotated[int, typer.Option(min=0, max=MAX, help="Small: trees of the foliage network.")] = 800,
+    preset: Annotated[str, typer.Option(help=f"Network: {', '.join(PRESETS)}.")] = "small",
+    foliage_trees: Annotated[int, typer.Option(min=0, max=MAX, help="Small: trees for the foliage network.")] = 800,
     foliage_steps: Annotated[
-        int, typer.Option(min=0, max=MAX, help="Small: steps of the foliage network; 0 keeps that of --start-from.")
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the foliage network; 0 keeps --start-from's.")
     ] = 5000,
-    amplitude_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the amplitude network.")] = 1200,
+    amplitude_trees: Annotated[
+        int, typer.Option(min=1, max=MAX, help="Small: trees for the amplitude network.")
+    ] = 1200,
     amplitude_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the amplitude network.")] = 3000,
-    denoiser_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the diffusion.")] = 160,
+    denoiser_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees for the denoiser.")] = 160,
     denoiser_steps: Annotated[
-        int, typer.Option(min=0, max=MAX, help="Small: steps of the diffusion; 0 keeps that of --start-from.")
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the denoiser; 0 keeps --start-from's.")
     ] = 1600,
-    start_from: Annotated[str | None, typer.Option(help="Small: weights file that the training starts from.")] = None,
-    accumulate: Annotated[int, typer.Option(min=1, max=1024, help="Small: batches per step of the diffusion.")] = 1,
-    steps: Annotated[int | None, typer.Option(min=1, max=MAX, help="Paper: steps; the preset's if not given.")] = None,
+    start_from: Annotated[str | None, typer.Option(help="Small: weights file to start from.")] = None,
+    accumulate: Annotated[int, typer.Option(min=1, max=1024, help="Small: batches per step of the denoiser.")] = 1,
+    steps: Annotated[int | None, typer.Option(min=1, max=MAX, help="Paper: steps; by default the preset's.")] = None,
     smoothness_from: Annotated[
-        int | None, typer.Option(min=0, max=MAX, help="Paper: first step with L_LSS; the preset's if not given.")
+        int | None, typer.Option(min=0, max=MAX, help="Paper: first step with L_LSS; by default the preset's.")
     ] = None,
     smoothness_weight: Annotated[
-        float | None, typer.Option(min=0.0, max=1000.0, help="Paper: of L_LSS beside L_DM, 1 if not given.")
+        float | None, typer.Option(min=0.0, max=1000.0, help="Paper: weight of L_LSS relative to L_DM; by default 1.")
     ] = None,
     width: Annotated[
-        int | None, typer.Option(min=8, max=1024, help="Paper: channels of the U-Net's first level, 128 if not given.")
+        int | None, typer.Option(min=8, max=1024, help="Paper: channels of the U-Net's first level; by default 128.")
     ] = None,
     resolution: Annotated[
         int | None,
-        typer.Option(min=8, max=128, help="Paper: grid of the spectrum, 128 if not given; condition 4 times."),
+        typer.Option(min=8, max=128, help="Paper: resolution of the spectrum, by default 128 (condition: 4 times)."),
     ] = None,
     batch: Annotated[
         int | None, typer.Option(min=1, max=4096, help="Paper: pairs of tree and frequency per step.")
@@ -66,10 +66,10 @@ def train(
         int | None, typer.Option(min=1, max=16, help="Paper: frequencies of each of these trees per pass.")
     ] = None,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Paper: processes that load trees.")] = 0,
-    bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; the preset's if not given.")] = None,
-    device: Annotated[str, typer.Option(help=f"{', '.join(DEVICES)}; small trains on the CPU.")] = "auto",
-    threads: Annotated[int, typer.Option(min=1, max=256, help="Of each process.")] = 1,
-    dry_run: Annotated[bool, typer.Option(help="Print the resolved run and stop.")] = False,
+    bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; by default the preset's.")] = None,
+    device: Annotated[str, typer.Option(help=f"{', '.join(DEVICES)}; small uses the CPU.")] = "auto",
+    threads: Annotated[int, typer.Option(min=1, max=256, help="Threads per process.")] = 1,
+    dry_run: Annotated[bool, typer.Option(help="Print the resolved options and stop.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Train a model from a dataset's shards; under `torchrun` on many processes or machines."""

@@ -12,7 +12,7 @@ from jobs.errors import JobsError
 from jobs.settings import Settings, read_settings
 
 StateDir = Annotated[
-    Path | None, typer.Option(help="folder of jobs, uploads and products; DYNAMICTREE_STATE_DIR or ./state if unset")
+    Path | None, typer.Option(help="Folder of the state; by default DYNAMICTREE_STATE_DIR or ./state.")
 ]
 
 

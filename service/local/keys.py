@@ -14,22 +14,18 @@ from jobs.records import LIMITS, SCOPES, Limit, Scope
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
 
-app = typer.Typer(no_args_is_help=True, help="Make API keys, list them, revoke them.")
+app = typer.Typer(no_args_is_help=True, help="Create, list and revoke API keys.")
 
 
 @app.command()
 def create(
-    name: Annotated[str, typer.Argument(help="what the key is for")],
-    owner: Annotated[
-        str | None, typer.Option(help="whose things it opens; another key of the same owner opens them too")
-    ] = None,
-    scope: Annotated[list[str] | None, typer.Option(help=f"one of {', '.join(SCOPES)}; all if unset")] = None,
+    name: Annotated[str, typer.Argument(help="Name of the key.")],
+    owner: Annotated[str | None, typer.Option(help="Owner; all keys of an owner access the same data.")] = None,
+    scope: Annotated[list[str] | None, typer.Option(help=f"Scope: {', '.join(SCOPES)}; by default all.")] = None,
     limit: Annotated[
-        list[str] | None, typer.Option(help=f"NAME=NUMBER in place of the setting; {', '.join(LIMITS)}")
+        list[str] | None, typer.Option(help=f"NAME=NUMBER, instead of the setting: {', '.join(LIMITS)}.")
     ] = None,
-    expires_days: Annotated[
-        float | None, typer.Option(help="days until it opens nothing; never if unset", min=0)
-    ] = None,
+    expires_days: Annotated[float | None, typer.Option(help="Days until it expires; by default never.", min=0)] = None,
     state_dir: StateDir = None,
 ) -> None:
     """Create a key. It is printed once and not stored."""
@@ -55,8 +51,8 @@ def list_keys(state_dir: StateDir = None) -> None:
 
 
 @app.command()
-def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")], state_dir: StateDir = None) -> None:
-    """Let a key open nothing any more, within two seconds."""
+def revoke(key_id: Annotated[str, typer.Argument(help="Id from `keys list`.")], state_dir: StateDir = None) -> None:
+    """Revoke a key; it stops working within two seconds."""
     with _store(state_dir) as store:
         revoke_key(store, key_id)
 

@@ -51,14 +51,14 @@ REDIS_CONFIG = {
 
 
 def serve(
-    host: Annotated[str, typer.Option(help="address to listen at")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="port to listen at; 0 takes a free one", min=0, max=65535)] = 8000,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen at; 0 is any free port.", min=0, max=65535)] = 8000,
     state_dir: StateDir = None,
     threads: Annotated[
-        int | None, typer.Option(help="threads of the worker; all cores if unset", min=1, max=256)
+        int | None, typer.Option(help="Threads of the worker; by default all cores.", min=1, max=256)
     ] = None,
 ) -> None:
-    """Run the whole service on this machine until it is stopped; its address is also that of a page to use it from."""
+    """Run the whole service on this machine until it is stopped; its address also serves a web page."""
     with ExitStack() as stack:
         with one_line("serve"):
             settings = settings_of(state_dir=state_dir, worker_threads=threads)

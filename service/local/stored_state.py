@@ -20,11 +20,11 @@ from jobs.storage.upload_parts import open_parts
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
 
-Folder = Annotated[Path, typer.Argument(help="folder of the backup")]
+Folder = Annotated[Path, typer.Argument(help="Folder of the backup.")]
 
 
 def backup(folder: Folder, state_dir: StateDir = None) -> None:
-    """Save database and bytes into a folder, while the service runs. Bytes that are there already are not copied."""
+    """Save database and files to a folder, while the service runs. Existing files are not copied again."""
     with _opened("backup", state_dir) as (store, artifacts):
         report = back_up(store, artifacts, folder)
     typer.echo(json.dumps(asdict(report)))
@@ -34,14 +34,14 @@ def backup(folder: Folder, state_dir: StateDir = None) -> None:
 
 
 def restore(folder: Folder, state_dir: StateDir = None) -> None:
-    """Fill an empty state with a backup. Stop the service first; jobs that ran are begun anew."""
+    """Restore a backup to an empty state folder. Stop the service first; running jobs start again."""
     with _opened("restore", state_dir, must_exist=False) as (store, artifacts):
         report = restore_backup(store, artifacts, folder)
     typer.echo(json.dumps(asdict(report)))
 
 
 def scrub(state_dir: StateDir = None) -> None:
-    """Read all stored bytes and compare them with their hashes. Exit status 1 where some are missing or differ."""
+    """Compare all stored files with their hashes. The exit status is 1 if some are missing or differ."""
     with _opened("scrub", state_dir) as (store, artifacts):
         report = read_again(store, artifacts)
     typer.echo(json.dumps(asdict(report)))
@@ -50,11 +50,11 @@ def scrub(state_dir: StateDir = None) -> None:
 
 
 def erase(
-    owner: Annotated[str, typer.Argument(help="as `keys list` shows it")],
-    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+    owner: Annotated[str, typer.Argument(help="Owner, as in `keys list`.")],
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
     state_dir: StateDir = None,
 ) -> None:
-    """Delete everything of one owner: keys, uploads, assets, jobs, products, webhooks. Backups are not touched."""
+    """Delete all data of one owner: keys, uploads, assets, jobs, products, webhooks. Backups stay unchanged."""
     if not yes:
         typer.confirm(f"Delete everything of owner {owner} for good?", abort=True)
     with _opened("erase", state_dir) as (store, artifacts):
