@@ -96,7 +96,7 @@ class Machines:
     """Servers by name, all of them running."""
 
     servers: Mapping[str, Server]
-    url: str  # of the API
+    url: str  # address of the API
     database_url: str
 
 

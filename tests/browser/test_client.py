@@ -15,7 +15,7 @@ def test_the_client_in_node(url: str, tree: Path, tmp_path: Path) -> None:
     assert node, "no node: install node 20 or newer"
     with tree.open("rb") as stream:
         mesh = read_mesh(stream, file_type="glb")
-    large = tmp_path / "large.obj"  # by its comments
+    large = tmp_path / "large.obj"  # made large by comments
     with large.open("w") as out:
         out.writelines(f"v {x:.5f} {y:.5f} {z:.5f}\n" for x, y, z in mesh.vertices)
         out.writelines(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in mesh.faces)

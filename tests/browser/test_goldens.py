@@ -15,7 +15,7 @@ from tests.browser.conftest import PICTURES, Open, scrub, steady
 GOLDENS = Path(__file__).with_name("goldens")
 WIDTH = 160
 BLUR_PX = 1.0  # another machine draws an edge elsewhere by less
-TOLERANCE = 2.0  # of 255: root mean square over pixels and colours; WebP alone makes up to 1.5
+TOLERANCE = 2.0  # root mean square over pixels and colours [0 to 255]; WebP alone makes up to 1.5
 VIEWS = ("surface", "wire", "voxels", "modes")
 COMPANY = ("pair", "forest")
 SIZES = {"desktop": (1100, 720), "phone": (390, 760)}

@@ -17,7 +17,7 @@ MESH_IS_SEEN = """async () => {
     const mesh = [tree.mesh.material].flat().some(({ colorWrite }) => colorWrite);
     return { mesh, splat: Boolean(tree.splat?.drawn), apart };
 }"""
-LEAST_DRAWN = 0.02  # of the stage's pixels
+LEAST_DRAWN = 0.02  # share of the stage's pixels
 
 
 @pytest.fixture

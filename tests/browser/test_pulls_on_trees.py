@@ -24,7 +24,7 @@ TOUCHED = ("sapling", "lime")
 WINDS_M_S = (0, 8)
 CLOSE_PX = 5
 PULL_PX = 45
-WAY = ((1.0, 0.3), (-0.6, -0.5))  # of the hand, in shares of the pull
+WAY = ((1.0, 0.3), (-0.6, -0.5))  # path of the hand [share of the pull]
 
 # Frame by frame: the pointer and what is pulled, a vertex as web/draw/follow.js draws it from textures of the GPU
 WATCH = """async () => {

@@ -61,7 +61,7 @@ def test_playcanvas_has_every_gaussian_as_it_was_written(browser: Browser, rng: 
     def table(name: str, width: int) -> np.ndarray:
         return np.stack([columns[f"{name}_{number}"] for number in range(width)], axis=1)
 
-    turn = up_rotation("+Y").T  # from ours to glTF's axes
+    turn = up_rotation("+Y").T  # rotation from our axes to glTF's
     places = np.stack([columns[axis] for axis in "xyz"], axis=1)
     np.testing.assert_allclose(places[rows[0]], (cloud.means @ turn.T)[rows[1]], atol=1e-5)
     np.testing.assert_allclose(columns["opacity"][rows[0]], cloud.opacity[rows[1]], atol=1e-6)

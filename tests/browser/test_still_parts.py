@@ -109,7 +109,7 @@ def where_red(viewer: Viewer) -> tuple[dict[str, float], np.ndarray]:
     red = (whole[..., 0] - whole[..., 1] > 40) & (whole[..., 0] - whole[..., 2] > 40)
     rows, columns = np.nonzero(red)
     assert len(rows) > 300, "nothing red in the picture"
-    top, bottom = np.percentile(rows, [45, 85])  # below a pot's rim, over which the stem is seen
+    top, bottom = np.percentile(rows, [45, 85])  # rows below a pot's rim, over which the stem is seen
     left, right = np.percentile(columns, [15, 85])
     box = {"x": float(left), "y": float(60 + top), "width": float(right - left), "height": float(bottom - top)}
     return box, picture_of(viewer, box)

@@ -215,7 +215,7 @@ def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, ur
     viewer.show(f"{url}/#job={job}")
     expect(page.locator("#artifacts")).to_contain_text("Animated splat", timeout=JOB_MS)
     assert not page.evaluate(OF_ANOTHER), "what was dropped may be sorted when this one is there already"
-    page.locator("#speed").fill("0")  # at rest nothing has turned
+    page.locator("#speed").fill("0")  # without wind nothing has turned
     page.locator("#canvas").focus()
     angle = AHEAD_RAD
     for turns in (0, 9, 22):

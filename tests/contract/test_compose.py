@@ -103,7 +103,7 @@ def test_object_storage_shows_nothing_but_s3_to_whom_has_its_key_as_a_file() -> 
 def test_parsers_fit_into_the_memory_of_the_api() -> None:
     api = SERVICES["api"]
     parsers = int(api["environment"]["DYNAMICTREE_PARSER_MEMORY_BYTES"]) * Settings.model_fields["max_parsers"].default
-    scratch, own = 1 * GIB, 1 * GIB  # of /tmp; of the API itself
+    scratch, own = 1 * GIB, 1 * GIB  # memory of /tmp; memory of the API itself
     limit = int(api["deploy"]["resources"]["limits"]["memory"].removesuffix("g")) * GIB
     assert parsers + scratch + own <= limit
 

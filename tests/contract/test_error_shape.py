@@ -58,7 +58,7 @@ JSON = {"Content-Type": "application/json"}
           for body in (b"{", b"\xff\xfe", b"")),
         (lambda client: client.post("/v1/jobs", json={"type": "x" * 4000}), 413, "payload-too-large"),
         (lambda client: client.post("/v1/jobs", content=(b" " * 1000 for _ in range(4)), headers=JSON), 413,
-         "payload-too-large"),  # which does not tell its length
+         "payload-too-large"),  # a body without a length
         (lambda client: client.post("/v1/jobs", content=b"{}", headers={"Content-Length": "-5"}), 413,
          "payload-too-large"),
         (lambda client: client.post("/v1/assets", content=b"x"), 415, "unsupported-format"),

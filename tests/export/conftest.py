@@ -15,7 +15,7 @@ from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from lab.dataset.sample import make_sample, voxel_spectrum
 
-FPS, NUM_FRAMES = 7.68, 32  # of the same loop, with few frames
+FPS, NUM_FRAMES = 7.68, 32  # the same loop, with few frames
 Sapling = tuple[TriangleMesh, SparseVoxelSpectrum]
 Products = tuple[dict[str, Path], dict[str, Facts]]
 

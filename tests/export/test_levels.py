@@ -62,7 +62,7 @@ def test_wood_moves_as_the_tree_does_and_the_error_is_the_reported_one(written: 
     some = np.arange(0, mesh.num_vertices, 5)
     nearest, _, face = trimesh.proximity.closest_point_naive(surface, mesh.vertices[some])
     weights = trimesh.triangles.points_to_barycentric(surface.triangles[face], nearest)
-    order = np.argmin(((surface.vertices[:, None] - rest[None]) ** 2).sum(axis=2), axis=1)  # of its vertices in ours
+    order = np.argmin(((surface.vertices[:, None] - rest[None]) ** 2).sum(axis=2), axis=1)  # our row of each vertex
     moved = np.einsum("pc,tpcx->tpx", weights, played[:, order[surface.faces[face]]])
     gap, whole = ((moved - truth[:, some]) ** 2).sum(), (truth[:, some] ** 2).sum()
     assert np.sqrt(gap / whole) == pytest.approx(facts["lod1_relative_error"], rel=0.3)

@@ -108,7 +108,7 @@ def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(sapling: Sapling,
     all_joints = len(rig.skeleton)
     errors = [skin_of(rig, mesh.vertices, count)[1].relative_error for count in (8, 32, 128, all_joints)]
     assert errors[0] > errors[1] > 1.3 * errors[2] > 0
-    assert errors[3] < 0.1 * errors[2]  # of keys in 16 bits
+    assert errors[3] < 0.1 * errors[2]  # keys have 16 bits
     assert products[1]["glb"]["num_joints"] <= 64
 
 

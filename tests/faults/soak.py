@@ -151,7 +151,7 @@ class Traffic:
         if job["state"] == "succeeded":
             spectrum_id = str(job["result"]["spectrum_id"])  # type: ignore[index]
             self.push(spectrum_id)
-            if self.rng.random() < 0.2:  # in the warm-up too: threads that a burst starts are no growth
+            if self.rng.random() < 0.2:  # also in the warm-up: threads that a burst starts are no growth
                 with ThreadPoolExecutor(16) as threads:
                     list(threads.map(lambda _: self.push(spectrum_id, num_frames=600), range(16)))
         self.ask("GET", "/v1/jobs?limit=50", {200})

@@ -186,7 +186,7 @@ def test_one_address_has_a_share_of_the_connections(edge: Edge) -> None:
             plain = socket.create_connection(("127.0.0.1", _port(edge)))
             connection = edge.trust.wrap_socket(plain, server_hostname="localhost")
             connection.settimeout(10)
-            connection.sendall(head.encode())  # and no byte of the body
+            connection.sendall(head.encode())  # no byte of the body follows
             opened.append(connection)
         answers = [connection.recv(64).split(b" ")[1] for connection in opened[-10:]]
         assert answers == [b"503"] * 10

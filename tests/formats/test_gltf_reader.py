@@ -16,7 +16,7 @@ from tests.formats.artists import Artist, document_of
 from tests.formats.looks import standing
 from tests.formats.meshes import gltf_bytes, image_bytes, read, triangle_gltf
 
-CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], np.float32)  # of triangle_gltf, +Z up
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], np.float32)  # corners of triangle_gltf, +Z up
 
 
 def read_gltf(**changes: object) -> TriangleMesh:
@@ -104,7 +104,7 @@ def test_without_a_scene_all_nodes_are_in() -> None:
         {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}]},  # no indices: vertices in their order
         {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode} for mode in (0, 1, 4)]}]},
         {"nodes": [{"mesh": 0.0}]},
-        {"extensionsRequired": ["KHR_materials_unlit", "KHR_lights_punctual"]},  # of the look alone
+        {"extensionsRequired": ["KHR_materials_unlit", "KHR_lights_punctual"]},  # both affect only the look
         {"buffers": [{"byteLength": 43}]},  # padding of the chunk may be counted
         {"nodes": [{"mesh": 0}, {"mesh": 0}]},  # outside of the scene
         {"nodes": [{"mesh": 0}, {"children": [2], "name": "a"}, {"children": [1]}]},

@@ -26,7 +26,7 @@ def read(text: str, **files: bytes) -> TriangleMesh:
         SQUARE + "\n\nf\nf 1 2 3 4\n",
         SQUARE.replace(" ", "\t") + "f\t1\t2\t3\t4",
         "\ufeff# made by\r\n" + SQUARE.replace("\n", "\r\n") + "f 1 2 \\\r\n3 4\r\n",
-        SQUARE.replace("\n", "\r") + "f 1 2 3 4\r",  # of a Mac before 2001
+        SQUARE.replace("\n", "\r") + "f 1 2 3 4\r",  # line ends of a Mac before 2001
         SQUARE + "f 1 2 \\ \n 3 4 # a comment\n",
         SQUARE + "f -4 -3 -2 -1\nv 9 9 9\n",
         SQUARE + "o b\nf -4// -3// -2// -1//\n",

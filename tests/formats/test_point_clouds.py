@@ -92,7 +92,7 @@ WKT = 'PROJCS["NAD83",GEOGCS["NAD83",DATUM["D",SPHEROID["GRS",6378137,298.25]],U
         ("", ((3072, 2263),), (1200 / 3937, 1200 / 3937)),  # New York, US survey feet
         ("", ((3072, 2263), (4096, 5703)), (1200 / 3937, 1.0)),  # NAVD88 height in metres
         ("", ((3072, 32767),), (1.0, 1.0)),  # defined by the user
-        ("", ((3072, 31000),), (1.0, 1.0)),  # of no system
+        ("", ((3072, 31000),), (1.0, 1.0)),  # no coordinate system
     ],
 )  # fmt: skip
 def test_the_coordinate_system_says_the_unit(wkt: str, keys: Keys, metres: tuple[float, float]) -> None:

@@ -15,7 +15,7 @@ GOOD = seeds()
 @pytest.mark.parametrize("kind", GOOD)
 def test_a_good_file_is_read_and_a_broken_one_refused(kind: str) -> None:
     for sample in GOOD[kind]:
-        READERS[kind](sample)  # in this process: what is imported when it is used, no fork has to import again
+        READERS[kind](sample)  # imports lazy modules here, so that no fork has to import them again
     outcomes = [attempt(READERS[kind], case(kind, index, 1, GOOD)) for index in range(5)]
     assert [outcome.detail for outcome in outcomes if outcome.faulty] == []
 

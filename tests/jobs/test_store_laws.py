@@ -147,7 +147,7 @@ def test_owners_take_turns(store: Store, asset: AssetRecord, clock: Clock) -> No
     first = []
     for _ in range(6):
         first.append(add_job(many, asset).id)
-        clock.now += 1  # of two jobs of one moment either may be first
+        clock.now += 1  # two jobs of one moment have no order
     last = add_job(one, asset).id
 
     def send() -> list[str]:

@@ -72,7 +72,7 @@ def test_it_is_bounded_in_a_wild_wind_too(spectrum: SparseVoxelSpectrum) -> None
 
 def test_it_does_not_come_back_in_an_hour(wind: TurbulentWind) -> None:
     q = wind.coordinates(np.arange(0, 3600, 0.2))[:, 1:]
-    windows = np.lib.stride_tricks.sliding_window_view(q, 21, axis=0)[21:]  # of one period of the loop
+    windows = np.lib.stride_tricks.sliding_window_view(q, 21, axis=0)[21:]  # windows of one period of the loop
     apart = np.sqrt((np.abs(windows - windows[0]) ** 2)[1:].mean(axis=(1, 2)))
     assert apart[21:].min() > 0.5
 

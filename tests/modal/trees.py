@@ -30,7 +30,7 @@ def fork(num_frequencies: int = 8, *, fineness: int = 1) -> tuple[SparseVoxelSpe
 
     rng = np.random.default_rng(3)
     along_y = np.array([0.0, 1.0, 0.0])
-    out = (grid.coords[:, 0] - middle_x) * voxel_m  # from the stem, to the right
+    out = (grid.coords[:, 0] - middle_x) * voxel_m  # distance from the stem, to the right
     height = np.where(out == 0, grid.coords[:, 2] + 1, top + 1) * voxel_m
     coefficients = np.zeros((len(grid), num_frequencies, 3), np.complex128)
     for k in range(1, num_frequencies):

@@ -102,7 +102,7 @@ def test_a_tree_in_any_period_keeps_its_size_and_its_frequency(period_s: float) 
     assert spectrum.period_s == pytest.approx(period_s, abs=0.5 / 24)
     size, frequency = zip(*(moments(one) for one in (as_it_is, spectrum)), strict=True)
     assert size[1] == pytest.approx(size[0], rel=1e-3)
-    assert frequency[1] == pytest.approx(frequency[0], abs=0.25 / period_s)  # of a bin's width
+    assert frequency[1] == pytest.approx(frequency[0], abs=0.25 / period_s)  # quarter of a bin's width
 
 
 @pytest.mark.parametrize("period_s", [2.0, 3.0, PERIOD_S, 6.25, 30.0])
@@ -115,7 +115,7 @@ def test_a_small_tree_is_faster_by_what_its_height_gives(height_m: float, period
         ),
         strict=True,
     )
-    bin_width = max(1 / period_s, speedup_of(height_m) / PERIOD_S)  # of the spectrum, or of the model, quickened
+    bin_width = max(1 / period_s, speedup_of(height_m) / PERIOD_S)  # the spectrum's, or the model's times its speedup
     assert frequency[1] == pytest.approx(speedup_of(height_m) * frequency[0], abs=bin_width / 2)
     assert size[1] == pytest.approx(size[0], rel=0.02)  # less what is too fast for the bins
 

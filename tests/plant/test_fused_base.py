@@ -20,7 +20,7 @@ from tests.formats.meshes import written
 from tests.plant.stand import grown
 
 CELLS = 96
-_THICK = 0.012  # of the height: standard deviation of what thickens stems and leaves
+_THICK = 0.012  # standard deviation of the thickening of stems and leaves [share of the height]
 
 Solid = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 

@@ -26,7 +26,7 @@ from dynamictree.render.video import write_mp4
 from tests.reconstruct.conftest import sparse_model
 
 NUM_FRAMES, NUM_CHOSEN, SHARP_EVERY = 80, 8, 5
-FRAMES = list(range(4, 310, 10))  # of a film of 310 frames, one walk around
+FRAMES = list(range(4, 310, 10))  # frames of a film of 310 frames, one walk around
 
 
 def model(frames: Sequence[int]) -> SparseModel:

@@ -37,7 +37,7 @@ def marker_png(number: int) -> bytes:
 
 def with_marker(enlarged: float) -> TriangleMesh:
     """The stump, and on the ground beside it a marker, turned and a little tilted."""
-    half = 0.5 * enlarged * EDGE_M * 10 / 8  # with its white border
+    half = 0.5 * enlarged * EDGE_M * 10 / 8  # half side with the white border
     turn = np.radians(25)
     corners = half * np.array([[-1, 1, 0], [1, 1, 0.05], [1, -1, 0.05], [-1, -1, 0]])
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])

@@ -202,6 +202,6 @@ def test_real_photos_of_a_thing_on_a_carpet(samples, tmp_path):
     yellow = result.mesh.look.vertex_colors[:, :3].astype(int)
     assert (yellow[:, 0] - yellow[:, 2] > 25).mean() > 0.6  # bananas, not carpet
     length = float(np.ptp(result.mesh.vertices, axis=0).max())
-    assert 1.3 < length < 3.0  # of the height
+    assert 1.3 < length < 3.0  # length over height
     assert max(result.report["held_out_size_px"]) >= 600
     assert np.mean(result.report["held_out_psnr_db"]) > 22

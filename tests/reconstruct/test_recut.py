@@ -42,7 +42,7 @@ def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: P
     assert splat.num_gaussians == NUM_STEM
     length = np.ptp(splat.means[:, 2])
     assert 0.93 * 2.5 < length < 2.5  # inside the surface, which is around the Gaussians
-    np.testing.assert_allclose(splat.scales, 0.02 * length, rtol=1e-4)  # of a stem of 1 m
+    np.testing.assert_allclose(splat.scales, 0.02 * length, rtol=1e-4)  # scales for a stem of 1 m
     assert cloud(target / "scene.ply").num_gaussians == NUM_STEM + NUM_FLOOR + NUM_LAMP
     mesh = read_ply_mesh((target / "mesh.ply").read_bytes(), companions={})
     np.testing.assert_allclose(mesh.vertices, capture.mesh.vertices, atol=1e-6)
@@ -69,7 +69,7 @@ def test_a_plant_that_the_photos_do_not_show_is_refused_unless_someone_marked_it
     recut(tmp_path / "finished", tmp_path / "cut", CutParams(only_plant=True))
     report = json.loads((tmp_path / "cut" / "report.json").read_text())
     assert report["plant_psnr_db"] > report["without_plant_psnr_db"] + 10
-    assert 40_000 < report["num_faces"] <= 48_000  # with 120,000 its motion took 2.7 GB, and no photo showed it better
+    assert 40_000 < report["num_faces"] <= 48_000  # 120,000 faces took 2.7 GB to move and matched no photo better
     noise = np.random.default_rng(0).integers(0, 255, (180, 240, 3)).astype(np.uint8)
     views = [View(source=view.photo, image=noise, camera=view.camera) for view in potted().views]
     write_photo_previews(views, tmp_path / "finished")

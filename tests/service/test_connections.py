@@ -49,7 +49,7 @@ def test_a_head_that_does_not_end_is_given_up_and_others_are_not(port: int, monk
         slow, slow_to = await asyncio.open_connection("127.0.0.1", port)
         slow_to.write(request[:-4] + b"\r\nX: ")
         assert await slow.read() + await silent.read() == b""
-        steady_to.write(request)  # after longer than a head may take: between requests that does not count
+        steady_to.write(request)  # a pause between requests may be longer than a head may take
         assert (await steady.readuntil(b"ok")).startswith(b"HTTP/1.1 200")
         steady_to.write(request[:-2])
         assert await steady.read() == b""

@@ -91,7 +91,7 @@ def test_the_place_is_gone_from_a_tiff(tmp_path):
     assert not again.get_ifd(GPS)
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # of tags that are broken on purpose
+@pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # tags are broken on purpose
 @pytest.mark.parametrize("at", range(0, 90, 3))
 def test_broken_exif_never_breaks_it_and_never_tells(tmp_path, at):
     before = photo(tmp_path / "a.jpg")

@@ -130,7 +130,7 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
         assert [frame["frame"] for frame in unread] == list(range(1, interact_session.WINDOW + 1))
         socket.send_json({"type": "release", "kind": "wind"})  # nothing: it only takes a while
         socket.send_json({"type": "nonsense"})
-        assert socket.receive_json()["type"] == "problem"  # and no frame came before it
+        assert socket.receive_json()["type"] == "problem"  # no frame came before it
         time.sleep(1.0)  # 120 frames, of which a busy machine may miss most
         socket.send_json({"type": "ack", "frame": interact_session.WINDOW})
         newest = socket.receive_json()

@@ -78,7 +78,7 @@ def test_the_time_left_comes_from_what_jobs_took_here(client, asset, services) -
         assert client.get(url).json()["eta_s"] == pytest.approx(left_s)  # as others that took longer than it has
     services.store.clock = lambda: began + 60
     report_progress(services.store, running, "voxelize", 0.75)
-    assert client.get(url).json()["eta_s"] == pytest.approx(20, abs=0.5)  # by its own pace
+    assert client.get(url).json()["eta_s"] == pytest.approx(20, abs=0.5)  # estimated from its own pace
 
 
 def test_photos_tell_from_the_first_minute_when_they_end(client, asset, services) -> None:

@@ -33,7 +33,7 @@ def test_plain_words_and_terms_pass() -> None:
         ("a.py", "data = 1"),
         ("a.py", "def test_what_is_wrong_is_told(): ..."),
         ("a.py", "x = 1  # as it is told"),
-        ("a.py", "x = 0.1  # of the height"),
+        ("tests/a.py", "x = 0.1  # of the height"),
         ("a.py", '"""What is kept."""'),
         ("a.py", 'x = 1\n"""Held at its root."""'),
         ("dynamictree/utils.py", "x = 1"),

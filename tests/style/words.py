@@ -57,7 +57,7 @@ def violations(path: str, content: bytes) -> Iterator[str]:
         text = content.decode()
         if _ANY_BANNED.search(text) or PurePosixPath(path).stem in VAGUE_NAMES:
             yield from (f"{path}:{line}: {message}" for line, message in sorted({*_names(path, text), *_prose(text)}))
-        for number, line in enumerate(() if path.startswith("tests/") else text.splitlines(), start=1):
+        for number, line in enumerate(text.splitlines(), start=1):
             if match := _FRAGMENT.search(line):
                 yield f"{path}:{number}: a comment begins with `{match[1]}`: begin with a noun or a unit"
     elif suffix in PROSE_FILES:

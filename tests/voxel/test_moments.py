@@ -33,7 +33,7 @@ def test_a_card_has_one_normal_and_a_tube_two() -> None:
     np.testing.assert_allclose(
         ranks(round_.moments[on_axis, NORMAL])[2:-2], np.tile([0, 0.5, 0.5], (on_axis.sum() - 4, 1)), atol=1e-4
     )
-    around = 5 * 2 * 0.01 * np.sin(np.pi / 5)  # of the tube [m]
+    around = 5 * 2 * 0.01 * np.sin(np.pi / 5)  # circumference of the tube [m]
     edge = round_.grid.voxel_size_m
     np.testing.assert_allclose(round_.moments[on_axis, AREA][2:-2], around / edge, rtol=1e-3)
     np.testing.assert_allclose(flat.moments[:, AREA].sum() * flat.grid.voxel_size_m**2, 16 * 1.09**0.5, rtol=1e-4)

@@ -55,7 +55,7 @@ def test_there_are_gusts_and_lulls_and_gusts_are_the_stronger() -> None:
     standard = along / along.std()
     assert (standard**3).mean() == pytest.approx(6 * SKEW, abs=0.25)
     sizes = along.std(axis=1)
-    assert sizes.std() / sizes.mean() > 0.15  # of two minutes, one is calmer
+    assert sizes.std() / sizes.mean() > 0.15  # one of two minutes is calmer
 
 
 def test_fast_gusts_are_weak_and_stronger_in_a_fast_wind() -> None:

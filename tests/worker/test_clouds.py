@@ -62,7 +62,7 @@ def test_a_splat_comes_out_moving_and_what_is_around_it_stays(runtime, scene, tm
     moved = np.linalg.norm(last.means - first.means, axis=1)
     assert moved[400:].max() == 0
     high = first.means[:400, 2] > 0.8
-    assert moved[:400][high].min() > 0.1  # from one end of the sway to the other, 4 · 0.05 m a metre of height
+    assert moved[:400][high].min() > 0.1  # end to end, the sway is 4 · 0.05 m per metre of height
     splat = animated_splat(content(runtime, lease.job.id, "tree.animated-splat.safetensors"))
     np.testing.assert_array_equal(splat.binding.moving, np.arange(600) < 400)
 

@@ -37,7 +37,7 @@ def _give_cameras(root: Path) -> None:
 @pytest.mark.parametrize("with_cameras", [False, True])
 def test_the_child_is_confined_and_reads_what_the_library_reads(photos, tmp_path, monkeypatch, with_cameras) -> None:
     root = photos[0].parent
-    if with_cameras:  # and links, as a worker fetches its inputs from a folder of artifacts
+    if with_cameras:  # links too, as a worker fetches inputs from a folder of artifacts
         _give_cameras(root)
         (tmp_path / "artifacts").mkdir()
         for number, path in enumerate(photos):

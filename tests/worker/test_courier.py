@@ -31,7 +31,7 @@ class Receiver:
 
     url: str
     answers: list[int] = field(default_factory=list)
-    wait_s: float = 0.0  # before it answers
+    wait_s: float = 0.0  # delay of its answer
     released: threading.Event = field(default_factory=threading.Event)  # what /tarpit waits for
     came: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
 

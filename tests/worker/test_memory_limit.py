@@ -41,7 +41,7 @@ from dynamictree.memory import return_freed_memory
 
 before = anonymous_bytes(os.getpid())
 blocks = [b"x" * 60_000 for _ in range(3000)]
-last = b"x" * 60_001  # above them all, so that the heap does not shrink by itself
+last = b"x" * 60_001  # allocated above them all, so that the heap does not shrink by itself
 del blocks
 return_freed_memory()
 print((anonymous_bytes(os.getpid()) - before) / 2**20)
@@ -51,7 +51,7 @@ print((anonymous_bytes(os.getpid()) - before) / 2**20)
 def test_what_was_freed_is_returned_to_the_system() -> None:
     program, environment = [sys.executable, "-c", FREED], os.environ | {"MALLOC_ARENA_MAX": "1"}
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True, timeout=120, cwd=ROOT)
-    assert float(done.stdout) < 20  # of 172 MiB
+    assert float(done.stdout) < 20  # 172 MiB were allocated
 
 
 @pytest.mark.parametrize("name", ["memory.max", "memory/memory.limit_in_bytes"])

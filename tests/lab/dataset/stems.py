@@ -15,10 +15,10 @@ class StemTable:
 
     level: Int8[np.ndarray, " S"]
     length_m: Float32[np.ndarray, " S"]
-    radius_m: Float32[np.ndarray, " S"]  # at the base
+    radius_m: Float32[np.ndarray, " S"]  # radius at the base
     frequency_hz: Float32[np.ndarray, " S"]  # where the tip turns fastest against the base; 0 if it does not turn
     amplitude_rad: Float32[np.ndarray, " S"]  # root mean square of that turning
-    first_bins_share: float  # of the displacement's energy, the mean included
+    first_bins_share: float  # share of the displacement's energy, with the mean
 
 
 def tables_of(sample: Sample) -> StemTable:
@@ -48,7 +48,7 @@ def bending(
     """Frequency [Hz] and amplitude [rad] of the tip's turning against the base, from rotations."""
     relative = np.einsum("tsji,tsjk->tsik", base, tip)
     across = (relative - relative.swapaxes(2, 3)) / 2
-    vector = across[..., [2, 0, 1], [1, 2, 0]]  # of small angles, the rotation vector
+    vector = across[..., [2, 0, 1], [1, 2, 0]]  # rotation vector, for small angles
     power = (np.abs(np.fft.rfft(vector, axis=0, norm="forward")) ** 2).sum(axis=2)  # [T // 2 + 1, S]
     frequency = np.fft.rfftfreq(len(vector), d=1 / FPS)
     fastest = (power * frequency[:, None] ** 2).argmax(axis=0)

@@ -111,7 +111,7 @@ def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands
     assert report["tree"]["height_m"] == pytest.approx(7, rel=0.02)
     laws = {law: satisfied for law, satisfied in report["laws"].items() if law not in OF_HALF_THE_TREES}
     assert len(laws) == 10
-    not_measured = dict.fromkeys(("frequency of measured trees", "damping of measured trees"))  # of trees so low
+    not_measured = dict.fromkeys(("frequency of measured trees", "damping of measured trees"))  # such low trees
     assert {law: satisfied for law, satisfied in laws.items() if satisfied is not True} == not_measured
 
 

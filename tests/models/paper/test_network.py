@@ -29,7 +29,7 @@ def test_the_full_preset_has_the_papers_size() -> None:
     assert 200e6 < sum(parameter.numel() for parameter in network.parameters()) < 400e6
     assert network.unet.stem.weight.shape == (27, 6 + 128, 128)
     attended = [stage.attention is not None for level in network.unet.down for stage in level]
-    assert attended == [False, False, False, False, True, True, True, True]  # at factors 4 and 8
+    assert attended == [False, False, False, False, True, True, True, True]  # levels of factors 4 and 8
 
 
 def test_fourier_features_keep_the_position() -> None:

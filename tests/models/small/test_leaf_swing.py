@@ -9,7 +9,7 @@ from dynamictree.models.small.leaf_swing import MAX_GAIN, Leaves, leaves_of
 from dynamictree.voxel.grid import VoxelGrid
 
 AXES = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]], np.float32)
-TWIG, FIRST, SECOND = 0, slice(2, 4), slice(5, 7)  # of each leaf the voxels that are not half the base
+TWIG, FIRST, SECOND = 0, slice(2, 4), slice(5, 7)  # the voxels of each leaf that are not half the base
 
 
 @pytest.fixture(scope="module")
