@@ -9,7 +9,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from dynamictree.mesh import TriangleMesh
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 from lab.dataset.sample import make_sample
 
 SAMPLES = 3
@@ -63,7 +63,7 @@ def orbit(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:
 def fine_renderer(mesh: TriangleMesh, side: int) -> Renderer:
     """Return a renderer that draws every pixel of a square photo as SAMPLES × SAMPLES pixels."""
     fine = side * SAMPLES
-    return Renderer(mesh, Look(width=fine, height=fine, ground=False, supersampling=1))
+    return Renderer(mesh, RenderSettings(width=fine, height=fine, ground=False, supersampling=1))
 
 
 def solid_noise(rng: np.random.Generator) -> np.ndarray:

@@ -15,7 +15,7 @@ from dynamictree import method
 from dynamictree.export.moving_tree import iter_turbulent_turns
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import turbulent_wind
-from dynamictree.render.picture import Look, Renderer
+from dynamictree.render.picture import Renderer, RenderSettings
 from dynamictree.requests import Wind
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sapling import grow_tree
@@ -63,7 +63,7 @@ def _lines(
             highest.append(frame[top])
             yield frame
 
-    renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
+    renderer = Renderer(mesh, RenderSettings(width=SIDE_PX, height=SIDE_PX))
     return np.stack([renderer.picture(frame)[round(LINE * SIDE_PX)] for frame in noted()])
 
 

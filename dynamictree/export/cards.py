@@ -8,7 +8,7 @@ from jaxtyping import Complex64, Float64
 from PIL import Image
 
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 
 CARD_VIEWS_DEG = (0.0, 90.0)
 MOST_SAMPLES = 200_000  # vertices at which motions are compared or averaged
@@ -74,7 +74,7 @@ def _card_picture(mesh: TriangleMesh, middle: Float64[np.ndarray, "3"], half: fl
     far = 40.0  # distance of the card's camera over the tree's height: nearly parallel rays
     card_px = 512  # height of the picture on a card
     width = max(16, round(card_px * 2 * half / height / 16) * 16)
-    look = Look(width=min(width, 4 * card_px), height=card_px, ground=False)
+    look = RenderSettings(width=min(width, 4 * card_px), height=card_px, ground=False)
     renderer = Renderer(mesh, look)
     fine = Renderer(mesh, replace(look, width=2 * look.width, height=2 * look.height, shadows=False))
     views = []

@@ -187,11 +187,11 @@ def _number(value: float) -> str:
 
 def _described(wind: TurbulentWind) -> dict[str, object]:
     """Return the wind as in `GET /v1/spectra/{id}/wind`: partials from bin 1."""
-    fields = {name: _plain(value) for name, value in asdict(wind).items()}
-    return fields | {name: _plain(getattr(wind, name)[1:]) for name in ("partial_hz", "partial_phase_rad")}
+    fields = {name: _json_value(value) for name, value in asdict(wind).items()}
+    return fields | {name: _json_value(getattr(wind, name)[1:]) for name in ("partial_hz", "partial_phase_rad")}
 
 
-def _plain(value: object) -> object:
+def _json_value(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return {name: _plain(one) for name, one in value.items()} if isinstance(value, dict) else value
+    return {name: _json_value(one) for name, one in value.items()} if isinstance(value, dict) else value

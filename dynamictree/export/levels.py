@@ -152,7 +152,7 @@ def _reduced(
     for number in np.unique(mesh.material_of_face[leaves < 0]).tolist():
         faces.append(_simplified(mesh, mesh.faces[(leaves < 0) & (mesh.material_of_face == number)], share))
         materials.append(np.full(len(faces[-1]), number, np.int32))
-    vertices = _grown(mesh, leaves, stays)
+    vertices = _enlarge_leaves(mesh, leaves, stays)
     used, corners = np.unique(np.concatenate(faces), return_inverse=True)
     level = TriangleMesh(
         vertices=vertices[used],
@@ -198,7 +198,7 @@ def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: floa
         return faces
     thick = _thickest(places, corners, round(branch_share * target))
     target = max(target, round(len(thick) / branch_share) if len(thick) < len(corners) else 0)
-    points, fewer = fast_simplification.simplify(*_capped(places, thick), target_count=target)
+    points, fewer = fast_simplification.simplify(*_close_ends(places, thick), target_count=target)
     a, b, c = np.asarray(cKDTree(places).query(points)[1])[fewer].reshape(-1, 3).T
     return _corners_at(mesh, own, place.ravel(), np.column_stack([a, b, c])[(a != b) & (b != c) & (c != a)])
 
@@ -220,7 +220,7 @@ def _thickest(
     return np.asarray(faces[thickness[part] >= thickness[last]])
 
 
-def _capped(
+def _close_ends(
     places: Float32[np.ndarray, "P 3"], faces: Int32[np.ndarray, "F 3"]
 ) -> tuple[Float32[np.ndarray, "Q 3"], Int32[np.ndarray, "G 3"]]:
     """Close the open ends of branches, whose rims could not be simplified."""
@@ -265,7 +265,7 @@ def _corners_at(
     return np.asarray(chosen)
 
 
-def _grown(
+def _enlarge_leaves(
     mesh: TriangleMesh, leaves: Int64[np.ndarray, " F"], stays: Bool[np.ndarray, " F"]
 ) -> Float32[np.ndarray, "N 3"]:
     """Return the vertices, with remaining leaves enlarged about their vertex that is nearest to the wood."""

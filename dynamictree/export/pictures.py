@@ -8,7 +8,7 @@ from dynamictree.export.splat_scene import SplatScene
 from dynamictree.export.splat_sheet import splat_sheet
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
-from dynamictree.render import Backdrop, Look, Renderer, draw_contact_sheet, write_png
+from dynamictree.render import Backdrop, Renderer, RenderSettings, draw_contact_sheet, write_png
 from dynamictree.render.camera import Camera, cameras_of, in_view
 from dynamictree.render.video import Picture
 
@@ -31,7 +31,7 @@ def draw(tree: MovingTree, report: Report) -> Iterator[Picture]:
 
 def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
     shot = tree.params.shot
-    look = Look(width=shot.side_px, height=shot.side_px, ground=shot.ground, grey_still=shot.grey_still)
+    look = RenderSettings(width=shot.side_px, height=shot.side_px, ground=shot.ground, grey_still=shot.grey_still)
     renderer = Renderer(tree.mesh, look)
     seen = in_view(tree.mesh.vertices, ~tree.mesh.still_vertices)
     cameras = cameras_of(shot, tree.mesh.vertices[seen], len(tree.phases))

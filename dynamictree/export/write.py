@@ -114,10 +114,10 @@ def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_
 
 def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) -> None:
     """Write the products made of pictures, which are drawn once; a single product is written while they are drawn."""
-    from dynamictree.render.video import spooled
+    from dynamictree.render.video import stored_frames
 
     drawn = draw(tree, report)
-    with spooled(drawn) if len(paths) > 1 else nullcontext(drawn) as film:
+    with stored_frames(drawn) if len(paths) > 1 else nullcontext(drawn) as film:
         for name, path in paths.items():
             write_film = PRODUCTS[name].write_film
             assert write_film is not None

@@ -9,7 +9,7 @@ Offset = tuple[float, float, float]
 """Subtracted from the coordinates of a file, in its axes and unit."""
 
 
-def near_origin(points: Float64[np.ndarray, "N 3"]) -> tuple[Float32[np.ndarray, "N 3"], Offset]:
+def shift_to_origin(points: Float64[np.ndarray, "N 3"]) -> tuple[Float32[np.ndarray, "N 3"], Offset]:
     """Return points in single precision, and the subtracted offset: integers, 0 for points near the origin.
 
     Values that are not finite, or too large for single precision, become infinite or NaN.

@@ -79,7 +79,7 @@ def read_capture(
     movable = None if mask is None else read_mask(mask)
     capture = plant_of_cloud(cloud, reading, facts, mask=movable, tell_trees=mesh is None)
     cloud = capture.cloud
-    remarks = offset_warnings(cloud.source.offset) + _remarks(cloud, file_type, reading)
+    remarks = offset_warnings(cloud.source.offset) + _warnings(cloud, file_type, reading)
     capture = replace(capture, warnings=capture.warnings + remarks)
     if mesh is None:
         return capture
@@ -105,7 +105,7 @@ def read_capture(
     )
 
 
-def _remarks(cloud: GaussianCloud, file_type: str, reading: Reading) -> tuple[SourceWarning, ...]:
+def _warnings(cloud: GaussianCloud, file_type: str, reading: Reading) -> tuple[SourceWarning, ...]:
     """Return warnings about omitted rows of a cloud, and about a unit that the file of a scan states."""
     remarks = []
     if cloud.dropped:

@@ -27,8 +27,8 @@ LEAST_FACES = 10_000
 """Limit of faces that even few Gaussians, or each of several trees, may have."""
 FACES_PER_GAUSSIAN = 4
 """More faces add no detail beyond that of the Gaussians, and every vertex costs time at devoxelization."""
-_REACH = 2.5  # [standard deviations]; beyond, a Gaussian adds less than a sixth of the level
-_BRIDGED = 2  # [cells]; gaps of up to twice this width in a hollow capture are closed
+_REACH_SIGMAS = 2.5  # [standard deviations]; beyond, a Gaussian adds less than a sixth of the level
+_BRIDGE_CELLS = 2  # [cells]; gaps of up to twice this width in a hollow capture are closed
 
 
 def mesh_of_cloud(
@@ -110,16 +110,16 @@ def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:
     Gaps of a few cells are bridged. The bottom, which cameras and scanners do not see, may be open; a floor closes
     it.
     """
-    margin = _BRIDGED + 1  # margin that connects the outside
+    margin = _BRIDGE_CELLS + 1  # margin that connects the outside
     floor = int(np.flatnonzero(density.max(axis=(0, 1)) > LEVEL)[0])
-    free = binary_dilation(np.pad(density > LEVEL, margin), iterations=_BRIDGED)
+    free = binary_dilation(np.pad(density > LEVEL, margin), iterations=_BRIDGE_CELLS)
     np.logical_not(free, out=free)
     free[:, :, : floor + margin + 1] = False
     outside = np.zeros_like(free)
     outside[0, 0, -1] = True
     free ^= binary_propagation(outside, mask=free)  # less memory than labels, which take four bytes per cell
     # the inside is extended by the dilation of the walls
-    inside = binary_dilation(free, iterations=_BRIDGED + 1)[margin:-margin, margin:-margin, margin:-margin]
+    inside = binary_dilation(free, iterations=_BRIDGE_CELLS + 1)[margin:-margin, margin:-margin, margin:-margin]
     inside[:, :, :floor] = False
     np.maximum(density, np.float32(2 * LEVEL), out=density, where=inside & (density <= LEVEL))
 
@@ -140,7 +140,7 @@ def opacity_grid(
         shape[0],
         centres,
         np.ascontiguousarray(precision),
-        spread * np.float32(_REACH),
+        spread * np.float32(_REACH_SIGMAS),
         cloud.opacity,
         density,
     )
@@ -174,7 +174,7 @@ def _splat_slices(first, end, centres, precision, reach, opacity, density):
                 for z in range(from_z, to_z):
                     dz = z - cz
                     distance = constant + dz * (slope + p[2, 2] * dz)
-                    if distance < 6.25:  # `_REACH` squared
+                    if distance < 6.25:  # `_REACH_SIGMAS` squared
                         density[x, y, z] += opacity[g] * np.exp(-0.5 * distance)
 
 
@@ -182,7 +182,7 @@ def _bounds(cloud: GaussianCloud) -> tuple[Float32[np.ndarray, "3"], Float32[np.
     """Return the low and high corner of the grid's contents."""
     far_out = 0.1  # share of the others' extent
     strays = 0.002  # share of Gaussians at each end of an axis that, if far out, do not widen the grid
-    reach = np.float32(_REACH) * cloud.scales.max(axis=1, keepdims=True)
+    reach = np.float32(_REACH_SIGMAS) * cloud.scales.max(axis=1, keepdims=True)
     if np.ptp(cloud.means, axis=0).max() < np.median(reach):  # few overlapping Gaussians: their own extent counts
         return (cloud.means - reach).min(axis=0), (cloud.means + reach).max(axis=0)
     low, high = (np.quantile(cloud.means, q, axis=0) for q in (strays, 1 - strays))

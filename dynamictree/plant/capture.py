@@ -108,7 +108,7 @@ def only_tree(capture: Capture, number: int) -> Capture:
     return replace(capture, cloud=capture.cloud.subset(own), mask=None, tree=None, part_of=nothing)
 
 
-def move_only_tree(capture: Capture, number: int) -> Capture:
+def with_one_moving_tree(capture: Capture, number: int) -> Capture:
     """Return the whole cloud with only one of several trees, counted from 1, allowed to move.
 
     Raises:

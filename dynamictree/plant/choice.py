@@ -24,7 +24,7 @@ def with_choice(mesh: TriangleMesh, choice: CloudParams) -> TriangleMesh:
     owners = [nothing if owner is None else owner for owner in (mesh.look.face_material, mesh.parts.of_face)]
     middles = mesh.vertices[mesh.faces].mean(axis=1, dtype=np.float32)
     moving = np.ones(mesh.num_faces, np.bool_) if mesh.still_faces is None else ~mesh.still_faces
-    moving = _changed(moving, middles, ((materials, owners[0]), (parts, owners[1])), choice)
+    moving = _apply_request(moving, middles, ((materials, owners[0]), (parts, owners[1])), choice)
     if not moving.any():
         raise InputError("still, still_box_m and box_m leave no face that moves; take something out of them")
     return replace(mesh, still_faces=None if moving.all() else ~moving)
@@ -43,13 +43,13 @@ def choose_gaussians(
         InputError: a name or box matches nothing, or no Gaussian is left to move.
     """
     number = np.full(len(means), -1) if part_of is None else part_of.astype(np.int64) - 1
-    moving = _changed(may_move, means, ((parts, number),), choice)
+    moving = _apply_request(may_move, means, ((parts, number),), choice)
     if not moving.any():
         raise InputError("no Gaussian moves that is of the mask and of the box; enlarge one of them, or still less")
     return moving
 
 
-def _changed(
+def _apply_request(
     moving: Bool[np.ndarray, " E"],
     places: Float32[np.ndarray, "E 3"],
     named: Sequence[tuple[Sequence[str], Int[np.ndarray, " E"]]],

@@ -13,7 +13,7 @@ from dynamictree.mesh import SourceWarning, TriangleMesh, validate_mesh
 from dynamictree.plant.capture import Capture, moving_part, with_still_parts
 from dynamictree.plant.level import up_of_standing
 from dynamictree.plant.likeness import FEWEST_FACES, VISIBLE, doubt_cloud, doubt_mesh
-from dynamictree.plant.place import Conventions, axis_doubts, crown_warnings, mesh_to_z_up, size_doubts, sized
+from dynamictree.plant.place import Conventions, axis_doubts, crown_warnings, mesh_to_z_up, scale_cloud, size_doubts
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.plant.trees.of_mesh import with_trees
@@ -69,7 +69,7 @@ def plant_of_cloud(
     if not (reading.up_axis or file.says_axis):
         cloud, turned = _upright(cloud, by_shape=file.origin == "photos")
     stated = reading.unit_m is not None or file.says_unit
-    cloud, sizes = sized(cloud, height_m=reading.height_m, stated=stated, keep=file.origin == "photos")
+    cloud, sizes = scale_cloud(cloud, height_m=reading.height_m, stated=stated, keep=file.origin == "photos")
     capture = with_still_parts(Capture(cloud=cloud, mask=mask, warnings=sizes + turned))
     doubts = doubt_cloud(cloud.subset(moving_part(capture)))
     capture = _with_trees(capture, is_scan=file.origin == "scan") if tell_trees else capture

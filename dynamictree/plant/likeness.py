@@ -31,7 +31,7 @@ VISIBLE = 0.1
 _POINTS = 20_000
 _TURNED, _BOXY, _SMOOTH = 0.2, 0.9, 0.65
 """No plants: less difference between sectors, or a larger share of surface along axes or of flat points."""
-_GREENER, _GREEN_SHARE = 1.05, 0.1  # ratio of green to red and blue; share of the faces or points
+_GREEN_RATIO, _GREEN_SHARE = 1.05, 0.1  # ratio of green to red and blue; share of the faces or points
 _CELL, _TOGETHER = 0.03, 0.5  # share of the height, within which points are connected; least connected share of a plant
 
 
@@ -150,7 +150,7 @@ def _has_plant_colors(mesh: TriangleMesh) -> bool:
 
 
 def _is_green(colors: Float64[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
-    return np.asarray(colors[:, 1] > _GREENER * colors[:, [0, 2]].max(axis=1))
+    return np.asarray(colors[:, 1] > _GREEN_RATIO * colors[:, [0, 2]].max(axis=1))
 
 
 def _is_of_plant(material: Material) -> bool:

@@ -64,7 +64,7 @@ def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> Tri
     )
 
 
-def sized(
+def scale_cloud(
     cloud: GaussianCloud, *, height_m: float | None, stated: bool, keep: bool = False
 ) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
     """Scale a cloud to a height, or to the default one if its unit is not `stated`; warn of doubtful sizes.
@@ -162,14 +162,14 @@ def size_doubts(mesh: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, 
         what = f"the longest side is {longest:.3g} units, as of meshes that a tool scaled to a cube, taken for metres"
     else:
         return ()
-    return _size_doubtful(what, height, scale)
+    return _size_warning(what, height, scale)
 
 
 def height_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
     """Warn of an unlikely height, and name the units that would make it usual."""
     low, high = USUAL_HEIGHT_M
     what = f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m"
-    return () if low <= height_m <= high else _size_doubtful(what, height_m, scale)
+    return () if low <= height_m <= high else _size_warning(what, height_m, scale)
 
 
 def crown_warnings(sides_m: list[float], scale: float) -> tuple[SourceWarning, ...]:
@@ -179,10 +179,10 @@ def crown_warnings(sides_m: list[float], scale: float) -> tuple[SourceWarning, .
     width_m, height_m = max(sides_m[:2]), sides_m[2]
     what = f"the plant is {height_m:.3g} m tall and {width_m:.3g} m wide, and few crowns are so wide"
     doubtful = width_m > widest_crown_m and not height_warnings(height_m, scale)
-    return _size_doubtful(f"{what}; cut one tree out if it is several", height_m, scale) if doubtful else ()
+    return _size_warning(f"{what}; cut one tree out if it is several", height_m, scale) if doubtful else ()
 
 
-def _size_doubtful(what: str, height_m: float, scale: float) -> tuple[SourceWarning, ...]:
+def _size_warning(what: str, height_m: float, scale: float) -> tuple[SourceWarning, ...]:
     heights = {name: (unit, height_m / scale * unit) for name, unit in UNIT_NAMES.items() if unit != scale}
     usual = {name: own for name, own in heights.items() if USUAL_HEIGHT_M[0] <= own[1] <= USUAL_HEIGHT_M[1]} or heights
     others = " or ".join(f"{own:.3g} m in {name} (unit_m {unit:g})" for name, (unit, own) in usual.items())

@@ -79,9 +79,9 @@ def find_pot(
             continue
         walls += [_wall(row) for row in sides[soil + 1 :]]
         rim = top
-        while rim < len(rows) and _goes_on(walls[rim], wall):
+        while rim < len(rows) and _continues(walls[rim], wall):
             rim += 1
-        axis, outline = _joined(below + [one for one in walls[soil:rim] if one is not None and _goes_on(one, wall)])
+        axis, outline = _joined(below + [one for one in walls[soil:rim] if one is not None and _continues(one, wall)])
         return Pot(axis=axis, outline=outline, low=low, soil=low + top * side, rim=low + rim * side)
     return None
 
@@ -163,7 +163,7 @@ def _joined(walls: Sequence[Wall]) -> Wall:
     return np.median([axis for axis, _ in walls], axis=0), np.max([outline for _, outline in walls], axis=0)
 
 
-def _goes_on(one: Wall | None, wall: Wall) -> bool:
+def _continues(one: Wall | None, wall: Wall) -> bool:
     """Whether a slice's wall continues the wall of the slices below."""
     if one is None:
         return False

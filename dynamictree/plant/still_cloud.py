@@ -16,12 +16,12 @@ from dynamictree.plant.still import (
     APART,
     GROUND,
     LEAST_PLANT,
-    LOW,
+    LOW_HEIGHT,
     POT,
     THINGS,
     Scene,
+    find_low_things,
     height_of,
-    low_and_apart,
     touching_groups,
 )
 
@@ -117,10 +117,10 @@ def _apart(points: Points, height_m: float) -> tuple[Bool[np.ndarray, " P"], Boo
     places, thing = cells * side, group.astype(np.int64)
     bounds = part_bounds(thing, places)
     scene = Scene(points=places, thing=thing, low=bounds[0], high=bounds[1], material=unknown, soil=unknown > 0)
-    low = low_and_apart(scene, np.zeros(len(size), np.bool_), slack_m=side)
+    low = find_low_things(scene, np.zeros(len(size), np.bool_), slack_m=side)
     main = cells[group == size.argmax()]
     gap = np.full(len(size), np.inf)
     np.minimum.at(gap, group, scipy.spatial.cKDTree(main).query(cells)[0] * side)
-    above = bounds[1][:, 2] >= main[:, 2].min() * side + LOW * height_m  # lower groups may lie on the ground
+    above = bounds[1][:, 2] >= main[:, 2].min() * side + LOW_HEIGHT * height_m  # lower groups may lie on the ground
     few = above & (gap > APART * height_m + side) & (size < few_share * size.sum())
     return low[group][cell], few[group][cell]

@@ -21,12 +21,12 @@ from dynamictree.plant.still import (
     POT,
     THINGS,
     Scene,
-    Things,
-    boards,
-    flat_and_wide,
+    ThingIds,
+    find_boards,
+    find_low_things,
+    find_planes,
+    find_vessels,
     height_of,
-    low_and_apart,
-    vessels,
 )
 
 _LOWEST, _PLATE_TOP, _POT_TOP = 0.02, 0.15, 0.65
@@ -56,9 +56,9 @@ def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Faces |
     return (tuple(parts), still) if still.any() and not still.all() else ((), None)
 
 
-def _by_shape(scene: Scene, gone: Things, of_face: Int64[np.ndarray, " F"]) -> tuple[list[StillPart], Things]:
+def _by_shape(scene: Scene, gone: ThingIds, of_face: Int64[np.ndarray, " F"]) -> tuple[list[StillPart], ThingIds]:
     parts = []
-    for rule, part in ((flat_and_wide, GROUND), (boards, BOARDS), (low_and_apart, THINGS), (vessels, POT)):
+    for rule, part in ((find_planes, GROUND), (find_boards, BOARDS), (find_low_things, THINGS), (find_vessels, POT)):
         tried = gone | rule(scene, gone)
         if (tried & ~gone).any() and (~tried[of_face]).mean() >= LEAST_PLANT:
             parts.append(part)
@@ -117,7 +117,7 @@ def _scene(mesh: TriangleMesh, of_face: Int64[np.ndarray, " F"]) -> Scene:
 
 
 def _fused_base(
-    mesh: TriangleMesh, scene: Scene, gone: Things, of_face: Int64[np.ndarray, " F"]
+    mesh: TriangleMesh, scene: Scene, gone: ThingIds, of_face: Int64[np.ndarray, " F"]
 ) -> tuple[StillPart, Faces] | None:
     """Find the base of the largest part that rises from the bottom: a plate, ground or a pot; None without one."""
     points_of_base = 150_000

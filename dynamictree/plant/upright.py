@@ -34,7 +34,7 @@ SURE_OF_POINTS = 0.95
 
 CUES = ("trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass", "slenderness")
 WEIGHTS = np.array([5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
-HABIT = 0.7
+HABIT_LOGIT = 0.7
 """Added to the logit of a format's usual axis; it decides if the shape is ambiguous."""
 USUAL, LIKELY = ("+Y", "+Z"), 0.65
 """If no axis is likely, the likelier of these is chosen, since files with other axes are rare."""
@@ -102,7 +102,7 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
 
 def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis: bool = False) -> UpAxis:
     """Return the likeliest axis; if it is a guess, the likelier of the usual ones, unless `any_axis`."""
-    logits = cues @ WEIGHTS + np.array([HABIT * (axis == habit) for axis in AXES])
+    logits = cues @ WEIGHTS + np.array([HABIT_LOGIT * (axis == habit) for axis in AXES])
     odds = np.exp(logits - logits.max())
     chances = (odds / odds.sum()).tolist()
     best = int(np.argmax(chances))

@@ -19,7 +19,7 @@ from dynamictree.reconstruct.scene import CLUSTER_GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.surface_choice import NEAR_SHARE, best_mesh
 from dynamictree.reconstruct.views import View
-from dynamictree.render import Look, Renderer
+from dynamictree.render import Renderer, RenderSettings
 
 MAX_FACES = 48_000
 CELLS = 416  # cells along the longest side; with 320 a stem became 1.4 to 1.8 times too wide
@@ -107,7 +107,7 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
         shrink = min(1.0, color_side_px / max(view.image.shape[:2]))
         width, height = round(view.image.shape[1] * shrink), round(view.image.shape[0] * shrink)
         if (width, height) not in renderers:
-            renderers[width, height] = Renderer(mesh, Look(width=width, height=height, shadows=False))
+            renderers[width, height] = Renderer(mesh, RenderSettings(width=width, height=height, shadows=False))
         nearest = renderers[width, height].buffers(view.camera).depth_m
         at, inside = view.pixels_of(mesh.vertices)
         row, column = at[0] * height // len(view.image), at[1] * width // view.image.shape[1]

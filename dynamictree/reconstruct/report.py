@@ -16,7 +16,7 @@ from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.photo_previews import read_photo_previews
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.result import Reconstruction
-from dynamictree.render import Camera, Look, Renderer, write_png
+from dynamictree.render import Camera, Renderer, RenderSettings, write_png
 
 LEAST_GAIN_DB = 3.0
 """Least gain of the splat over a picture of one colour; it halves the squared error."""
@@ -102,7 +102,7 @@ def comparison_row(
     small = downscaled_picture(photo, _REPORT_SIDE_PX)
     height, width = small.shape[:2]
     splat = render_cloud(scene, camera, width=width, height=height).over((0.0, 0.0, 0.0))
-    surface = Renderer(mesh, Look(width=width, height=height, ground=False)).picture(camera=camera)
+    surface = Renderer(mesh, RenderSettings(width=width, height=height, ground=False)).picture(camera=camera)
     return np.concatenate([small, splat, surface], axis=1)
 
 

@@ -12,7 +12,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.report import downscaled_picture
 from dynamictree.reconstruct.views import View
-from dynamictree.render import Look, Renderer
+from dynamictree.render import Renderer, RenderSettings
 
 NEAR_SHARE = 0.02  # share of the region's radius; farthest distance of a mesh's Gaussian from it
 
@@ -54,7 +54,7 @@ def _drawn(
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """Render the mesh in its own colours, without light; return the picture and a mask."""
     assert mesh.look.vertex_colors is not None
-    face = Renderer(mesh, Look(width=width, height=height, shadows=False)).buffers(view.camera).face
+    face = Renderer(mesh, RenderSettings(width=width, height=height, shadows=False)).buffers(view.camera).face
     of_face = mesh.look.vertex_colors[mesh.faces, :3].mean(axis=1).astype(np.float32) / 255
     return of_face[face], face >= 0
 

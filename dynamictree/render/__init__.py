@@ -3,19 +3,19 @@
 from dynamictree.render.camera import Camera, cameras_of
 from dynamictree.render.contact_sheet import amplitude_colors, draw_contact_sheet, sway_amplitude
 from dynamictree.render.ground import Backdrop
-from dynamictree.render.picture import Buffers, Look, Renderer, write_png
-from dynamictree.render.video import spooled, write_mp4, write_webp
+from dynamictree.render.picture import Buffers, Renderer, RenderSettings, write_png
+from dynamictree.render.video import stored_frames, write_mp4, write_webp
 
 __all__ = [
     "Backdrop",
     "Buffers",
     "Camera",
-    "Look",
+    "RenderSettings",
     "Renderer",
     "amplitude_colors",
     "cameras_of",
     "draw_contact_sheet",
-    "spooled",
+    "stored_frames",
     "sway_amplitude",
     "write_mp4",
     "write_png",

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.parallel import on_cores
-from dynamictree.render.picture import Look, Renderer
+from dynamictree.render.picture import Renderer, RenderSettings
 from dynamictree.spectrum import NUM_FRAMES, bin_weights, displacement_at, iter_motion
 
 STILL_PX, SWAY_PX = (800, 800), (480, 800)
@@ -51,7 +51,7 @@ def draw_contact_sheet(
 
     The coefficients are those of the vertices [m]; a loop has `num_frames` frames.
     """
-    still_renderer = Renderer(mesh, Look(width=STILL_PX[0], height=STILL_PX[1]))
+    still_renderer = Renderer(mesh, RenderSettings(width=STILL_PX[0], height=STILL_PX[1]))
     amplitude = sway_amplitude(coefficients, num_frames)
     stands = mesh.still_vertices
     sheet = ContactSheet(
@@ -108,20 +108,20 @@ def _sway_picture(mesh: TriangleMesh, amplitude: Float32[np.ndarray, " N"]) -> U
         look=replace(
             mesh.look,
             vertex_colors=amplitude_colors(amplitude, mesh.still_vertices),
-            materials=tuple(_bare(material) for material in mesh.look.materials) or (_bare(Material()),),
+            materials=tuple(_whitened(material) for material in mesh.look.materials) or (_whitened(Material()),),
         ),
     )
-    return Renderer(colored, Look(width=SWAY_PX[0], height=SWAY_PX[1], shadows=False)).picture()
+    return Renderer(colored, RenderSettings(width=SWAY_PX[0], height=SWAY_PX[1], shadows=False)).picture()
 
 
-def _bare(material: Material) -> Material:
+def _whitened(material: Material) -> Material:
     """Return the material in white; only the alpha of a cut-out texture is retained."""
     shape = None if material.alpha_cutoff is None else material.texture_png
-    texture = None if shape is None else _white(shape)
+    texture = None if shape is None else _white_texture(shape)
     return replace(material, base_color=(1.0, 1.0, 1.0, material.base_color[3]), texture_png=texture)
 
 
-def _white(texture: bytes) -> bytes:
+def _white_texture(texture: bytes) -> bytes:
     """Return a white texture with the alpha of the given one."""
     with Image.open(BytesIO(texture)) as picture:
         alpha = picture.convert("RGBA").getchannel("A")

@@ -17,13 +17,13 @@ from dynamictree.render.raster import rasterise, screen_triangles
 _SUN_MAP = 768  # texels per side
 _PENUMBRA = 2.6  # [texels], radius around a point within which the shadow map is sampled
 _PHASES = 16
-MAX_LOOKS = 8
+MAX_SHADOW_SAMPLES = 8
 _SKY_CELLS = 44  # number along the largest extent
 
 
-def _look_patterns() -> Float32[np.ndarray, "P L 2"]:
+def _sample_patterns() -> Float32[np.ndarray, "P L 2"]:
     """Create patterns of offsets on a disc, each rotated differently; the first half of each covers the disc too."""
-    number = np.arange(_PHASES * MAX_LOOKS).reshape(MAX_LOOKS, _PHASES).T  # [P, L]
+    number = np.arange(_PHASES * MAX_SHADOW_SAMPLES).reshape(MAX_SHADOW_SAMPLES, _PHASES).T  # [P, L]
     radius = _PENUMBRA * np.sqrt((number + 0.5) / number.size)
     turn = number * np.pi * (3 - np.sqrt(5))  # golden angle
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=2).astype(np.float32)
@@ -48,7 +48,7 @@ class SkyVolume(NamedTuple):
 
 
 # placeholders for pictures without shadows, never sampled
-BARE_SUN = SunMap(np.eye(3), np.zeros(2), 1.0, np.zeros((1, 1), np.float32), _look_patterns())
+BARE_SUN = SunMap(np.eye(3), np.zeros(2), 1.0, np.zeros((1, 1), np.float32), _sample_patterns())
 OPEN_SKY = SkyVolume(np.zeros(3), 1.0, np.ones((1, 1, 1), np.float32))
 
 
@@ -72,7 +72,7 @@ def sun_map(
     triangles = screen_triangles(homogeneous, faces, appearance, width=_SUN_MAP, height=_SUN_MAP)
     nearness = np.ascontiguousarray(seen[:, 2].astype(np.float32))
     visible = rasterise(triangles, faces, nearness, appearance, width=_SUN_MAP, height=_SUN_MAP)
-    return SunMap(axes, low - 1 / texels_per_m, texels_per_m, visible.nearness, _look_patterns())
+    return SunMap(axes, low - 1 / texels_per_m, texels_per_m, visible.nearness, _sample_patterns())
 
 
 def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> SkyVolume:

@@ -21,7 +21,7 @@ from dynamictree.render.shade import Scene, View, shade_rows
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class RenderSettings:
     """Settings of the renderer."""
 
     width: int = 512
@@ -57,7 +57,7 @@ class _Surface(NamedTuple):
 class Renderer:
     """Renderer of one mesh in many poses; colours and the light in the crown are prepared once."""
 
-    def __init__(self, mesh: TriangleMesh, look: Look | None = None) -> None:
+    def __init__(self, mesh: TriangleMesh, look: RenderSettings | None = None) -> None:
         """Prepare a mesh; its rest pose determines the sky's occlusion, the ground and the camera.
 
         Raises:
@@ -65,7 +65,7 @@ class Renderer:
             FormatError: a texture is not a picture.
         """
         self.mesh = validate_mesh(mesh)
-        self.look = look or Look()
+        self.look = look or RenderSettings()
         self._in_view = mesh.vertices[in_view(mesh.vertices, ~mesh.still_vertices)]
         self.camera = Camera.orbit(self._in_view, aspect=self.look.width / self.look.height)
         appearance = appearance_of(mesh, grey_still=self.look.grey_still)
@@ -149,7 +149,7 @@ def write_png(image: UInt8[np.ndarray, "H W 3"], stream: ByteWriter) -> None:
     stream.write(content.getvalue())
 
 
-def _samples(camera: Camera, look: Look, supersampling: int) -> Float64[np.ndarray, "3 3"]:
+def _samples(camera: Camera, look: RenderSettings, supersampling: int) -> Float64[np.ndarray, "3 3"]:
     """Return the matrix from camera axes to samples, with sample centres at half-integers."""
     matrix = camera.intrinsics_px(look.width, look.height)
     matrix[:2] *= supersampling

@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int32
 from dynamictree.color import srgb_to_linear
 from dynamictree.parallel import compiled
 from dynamictree.render.appearance import Appearance, albedo_at
-from dynamictree.render.light import MAX_LOOKS, SkyVolume, SunMap, sky_share, sun_share
+from dynamictree.render.light import MAX_SHADOW_SAMPLES, SkyVolume, SunMap, sky_share, sun_share
 
 # linear light; the sum is about 1 on a level white surface
 _SUN = (1.28, 1.13, 0.90)
@@ -18,7 +18,7 @@ _GROUND = (0.46, 0.465, 0.45)
 _HORIZON, _ZENITH = (0.80, 0.84, 0.88), (0.36, 0.53, 0.78)
 
 # shadow samples per pixel and per sample of a pixel; integers of one type, so that one compilation serves both
-_PIXEL_LOOKS, _SAMPLE_LOOKS = np.int64(MAX_LOOKS), np.int64(3)
+_PIXEL_SHADOW_SAMPLES, _SUBSAMPLE_SHADOW_SAMPLES = np.int64(MAX_SHADOW_SAMPLES), np.int64(3)
 
 _BYTE_STARTS = srgb_to_linear((np.arange(256) - 0.5) / 255)  # smallest light of each byte
 _CELLS = 4096  # cells of light; bytes are wider, so the byte at a cell's start is at most one too low
@@ -68,14 +68,14 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
                 alike = alike and visible_face[top + sample // n, left + sample % n] == face
             if alike:
                 at = (left + 0.5 * n, top + 0.5 * n)
-                red, green, blue = _sample_light(at, face, triangles, scene, view, (phase, _PIXEL_LOOKS))
+                red, green, blue = _sample_light(at, face, triangles, scene, view, (phase, _PIXEL_SHADOW_SAMPLES))
             else:
                 red, green, blue = 0.0, 0.0, 0.0
                 for sample in range(n * n):
                     y, x = top + sample // n, left + sample % n
                     at = (x + 0.5, y + 0.5)
                     r, g, b = _sample_light(
-                        at, visible_face[y, x], triangles, scene, view, (phase + sample, _SAMPLE_LOOKS)
+                        at, visible_face[y, x], triangles, scene, view, (phase + sample, _SUBSAMPLE_SHADOW_SAMPLES)
                     )
                     red, green, blue = red + r / (n * n), green + g / (n * n), blue + b / (n * n)
             picture[row, column, 0] = _srgb_byte(red)

@@ -18,7 +18,7 @@ Picture = UInt8[np.ndarray, "_h _w 3"]  # any size; the writers check that all f
 
 
 @contextmanager
-def spooled(frames: Iterable[Picture]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]:
+def stored_frames(frames: Iterable[Picture]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]:
     """Store pictures of one size in a temporary file, for repeated passes.
 
     Raises:

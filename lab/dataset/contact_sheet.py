@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamictree.render import Camera, Look, Renderer, amplitude_colors, sway_amplitude
+from dynamictree.render import Camera, Renderer, RenderSettings, amplitude_colors, sway_amplitude
 from dynamictree.spectrum import displacement_at
 from lab.dataset.sample import Sample
 
@@ -34,7 +34,7 @@ def draw_sheet(samples: Sequence[Sample]) -> UInt8[np.ndarray, "H W 3"]:
 
 def motion_strip(sample: Sample) -> UInt8[np.ndarray, "H W 3"]:
     """Draw one tree's pictures side by side."""
-    look = Look(width=CELL_PX, height=CELL_PX)
+    look = RenderSettings(width=CELL_PX, height=CELL_PX)
     renderer = Renderer(sample.mesh, look)
     camera = Camera.orbit(sample.mesh.vertices, aspect=1.0)
     frames = [displacement_at(sample.coefficients, step / STRIP) for step in range(STRIP)]
@@ -47,4 +47,4 @@ def _sway_picture(sample: Sample, camera: Camera) -> UInt8[np.ndarray, "H W 3"]:
 
     colors = amplitude_colors(sway_amplitude(sample.coefficients))
     plain = replace(sample.mesh, look=replace(sample.mesh.look, vertex_colors=colors, face_material=None, materials=()))
-    return Renderer(plain, Look(width=CELL_PX, height=CELL_PX, shadows=False)).picture(camera=camera)
+    return Renderer(plain, RenderSettings(width=CELL_PX, height=CELL_PX, shadows=False)).picture(camera=camera)

@@ -12,7 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from dynamictree.mesh import TriangleMesh
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 from dynamictree.spectrum import NUM_FRAMES, iter_motion
 from lab.evaluation.clip import ClipEmbedder
 
@@ -52,7 +52,7 @@ def motion_distances(
     num_frames: int = NUM_FRAMES,
 ) -> tuple[float, float]:
     """Compute `frame_distances` of a mesh's motion; the input view is the tree at rest from the same camera."""
-    renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
+    renderer = Renderer(mesh, RenderSettings(width=SIDE_PX, height=SIDE_PX))
     camera = Camera.orbit(mesh.vertices, aspect=1.0)
     frames = _frames(renderer, camera, coefficients, num_frames)
     return frame_distances(embedder, renderer.picture(camera=camera), frames)

@@ -11,7 +11,7 @@ from typing import Literal
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.plant.capture import Capture, move_only_tree
+from dynamictree.plant.capture import Capture, with_one_moving_tree
 from dynamictree.plant.choice import with_choice
 from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams
@@ -114,7 +114,7 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudPar
         raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")
     capture = read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}"))
     params = CloudParams.part_of(job.params)
-    return capture if params.tree is None else move_only_tree(capture, params.tree), params
+    return capture if params.tree is None else with_one_moving_tree(capture, params.tree), params
 
 
 def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], otherwise: str) -> str:

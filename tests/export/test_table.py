@@ -117,7 +117,7 @@ def test_a_turbulent_motion_can_be_written_in_parts(
 def test_a_long_film_is_written_as_it_is_drawn(
     capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr("dynamictree.render.video.spooled", None)  # no picture is stored
+    monkeypatch.setattr("dynamictree.render.video.stored_frames", None)  # no picture is stored
     params = ExportParams(
         wind_mode="turbulent", num_frames=20, formats=("mp4", "png"), shot=Shot(side_px=64, ground=False)
     )

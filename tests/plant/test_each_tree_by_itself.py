@@ -21,7 +21,7 @@ from dynamictree.modal.joints import joints_of
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import default_falloff_m, modal_system
 from dynamictree.models.several_trees import tree_voxels
-from dynamictree.plant.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
+from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, only_tree, with_one_moving_tree
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import CloudParams, ExportParams
 from dynamictree.rig.rig import rig_of
@@ -135,7 +135,7 @@ def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() ->
     second, low = only_tree(grounded, 2), ((-9.0, -9.0, -9.0), (9.0, 9.0, 0.5))
     moving = moving_part(second, CloudParams(still=("ground",), still_box_m=low))
     np.testing.assert_array_equal(moving, second.cloud.means[:, 2] > 0.5)
-    assert (moving_part(move_only_tree(capture, 2)) == (number == 1)).all()
+    assert (moving_part(with_one_moving_tree(capture, 2)) == (number == 1)).all()
     mesh = carrying_mesh(capture)
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     assert ((middles[:, 0] > 1.5) == (mesh.face_tree == 1)).all()

@@ -13,7 +13,7 @@ from scipy.ndimage import zoom
 
 from dynamictree.mesh import Material, MeshLook, TriangleMesh, joined
 from dynamictree.reconstruct.views import SparseModel, View
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 
 WIDTH, HEIGHT = 400, 300
 POT_M = 0.55
@@ -86,7 +86,7 @@ def orbit(tmp_path_factory) -> Orbit:
 def photographed(folder: Path, *, potted: bool = False) -> Orbit:
     """Fourteen photos from around and a little above."""
     parts = stump_and_ground(np.random.default_rng(5), potted=potted)
-    renderer = Renderer(joined(parts), Look(width=WIDTH, height=HEIGHT, ground=False))
+    renderer = Renderer(joined(parts), RenderSettings(width=WIDTH, height=HEIGHT, ground=False))
     cameras, photos = [], []
     for number in range(14):
         turn = np.radians(number * 360 / 14)

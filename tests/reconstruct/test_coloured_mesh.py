@@ -17,7 +17,7 @@ from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.stage import camera_up, find_stage
 from dynamictree.reconstruct.stereo import Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.views import SparseModel, View
-from dynamictree.render import Look, Renderer
+from dynamictree.render import Renderer, RenderSettings
 from tests.reconstruct.conftest import Orbit, sparse_model
 
 SIDE, BOUNDS = 220, (1.5, 6.0)
@@ -32,7 +32,7 @@ def views_of(orbit: Orbit) -> tuple[View, ...]:
 
 
 def exact_depths(orbit: Orbit, shape: tuple[int, int]) -> list[np.ndarray]:
-    renderer = Renderer(orbit.stump, Look(width=shape[1], height=shape[0]))
+    renderer = Renderer(orbit.stump, RenderSettings(width=shape[1], height=shape[0]))
     depths = [renderer.buffers(camera).depth_m for camera in orbit.cameras]
     return [np.where(np.isfinite(depth), depth, 0).astype(np.float32) for depth in depths]
 
@@ -202,7 +202,7 @@ def test_colours_are_those_of_the_photos_that_see_a_vertex(orbit):
     view = views_of(orbit)[0]
     height, width = view.image.shape[:2]
     x, y, depth = view.camera.project(plain.vertices, width, height).T
-    nearest = Renderer(plain, Look(width=width, height=height)).buffers(view.camera).depth_m
+    nearest = Renderer(plain, RenderSettings(width=width, height=height)).buffers(view.camera).depth_m
     visible = depth < nearest[y.astype(int), x.astype(int)] + 0.001
     inner = visible & (plain.vertices[:, :2] @ view.camera.position_m[:2] > 0.7) & (plain.vertices[:, 2] < 1.1)
     assert inner.sum() > 300

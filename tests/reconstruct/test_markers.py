@@ -18,7 +18,7 @@ from dynamictree.reconstruct.markers import SHEET_EDGES_M, Marker, metres_per_un
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.views import View
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 from recipes.marker_sheet import SHEET, marker_cells, sheet
 from tests.reconstruct.conftest import SQUARE, sparse_model, stump_and_ground, textured
 from tests.reconstruct.finished import write_finished
@@ -48,7 +48,7 @@ def with_marker(enlarged: float) -> TriangleMesh:
 
 
 def photographed(scene: TriangleMesh, number: int, arc_deg: float) -> list[View]:
-    renderer = Renderer(scene, Look(width=WIDTH, height=HEIGHT, ground=False))
+    renderer = Renderer(scene, RenderSettings(width=WIDTH, height=HEIGHT, ground=False))
     views = []
     for count in range(number):
         turn = np.radians(count * arc_deg / number - 40)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import InputError
-from dynamictree.render import Backdrop, Camera, cameras_of, spooled
+from dynamictree.render import Backdrop, Camera, cameras_of, stored_frames
 from dynamictree.requests import Shot
 
 
@@ -82,7 +82,7 @@ def test_a_shadow_lies_where_the_sun_puts_it() -> None:
 
 def test_a_spool_gives_back_every_picture(rng) -> None:
     frames = rng.integers(0, 255, (5, 4, 6, 3), dtype=np.uint8)
-    with spooled(iter(frames)) as film:
+    with stored_frames(iter(frames)) as film:
         np.testing.assert_array_equal(film, frames)
-    with pytest.raises(InputError, match="no frames"), spooled(iter([])):
+    with pytest.raises(InputError, match="no frames"), stored_frames(iter([])):
         pass

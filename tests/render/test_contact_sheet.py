@@ -5,7 +5,7 @@ from PIL import Image
 
 from dynamictree.mesh import Material
 from dynamictree.render import amplitude_colors, sway_amplitude
-from dynamictree.render.contact_sheet import _bare
+from dynamictree.render.contact_sheet import _whitened
 from dynamictree.spectrum import to_motion
 
 
@@ -28,7 +28,7 @@ def test_the_sway_in_colours_takes_a_texture_for_its_outline_alone():
     picture.putpixel((0, 0), (200, 0, 0, 0))
     content = BytesIO()
     picture.save(content, "png")
-    leaf = _bare(Material(texture_png=content.getvalue(), alpha_cutoff=0.5, base_color=(0.1, 0.3, 0.1, 1.0)))
+    leaf = _whitened(Material(texture_png=content.getvalue(), alpha_cutoff=0.5, base_color=(0.1, 0.3, 0.1, 1.0)))
     seen = np.asarray(Image.open(BytesIO(leaf.texture_png)).convert("RGBA"))
     assert (seen[..., :3] == 255).all()
     assert seen[0, 0, 3] == 0

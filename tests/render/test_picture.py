@@ -6,7 +6,7 @@ import pytest
 from dynamictree.color import linear_from_bytes, linear_to_srgb
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 from dynamictree.render import shade as light
 from dynamictree.render.appearance import foliage_faces
 from dynamictree.render.camera import in_view
@@ -15,10 +15,10 @@ from tests.render.conftest import facing_card
 from tests.render.test_raster import cast_rays
 
 FRONT = Camera.look_at(np.array([0.0, -6, 0]), np.zeros(3), vertical_fov_deg=35.0)
-PLAIN = Look(width=64, height=64, ground=False, shadows=False)
+PLAIN = RenderSettings(width=64, height=64, ground=False, shadows=False)
 
 
-def render_mesh(mesh: TriangleMesh, camera: Camera | None = None, *, look: Look | None = None) -> np.ndarray:
+def render_mesh(mesh: TriangleMesh, camera: Camera | None = None, *, look: RenderSettings | None = None) -> np.ndarray:
     return Renderer(mesh, look).picture(camera=camera)
 
 
@@ -115,7 +115,7 @@ def test_both_sides_of_a_card_are_lit():
 def test_the_shadow_falls_away_from_the_sun():
     roof = np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2], [0, 0, 0], [0.01, 0, 0], [0, 0, 0.01]], np.float32)
     mesh = TriangleMesh(vertices=roof, faces=np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], np.int32))
-    look = Look(width=160, height=160, sun_direction=(-1.0, 0.0, 1.0))
+    look = RenderSettings(width=160, height=160, sun_direction=(-1.0, 0.0, 1.0))
     camera = Camera.look_at(np.array([0.0, -16, 9]), np.array([0.0, 0, 0]))
     lit, dark = Renderer(mesh, replace(look, shadows=False)), Renderer(mesh, look)
     fall = lit.picture(camera=camera).astype(int).sum(axis=2) - dark.picture(camera=camera).astype(int).sum(axis=2)
@@ -126,7 +126,7 @@ def test_the_shadow_falls_away_from_the_sun():
 
 
 def test_under_a_crown_the_ground_sees_less_sky(two_balls):
-    renderer = Renderer(two_balls, Look(width=64, height=64))
+    renderer = Renderer(two_balls, RenderSettings(width=64, height=64))
     under = light.sky_share(renderer._sky, -0.3, 0.5, 0.1)
     beside = light.sky_share(renderer._sky, 1.8, -1.9, 0.1)
     assert under < 0.6 < 0.85 < beside
@@ -161,7 +161,7 @@ def test_a_mesh_without_colours_gets_clay_for_wood_and_for_leaves(two_balls):
 @pytest.mark.parametrize("size", [{"width": 0}, {"height": 5000}, {"supersampling": 9}])
 def test_refuses_a_picture_of_no_or_too_large_size(size):
     with pytest.raises(InputError, match="allowed"):
-        Look(**size)
+        RenderSettings(**size)
 
 
 def test_refuses_a_mesh_without_faces(two_balls):
@@ -191,7 +191,7 @@ def test_the_plant_fills_the_picture_whatever_it_stands_on() -> None:
     faces = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
     whole = TriangleMesh(vertices=corners, faces=faces)
     scene = TriangleMesh(vertices=corners, faces=faces, still_faces=np.array([False, True]))
-    far, near = (np.linalg.norm(Renderer(mesh, Look()).camera.position_m) for mesh in (whole, scene))
+    far, near = (np.linalg.norm(Renderer(mesh, RenderSettings()).camera.position_m) for mesh in (whole, scene))
     assert near < 0.1 * far
 
 
@@ -201,7 +201,7 @@ def test_a_pot_is_in_the_picture_and_the_sky_above_is_not() -> None:
     pot = np.array([False, True])
     corners = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0, 1], [-0.3, 0, -0.3], [0.3, 0, -0.3], [0, 0.1, 0]], np.float32)
     mesh = TriangleMesh(vertices=corners, faces=np.arange(6, dtype=np.int32).reshape(2, 3), still_faces=pot)
-    pixels = Renderer(mesh, Look()).camera.project(corners.astype(np.float64), 100, 100)
+    pixels = Renderer(mesh, RenderSettings()).camera.project(corners.astype(np.float64), 100, 100)
     assert ((pixels[:, :2] > 0) & (pixels[:, :2] < 100)).all()
     assert mesh.height_text == "1.3 m"
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks._scene import sheet
 from dynamictree.mesh import TriangleMesh
-from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render import Camera, Renderer, RenderSettings
 
 SIZE = 96
 
@@ -30,7 +30,7 @@ def cast_rays(mesh: TriangleMesh, camera: Camera, size: int) -> tuple[np.ndarray
 
 def test_sees_what_a_ray_through_every_pixel_hits(two_balls):
     camera = Camera.orbit(two_balls.vertices, azimuth_deg=0.0)
-    buffers = Renderer(two_balls, Look(width=SIZE, height=SIZE)).buffers(camera)
+    buffers = Renderer(two_balls, RenderSettings(width=SIZE, height=SIZE)).buffers(camera)
     depth, face = cast_rays(two_balls, camera, SIZE)
     seen = np.isfinite(depth)
     assert seen.mean() > 0.2
@@ -45,7 +45,7 @@ def test_a_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is_seen():
         vertices=np.array([[-9, -9, 0], [9, -9, 0], [0, 30, 0]], np.float32), faces=np.array([[0, 1, 2]], np.int32)
     )
     camera = Camera.look_at(np.array([0.0, 0, 1.5]), np.array([0.0, 5, 0.5]), vertical_fov_deg=60.0)
-    renderer = Renderer(floor, Look(width=SIZE, height=SIZE))
+    renderer = Renderer(floor, RenderSettings(width=SIZE, height=SIZE))
     beyond = Camera.look_at(np.array([0.0, 40, 1.5]), np.array([0.0, 50, 1.0]))
     assert (renderer.buffers(beyond).face == -1).all(), "all of it is behind the camera"
     buffers = renderer.buffers(camera)
@@ -65,4 +65,4 @@ def test_faces_that_share_an_edge_leave_no_gap(rng):
     vertices = np.stack([x + jitter[0], rng.uniform(-0.2, 0.2, x.shape), z + jitter[1]], axis=2).reshape(-1, 3)
     mesh = TriangleMesh(vertices=vertices.astype(np.float32), faces=sheet(2 * (number - 1) ** 2).faces)
     camera = Camera.look_at(np.array([0.0, -6, 0]), np.zeros(3), vertical_fov_deg=35.0)
-    assert (Renderer(mesh, Look(width=400, height=400)).buffers(camera).face >= 0).all()
+    assert (Renderer(mesh, RenderSettings(width=400, height=400)).buffers(camera).face >= 0).all()

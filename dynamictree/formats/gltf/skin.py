@@ -56,13 +56,13 @@ def write_skinned_glb(
         writer.append("scenes", {"nodes": [0, skeleton]})
     _add_sway(writer, skin, fps, first)
     if packing.compressed:
-        summary = _with_change(summary, np.linalg.norm(compress(writer).astype(np.float64), axis=1))
+        summary = _with_rest_error(summary, np.linalg.norm(compress(writer).astype(np.float64), axis=1))
     writer.extras = asdict(summary) | source.extras
     writer.finish(stream)
     return summary
 
 
-def _with_change(summary: SkinSummary, change_m: Float64[np.ndarray, " N"]) -> SkinSummary:
+def _with_rest_error(summary: SkinSummary, change_m: Float64[np.ndarray, " N"]) -> SkinSummary:
     """Add the error of the mesh at rest, which moves with the joints, to a summary; the largest is an upper bound."""
     rms_m = float(np.hypot(summary.rms_error_m, np.sqrt((change_m**2).mean())))
     return replace(

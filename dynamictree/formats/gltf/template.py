@@ -21,7 +21,7 @@ def open_document(mesh: TriangleMesh) -> GlbWriter:
     chunks = list(mesh.gltf.binary)
     writer = GlbWriter(root=json.loads(mesh.gltf.document), chunks=chunks, num_bytes=sum(map(len, chunks)))
     if mesh.source.up_axis != "+Y" or mesh.source.scale != 1.0:
-        _stand_upright(writer.root, mesh.source.scale * up_rotation(mesh.source.up_axis))
+        _add_upright_root(writer.root, mesh.source.scale * up_rotation(mesh.source.up_axis))
     return writer
 
 
@@ -105,7 +105,7 @@ def _placed(root: dict[str, Any]) -> dict[int, Float64[np.ndarray, "4 4"]]:
     return placed
 
 
-def _stand_upright(root: dict[str, Any], to_z_up: Float64[np.ndarray, "3 3"]) -> None:
+def _add_upright_root(root: dict[str, Any], to_z_up: Float64[np.ndarray, "3 3"]) -> None:
     """Put the scene below a new node that turns and scales it to metres and +Y up."""
     scene = root["scenes"][root.get("scene", 0)]
     matrix = np.eye(4)

@@ -11,7 +11,7 @@ import numpy as np
 
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.companions import find_companion
-from dynamictree.formats.origin import near_origin, offset_warnings
+from dynamictree.formats.origin import offset_warnings, shift_to_origin
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 _MODEL = re.compile(rb"<(?:\w+:)?model\b[^>]*\bunit\s*=\s*[\"'](\w+)[\"']")
@@ -98,7 +98,7 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes], nam
     total = sum(len(scene.geometry[scene.graph[node][1]].vertices) for node in scene.graph.nodes_geometry)
     if total > MAX_VERTICES:
         raise MeshError(f"the file has {total:,} vertices with all instances; at most {MAX_VERTICES:,} are allowed")
-    _, offset = near_origin(np.asarray(scene.bounds, np.float64))
+    _, offset = shift_to_origin(np.asarray(scene.bounds, np.float64))
     scene.apply_translation([-number for number in offset])
     mesh = TriangleMesh.from_trimesh(scene)
     mesh = replace(mesh, source=replace(mesh.source, offset=offset), warnings=offset_warnings(offset))

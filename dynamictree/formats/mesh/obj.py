@@ -14,7 +14,7 @@ from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.mesh.mtl import read_materials, text_of
 from dynamictree.formats.number_text import numbers_of
-from dynamictree.formats.origin import near_origin, offset_warnings
+from dynamictree.formats.origin import offset_warnings, shift_to_origin
 from dynamictree.mesh import (
     MAX_FACES,
     MAX_VERTICES,
@@ -67,14 +67,14 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
     places = _numbers(statements.texture_places, "vt", 1)[0]
     directions = _directions(statements.normals)
     rows = _corner_rows(statements, (len(table), len(places), len(directions)))  # [C, 3]
-    looks = np.stack([rows[:, 1], _alike(directions)[rows[:, 2]]], 1)
-    original, looks, corners = _split(rows[:, 0], looks, len(table))
+    looks = np.stack([rows[:, 1], _merge_normals(directions)[rows[:, 2]]], 1)
+    original, looks, corners = _split_corners(rows[:, 0], looks, len(table))
     faces, source_face = fans(corners, np.array(statements.face_sizes))
     materials: tuple[Material, ...] = ()
     warnings: list[SourceWarning] = []
     if set(statements.material_names) != {""}:
         materials, warnings = read_materials(tuple(statements.material_names), statements.libraries, companions)
-    vertices, offset = near_origin(table[:, :3])
+    vertices, offset = shift_to_origin(table[:, :3])
     part = np.array(statements.face_parts, np.int32)
     part[part < 0] = len(statements.part_names)  # faces above the first name belong to a last, unnamed part
     return TriangleMesh(
@@ -205,14 +205,14 @@ def _corner_rows(statements: _Statements, counts: tuple[int, int, int]) -> Int64
     return rows - 1
 
 
-def _alike(directions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " m"]:
+def _merge_normals(directions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " m"]:
     """Map each normal to the first that is equal within a degree; a last entry of -1 is for corners without one."""
     units = np.round(unit_vectors(directions).astype(np.float64), 2) if len(directions) else directions
     _, first, inverse = np.unique(units, axis=0, return_index=True, return_inverse=True)
     return np.append(first[inverse.ravel()], -1).astype(np.int64)
 
 
-def _split(
+def _split_corners(
     rows: Int64[np.ndarray, " C"], looks: Int64[np.ndarray, "C 2"], num_vertices: int
 ) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, "N 2"], Int32[np.ndarray, " C"]]:
     """Return each new vertex's source row, its texture and normal rows, and the new vertex of each corner."""

@@ -26,7 +26,7 @@ def write_obj(mesh: TriangleMesh, stream: ByteWriter, *, library: str = "") -> d
         lines += _rows("vn", mesh.look.normals.tolist())
         corner = "{0}/{0}/{0}" if mesh.look.uv is not None else "{0}//{0}"
     written: tuple[str, ...] = ()
-    for face, belongs in zip((mesh.faces + 1).tolist(), _belongings(mesh), strict=True):
+    for face, belongs in zip((mesh.faces + 1).tolist(), _group_lines(mesh), strict=True):
         lines += [line for line in belongs if line not in written]
         written = belongs
         lines.append("f " + " ".join(corner.format(vertex) for vertex in face))
@@ -38,7 +38,7 @@ def _rows(keyword: str, rows: list[list[float]]) -> list[str]:
     return [f"{keyword} " + " ".join(f"{number:.9g}" for number in row) for row in rows]
 
 
-def _belongings(mesh: TriangleMesh) -> Iterator[tuple[str, ...]]:
+def _group_lines(mesh: TriangleMesh) -> Iterator[tuple[str, ...]]:
     """Yield the lines that set the group and the material of each face."""
     groups = [f"g {name}".rstrip() for name in mesh.parts.names] if mesh.parts.of_face is not None else [""]
     materials = [f"usemtl {_name(mesh, number)}" for number in range(len(mesh.look.materials))] or [""]

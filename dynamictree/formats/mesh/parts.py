@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 
-from dynamictree.formats.origin import near_origin, offset_warnings
+from dynamictree.formats.origin import offset_warnings, shift_to_origin
 from dynamictree.mesh import Material, MeshLook, Parts, TriangleMesh
 from dynamictree.source import Source
 
@@ -41,7 +41,7 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
     face_material = [np.full(len(p.faces), p.material if p.material >= 0 else default, np.int32) for p in parts]
     names = tuple(dict.fromkeys(part.name for part in parts))
     face_part = [np.full(len(part.faces), names.index(part.name), np.int32) for part in parts] if any(names) else None
-    vertices, offset = near_origin(np.concatenate([part.vertices for part in own]))
+    vertices, offset = shift_to_origin(np.concatenate([part.vertices for part in own]))
     return TriangleMesh(
         parts=Parts(names=names if face_part else (), of_face=np.concatenate(face_part) if face_part else None),
         vertices=vertices,

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Shaped, UInt8
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.companions import find_companion
 from dynamictree.formats.mesh.obj import fans
-from dynamictree.formats.origin import near_origin, offset_warnings
+from dynamictree.formats.origin import offset_warnings, shift_to_origin
 from dynamictree.formats.ply_table import read_header, read_polygons
 from dynamictree.formats.texture import texture_as_png
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, MeshLook, TriangleMesh, unit_vectors
@@ -49,7 +49,7 @@ def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> Triangl
     if len(faces) > MAX_FACES:
         raise MeshError(f"the PLY file has {len(faces):,} triangles; {MAX_FACES:,} are allowed; decimate it first")
     material = _material(content, companions)
-    vertices, offset = near_origin(np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1))
+    vertices, offset = shift_to_origin(np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1))
     return TriangleMesh(
         vertices=vertices,
         faces=faces,

@@ -5,7 +5,7 @@ from jaxtyping import Float32, Float64
 
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.number_text import rows_of
-from dynamictree.formats.origin import near_origin, offset_warnings
+from dynamictree.formats.origin import offset_warnings, shift_to_origin
 from dynamictree.mesh import MAX_FACES, TriangleMesh
 from dynamictree.source import Source
 
@@ -18,7 +18,7 @@ def read_stl(content: bytes) -> TriangleMesh:
         MeshError: more faces than `mesh.py` allows.
     """
     corners = _ascii_corners(content) if is_ascii_stl(content) else _binary_corners(content)
-    points, offset = near_origin(corners.reshape(-1, 3).astype(np.float64))
+    points, offset = shift_to_origin(corners.reshape(-1, 3).astype(np.float64))
     # adding zero makes -0 and 0 the same bytes
     keys = np.ascontiguousarray(points + np.float32(0)).view("V12").ravel()
     positions, first, inverse = np.unique(keys, return_index=True, return_inverse=True)

@@ -7,7 +7,7 @@ import scipy  # submodules load on first use, so the service starts without them
 from jaxtyping import Float32, Float64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.origin import near_origin
+from dynamictree.formats.origin import shift_to_origin
 from dynamictree.formats.ply_table import read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import harmonic_from_color
@@ -65,7 +65,7 @@ def cloud_of_points(scan: Scan, *, up_axis: str = UP_AXIS) -> GaussianCloud:
     if extent.max() == 0:
         raise InputError(f"all {len(points):,} points are at one place; the cloud needs an extent")
     refuse_degrees(points, extent)
-    means, offset = near_origin(points)
+    means, offset = shift_to_origin(points)
     if not np.isfinite(means).all():
         raise InputError("positions of the cloud are beyond 3e38, which is no place; remove them")
     points = means.astype(np.float64)
@@ -102,7 +102,7 @@ def refuse_degrees(points: Float64[np.ndarray, "G 3"], extent: Float64[np.ndarra
         )
 
 
-def color_columns(table: Float64[np.ndarray, "G columns"], labels: float) -> list[int] | None:
+def find_color_columns(table: Float64[np.ndarray, "G columns"], labels: float) -> list[int] | None:
     """Find three columns after x, y and z that are a colour by their range; None if there are none.
 
     A colour has integers up to 255 or 65,535, of similar size and beyond `labels`, or values in [0, 1] that are no unit

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.number_text import numbers_of, rows_of
-from dynamictree.formats.scan.points import Scan, color_columns
+from dynamictree.formats.scan.points import Scan, find_color_columns
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.gaussian.cloud import MAX_GAUSSIANS, check_count
 
@@ -98,7 +98,7 @@ def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tupl
                 f"the table's columns are {', '.join(names[unnamed:])[:300]}; a point cloud has columns x, y and z. Is "
                 "it a table of cylinders or of measurements (QSM)? Send the points that it was made from"
             )
-    return [0, 1, 2], color_columns(table, labels)
+    return [0, 1, 2], find_color_columns(table, labels)
 
 
 def _positions(names: list[str], options: tuple[re.Pattern[str], ...]) -> list[int] | None:

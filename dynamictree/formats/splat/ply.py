@@ -50,7 +50,7 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
     check_count(vertex.count)
     rest = rest_names(names)
     (rows,) = read_elements(stream, header, "vertex")
-    rows, dropped = _sound(rows)
+    rows, dropped = _valid_rows(rows)
     num_rest = len(rest) // 3
     sh = np.empty((len(rows), 1 + num_rest, 3), np.float32)
     stored = _columns(rows, color)
@@ -68,7 +68,7 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
     )
 
 
-def _sound(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], int]:
+def _valid_rows(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], int]:
     """Drop rows that are not finite or have no rotation, which training can leave; drop none if all are such."""
     sound = (_columns(rows, _ROTATION) != 0).any(axis=1)
     for name in rows.dtype.names or ():

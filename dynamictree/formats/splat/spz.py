@@ -157,7 +157,7 @@ def _packed(cloud: GaussianCloud, fractional_bits: int) -> list[UInt8[np.ndarray
     positions = np.stack([fixed & 0xFF, fixed >> 8 & 0xFF, fixed >> 16 & 0xFF], axis=2)  # [G, 3, 3]
     color = (color_from_harmonic(cloud.sh[:, 0]) - 0.5) / SH_0 * _COLOR_SCALE + 0.5
     harmonics = [
-        _coarse(cloud.sh[:, degree**2 : (degree + 1) ** 2], sh_bits[degree]) for degree in range(1, cloud.sh_degree + 1)
+        _round(cloud.sh[:, degree**2 : (degree + 1) ** 2], sh_bits[degree]) for degree in range(1, cloud.sh_degree + 1)
     ]
     rest = np.concatenate([np.empty((cloud.num_gaussians, 0, 3)), *harmonics], axis=1)
     return [
@@ -175,7 +175,7 @@ def _bytes(values: Num[np.ndarray, "G ..."]) -> UInt8[np.ndarray, "G bytes"]:
     return result
 
 
-def _coarse(coefficients: Float32[np.ndarray, "G D 3"], bits: int) -> Float32[np.ndarray, "G D 3"]:
+def _round(coefficients: Float32[np.ndarray, "G D 3"], bits: int) -> Float32[np.ndarray, "G D 3"]:
     """Round coefficients to fewer values, for better compression; zero stays zero."""
     bucket = 1 << 8 - bits
     return np.asarray((np.rint(coefficients * 128 + 128) + bucket // 2) // bucket * bucket, np.float32)

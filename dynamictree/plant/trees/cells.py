@@ -33,7 +33,7 @@ class OccupiedCells:
         return self.low_m + (self.coords + 0.5) * self.size_m
 
 
-def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
+def occupied_cells(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     """Put points [m, +Z up] into cells."""
     max_cells_along = 1500
     steepest = 1.0  # largest slope of the ground
@@ -114,7 +114,7 @@ def _above(
     return above, low, len(np.unique(numbers[low])) / len(np.unique(numbers))
 
 
-def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
+def cell_graph(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
     """Build a graph of near cells; edges are squared distances [cells²], so gaps cost more than detours.
 
     The cells are in ascending order of x, y, z; a pair has one edge, if one is among the nearest of the other.

@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int32, Int64
 
 from dynamictree.errors import InputError
 from dynamictree.mesh import SourceWarning
-from dynamictree.plant.trees.cells import OccupiedCells, join, occupy
+from dynamictree.plant.trees.cells import OccupiedCells, cell_graph, occupied_cells
 from dynamictree.plant.trees.stems import Stem, find_stems, join_stems
 
 _OWN_TOP = 0.02
@@ -33,11 +33,11 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
     one_tree = np.zeros(len(points), np.int32)
     if np.ptp(points[:, 2]) <= 0:
         return one_tree
-    cells = occupy(points)
+    cells = occupied_cells(points)
     plant = np.flatnonzero(~cells.ground)
     if len(plant) == 0:
         return one_tree
-    graph = join(cells.coords[plant])
+    graph = cell_graph(cells.coords[plant])
     seeds = _seeds(cells, plant, graph)
     if len(seeds) <= 1:
         if is_scan:
@@ -45,7 +45,7 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
         return one_tree
     grown = _grow(cells, plant, graph, seeds)
     if not is_scan:
-        own = _rooted(cells.coords[plant, 2], graph, grown, seeds)
+        own = _without_tips(cells.coords[plant, 2], graph, grown, seeds)
         if len(own) <= 1:
             return one_tree
         if len(own) < len(seeds):
@@ -85,7 +85,7 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
     return join_stems(standing or stems, tall)
 
 
-def _rooted(
+def _without_tips(
     height: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", grown: Int64[np.ndarray, " M"], seeds: list[Stem]
 ) -> list[Stem]:
     """Select the seeds that are no tips of hanging branches: their trees have their own top, and are thicker."""
