@@ -48,7 +48,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def timed(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> Timing:
+def time_calls(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> Timing:
     """Time several runs of a call."""
     for _ in range(warm_ups):
         call()
@@ -67,7 +67,7 @@ def timed(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> T
     )
 
 
-def copied(num_bytes: int) -> Timing:
+def time_copy(num_bytes: int) -> Timing:
     """Time a copy on all cores that reads and writes this many bytes in total: the cost of memory alone."""
     source = np.ones(num_bytes // 8, np.float32)  # memory that was never written maps to one cached page of zeros
     target = np.empty_like(source)
@@ -75,10 +75,10 @@ def copied(num_bytes: int) -> Timing:
     def copy(first: int, end: int) -> None:
         target[first:end] = source[first:end]
 
-    return timed(lambda: in_bands(copy, len(source)), runs=30)
+    return time_calls(lambda: in_bands(copy, len(source)), runs=30)
 
 
-def over_floor(frame: Timing, floor: Timing) -> dict[str, float]:
+def ratio_to_copy(frame: Timing, floor: Timing) -> dict[str, float]:
     """Compare a frame with the copy of its bytes, in wall time and in CPU time, which does not depend on other load."""
     return {
         "floor_ms": round(floor.median_ms, 3),

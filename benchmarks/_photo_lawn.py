@@ -8,7 +8,7 @@ from jaxtyping import Float32, Float64, UInt8
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from benchmarks._photo_set import cut_out, fine_renderer, solid_noise, speckled
+from benchmarks._photo_set import fine_renderer, render_cut_out, solid_noise, with_speckles
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera
 from lab.dataset.sample import make_sample
@@ -27,7 +27,7 @@ def photograph_on_lawn(
     folder: Path, *, number: int, side: int, species: str = "round-broadleaf", height_m: float = 3.5, seed: int = 7
 ) -> dict[str, UInt8[np.ndarray, "H W"]]:
     """Write JPEG photos of a walk around the tree; return, by name, each pixel's coverage by the tree."""
-    grown = speckled(make_sample(seed, species).mesh)
+    grown = with_speckles(make_sample(seed, species).mesh)
     tree = grown.with_vertices((grown.vertices * (height_m / grown.height_m)).astype(np.float32))
     renderer, garden = fine_renderer(tree, side), _Garden(tree)
     rng = np.random.default_rng(4)
@@ -35,7 +35,7 @@ def photograph_on_lawn(
     masks = {}
     for place, camera in enumerate(_walk(tree, number)):
         behind = 255 * garden.seen_along(_rays(camera, side), camera, side)
-        rgba = cut_out(renderer, camera, side, bark).astype(np.float64)
+        rgba = render_cut_out(renderer, camera, side, bark).astype(np.float64)
         cover = rgba[..., 3:] / 255
         scene = cover * rgba[..., :3] + (1 - cover) * behind
         name = f"IMG_{place:04d}.jpg"

@@ -20,13 +20,13 @@ GRAIN_M, GRAIN = 0.01, 0.4
 
 def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> list[Path]:
     """Write photos of an orbit around a tree with speckled bark and leaves, and `transforms.json`, to the folder."""
-    tree = speckled(make_sample(seed, species).mesh)
+    tree = with_speckles(make_sample(seed, species).mesh)
     renderer = fine_renderer(tree, side)
     photos, frames = [], []
-    cameras = orbit(tree, number)
+    cameras = orbit_cameras(tree, number)
     for place, camera in enumerate(cameras):
         path = folder / f"tree_{place:02d}.png"
-        Image.fromarray(cut_out(renderer, camera, side)).save(path)
+        Image.fromarray(render_cut_out(renderer, camera, side)).save(path)
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = camera.world_to_camera.T * [1, -1, -1], camera.position_m
         frames.append({"file_path": path.name, "transform_matrix": matrix.tolist()})
@@ -37,7 +37,7 @@ def photograph(folder: Path, *, number: int, side: int, species: str = "round-br
     return photos
 
 
-def speckled(tree: TriangleMesh) -> TriangleMesh:
+def with_speckles(tree: TriangleMesh) -> TriangleMesh:
     """Return the tree brightened, with a random colour per vertex, so that it has detectable features."""
     shades = np.clip(np.random.default_rng(1).normal(0.7, 0.3, (tree.num_vertices, 3)), 0.1, 1)
     colors = np.concatenate([255 * shades, np.full((len(shades), 1), 255)], axis=1).astype(np.uint8)
@@ -48,7 +48,7 @@ def speckled(tree: TriangleMesh) -> TriangleMesh:
     return replace(tree, look=replace(tree.look, vertex_colors=colors, materials=bright))
 
 
-def orbit(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:
+def orbit_cameras(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:
     """Return cameras around a tree, alternately lower and higher."""
     height = tree.height_m
     middle = np.array([*tree.vertices.mean(axis=0)[:2], 0.5 * height], np.float64)
@@ -72,7 +72,7 @@ def solid_noise(rng: np.random.Generator) -> np.ndarray:
     return (block / block.std()).astype(np.float32)
 
 
-def cut_out(renderer: Renderer, camera: Camera, side: int, solid: np.ndarray | None = None) -> np.ndarray:
+def render_cut_out(renderer: Renderer, camera: Camera, side: int, solid: np.ndarray | None = None) -> np.ndarray:
     """Render an RGBA photo with a `fine_renderer`; `solid` adds grain to the surfaces."""
     color = renderer.picture(camera=camera).astype(np.float64)
     depth = renderer.buffers(camera).depth_m

@@ -42,7 +42,7 @@ def reported_facts(content: bytes) -> dict[str, Any]:
     return extras
 
 
-def played_morphs(content: bytes) -> np.ndarray:
+def read_morphs(content: bytes) -> np.ndarray:
     """Return a GLB's morph targets, weighted by its animation: [T + 1, N, 3]."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     targets = [accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets]
@@ -51,7 +51,7 @@ def played_morphs(content: bytes) -> np.ndarray:
     return z_up(np.einsum("tm,mnc->tnc", keys, np.stack(targets)))
 
 
-def played_skin(content: bytes) -> np.ndarray:
+def read_skin(content: bytes) -> np.ndarray:
     """Return a GLB's skin, posed by its animation: [T + 1, N, 3]. glTF 2.0, sections 3.7.3, 3.11 and appendix C."""
     document = pygltflib.GLTF2().load_from_bytes(content)
     attributes, skin = document.meshes[0].primitives[0].attributes, document.skins[0]
@@ -96,7 +96,7 @@ def world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
     return world
 
 
-def played_usdz(path: Path) -> np.ndarray:
+def read_usdz(path: Path) -> np.ndarray:
     """Return the points of every time code minus those at rest: [T, N, 3]."""
     from pxr import Usd, UsdGeom
 
@@ -108,7 +108,7 @@ def played_usdz(path: Path) -> np.ndarray:
     return np.stack([np.array(points.Get(code)) for code in points.GetTimeSamples()]) - rest
 
 
-def played_usd_skin(path: Path) -> np.ndarray:
+def read_usd_skin(path: Path) -> np.ndarray:
     """Return the points of every time code, skinned by usd-core, minus those at rest: [T, N, 3]."""
     from pxr import Usd, UsdGeom, UsdSkel, Vt
 
@@ -128,7 +128,7 @@ def played_usd_skin(path: Path) -> np.ndarray:
     return np.stack(frames) - np.array(rest)
 
 
-def played_alembic(path: Path) -> np.ndarray:
+def read_alembic(path: Path) -> np.ndarray:
     """Return the points of every sample: [T, N, 3]."""
     from alembic3d import Abc, AbcGeom
 
@@ -137,7 +137,7 @@ def played_alembic(path: Path) -> np.ndarray:
     return z_up(np.stack([np.array(memoryview(points)) for points in samples]))
 
 
-def played_vertex_texture(content: bytes) -> np.ndarray:
+def read_vertex_texture(content: bytes) -> np.ndarray:
     """Return the texels that a vertex shader looks up in each frame: [T, N, 3]. Needs OpenEXR."""
     import OpenEXR
 
@@ -156,7 +156,7 @@ def played_vertex_texture(content: bytes) -> np.ndarray:
     return z_up(np.stack(frames))
 
 
-def played_ply(path: Path) -> np.ndarray:
+def read_ply(path: Path) -> np.ndarray:
     """Return the vertices of every file of a sequence, read by trimesh: [T, N, 3]."""
     import trimesh
 
@@ -165,15 +165,15 @@ def played_ply(path: Path) -> np.ndarray:
     return np.stack([trimesh.load(file, file_type="ply", process=False).vertices for file in files])
 
 
-def played_product(name: str, path: Path, rest: np.ndarray) -> np.ndarray:
+def read_product(name: str, path: Path, rest: np.ndarray) -> np.ndarray:
     """Return the displacement at every frame of a product; `rest` is subtracted from formats with positions."""
     from safetensors.numpy import load_file
 
     if name in ("alembic", "ply"):
-        return {"alembic": played_alembic, "ply": played_ply}[name](path) - rest
+        return {"alembic": read_alembic, "ply": read_ply}[name](path) - rest
     if name in ("usd", "usd-skinned"):
-        return {"usd": played_usdz, "usd-skinned": played_usd_skin}[name](path)
+        return {"usd": read_usdz, "usd-skinned": read_usd_skin}[name](path)
     if name == "motion":
         return load_file(path)["displacement"]
-    play = {"glb": played_skin, "vat": played_vertex_texture}.get(name, played_morphs)
+    play = {"glb": read_skin, "vat": read_vertex_texture}.get(name, read_morphs)
     return play(path.read_bytes())

@@ -33,7 +33,7 @@ COMMANDS = {
 """Arguments of Python that measure each result."""
 SHORT = {"DYNAMICTREE_BENCHMARK_SIZES": "1964", "DYNAMICTREE_BENCHMARK_RUNS": "3"}
 """Environment of the benchmarks: the demo tree and one size, three times each."""
-OF_THE_WEIGHTS = ("motion", "wind_condition", "storm_stretch")
+WEIGHT_RESULTS = ("motion", "wind_condition", "storm_stretch")
 """Results that depend on the weights."""
 
 
@@ -47,7 +47,7 @@ def record(name: str) -> None:
     (FOLDER / f"{name}.json").write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
 
 
-def rendered(template: str) -> str:
+def fill_template(template: str) -> str:
     """Fill a template: each `{name[key]…:format}` is a value of the recorded result of that name.
 
     Lines whose result was not recorded are left out, with tables and sections that become empty; `{weights}` lists
@@ -64,7 +64,7 @@ def rendered(template: str) -> str:
 
 
 def _state(results: Mapping[str, Any]) -> str:
-    older = [name for name in OF_THE_WEIGHTS if name in results and results[name]["weights"] != weights_hash()]
+    older = [name for name in WEIGHT_RESULTS if name in results and results[name]["weights"] != weights_hash()]
     missing = [name for name in COMMANDS if name not in results]
     of_weights = f"Of earlier weights: {', '.join(older)}." if older else "All are of the shipped weights."
     return of_weights + (f" Not measured yet: {', '.join(missing)}." if missing else "")
@@ -85,7 +85,7 @@ def _tables(results: Mapping[str, Any]) -> dict[str, object]:
 def readme() -> str:
     """Return the README with its section on results filled in."""
     before, _, after = README.read_text().partition("## Results\n")
-    return before + rendered("readme.md") + after[after.index("## ") :]
+    return before + fill_template("readme.md") + after[after.index("## ") :]
 
 
 def _wind_row(row: dict[str, float]) -> str:
@@ -114,7 +114,7 @@ def main() -> None:
     for name in names:
         if name != "write":
             record(name)
-    PAGE.write_text(rendered("page.md"))
+    PAGE.write_text(fill_template("page.md"))
     README.write_text(readme())
 
 

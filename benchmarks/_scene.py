@@ -5,7 +5,7 @@ import numpy as np
 from dynamictree.mesh import TriangleMesh
 
 
-def sheet(num_faces: int) -> TriangleMesh:
+def wavy_sheet(num_faces: int) -> TriangleMesh:
     """Return a wavy sheet of 4 m, whose faces are all different and small."""
     side = round((num_faces / 2) ** 0.5) + 1
     x, y = np.meshgrid(*[np.linspace(0, 4, side)] * 2, indexing="ij")

@@ -29,16 +29,16 @@ START_S = 90.0
 
 
 @contextmanager
-def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
+def serve_tree(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
     """Context manager that runs an API with this tree; yields base URL, spectrum id and process id."""
     with open_services(Settings(state_dir=state)) as services:
-        spectrum_id = published(services, spectrum, mesh)
-    with started(state) as (url, process_id):
+        spectrum_id = store_spectrum(services, spectrum, mesh)
+    with start_api(state) as (url, process_id):
         yield url, spectrum_id, process_id
 
 
 @contextmanager
-def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
+def start_api(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
     """Context manager that runs an API on a state folder; yields base URL and process id. See docs/settings.md."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -57,7 +57,7 @@ def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
         process.wait(timeout=30)
 
 
-def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> str:
+def store_spectrum(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> str:
     """Store a tree as a finished job does; return the spectrum's id."""
     services.settings.state_dir.mkdir(parents=True, exist_ok=True)
     now = services.store.clock()

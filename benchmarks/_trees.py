@@ -41,7 +41,7 @@ def demo_mesh(num_vertices: int | None = None) -> TriangleMesh:
     if num_vertices < mesh.num_vertices:
         return _lowest(mesh, num_vertices)
     while mesh.num_vertices < num_vertices:
-        mesh = _halved(mesh, num_vertices - mesh.num_vertices)
+        mesh = _split_longest_edges(mesh, num_vertices - mesh.num_vertices)
     return mesh
 
 
@@ -52,7 +52,7 @@ def _lowest(mesh: TriangleMesh, num_vertices: int) -> TriangleMesh:
     return TriangleMesh(vertices=mesh.vertices[used], faces=corners.reshape(-1, 3).astype(np.int32))
 
 
-def _halved(mesh: TriangleMesh, most: int) -> TriangleMesh:
+def _split_longest_edges(mesh: TriangleMesh, most: int) -> TriangleMesh:
     """Split faces at the middle of their longest edges, each face at one edge at most."""
     edges = edges_of(mesh.faces)
     length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)

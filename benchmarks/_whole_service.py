@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks._served import processor_s
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.mesh import TriangleMesh
-from recipes.demo import served
+from recipes.demo import serve
 
 POLL_S = 0.1
 PATIENCE_S = 900.0
@@ -25,7 +25,7 @@ _LOG_TAIL = 6000  # characters of the service's log in an error
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ended:
+class JobTimes:
     """Times of a job, from its upload to the download of its last file."""
 
     wall_s: float
@@ -69,14 +69,14 @@ class WholeService:
             time.sleep(POLL_S)
         raise TimeoutError(f"job {job} did not end within {patience_s:g} s")
 
-    def run(self, mesh: TriangleMesh, number: int, **params: object) -> Ended:
+    def run(self, mesh: TriangleMesh, number: int, **params: object) -> JobTimes:
         """Upload a mesh, wait for its products and download them."""
         before, began = self.worker_s(), time.perf_counter()
         job = self.wait(self.submit(self.upload(mesh, number), **params))
         for artifact in self.client.get(f"/v1/jobs/{job['id']}/artifacts").raise_for_status().json()["artifacts"]:
             self.client.get(artifact["url"]).raise_for_status()
         wall_s = time.perf_counter() - began
-        return Ended(wall_s=wall_s, worker_s=self.worker_s() - before, stages_s=stage_seconds(job))
+        return JobTimes(wall_s=wall_s, worker_s=self.worker_s() - before, stages_s=stage_seconds(job))
 
     def workers(self) -> list[int]:
         """Return the process ids of Celery's processes."""
@@ -112,7 +112,7 @@ def whole_service() -> Iterator[WholeService]:
         state = Path(folder) / "state"
         state.mkdir()
         with (
-            served(state, Path(folder) / "serve.log") as url,
+            serve(state, Path(folder) / "serve.log") as url,
             httpx.Client(base_url=url, timeout=PATIENCE_S) as client,
         ):
             yield WholeService(client, state)

@@ -58,7 +58,7 @@ def run() -> dict[str, object]:
         folder = Path(name)
         with (folder / "shard.safetensors").open("wb") as stream:
             write_shard([replace(tree, split="train") for tree in stored[:NUM_TREES]], stream)
-        figures = {variant: _figures(_trained(folder, variant), judged) for variant in VARIANTS}
+        figures = {variant: _figures(_train(folder, variant), judged) for variant in VARIANTS}
     return {
         "value": figures,
         "unit": "ratio to the truth's; ln; correlation",
@@ -67,7 +67,7 @@ def run() -> dict[str, object]:
     }
 
 
-def _trained(folder: Path, variant: str) -> PaperNetwork:
+def _train(folder: Path, variant: str) -> PaperNetwork:
     """Train a variant and return the averaged network."""
     smoothness_from, by_frequency = VARIANTS[variant]
     plan = PaperTraining(

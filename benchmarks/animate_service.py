@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks._machine import BRIEF, machine
 from benchmarks._trees import demo_mesh
-from benchmarks._whole_service import Ended, WholeService, whole_service
+from benchmarks._whole_service import JobTimes, WholeService, whole_service
 from dynamictree.mesh import TriangleMesh
 
 TARGET_S, FIRST_TARGET_S, MEMORY_TARGET_MB = 6.0, 12.0, 1024.0
@@ -44,7 +44,7 @@ def run() -> dict[str, object]:
     }
 
 
-def _jobs(service: WholeService, mesh: TriangleMesh, runs: int) -> list[Ended]:
+def _jobs(service: WholeService, mesh: TriangleMesh, runs: int) -> list[JobTimes]:
     return [service.run(mesh, number) for number in range(1, runs + 1)]
 
 
@@ -60,11 +60,11 @@ def _row(service: WholeService, mesh: TriangleMesh) -> dict[str, object]:
     }
 
 
-def _median(jobs: list[Ended], name: str) -> float:
+def _median(jobs: list[JobTimes], name: str) -> float:
     return round(statistics.median(getattr(job, name) for job in jobs), 2)
 
 
-def _stages(jobs: list[Ended]) -> dict[str, float]:
+def _stages(jobs: list[JobTimes]) -> dict[str, float]:
     return {name: round(statistics.median(job.stages_s[name] for job in jobs), 2) for name in jobs[0].stages_s}
 
 

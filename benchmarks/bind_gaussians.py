@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from benchmarks._machine import machine
-from benchmarks._scene import sheet
+from benchmarks._scene import wavy_sheet
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 
@@ -28,7 +28,7 @@ def capture(vertices: np.ndarray) -> GaussianCloud:
 
 
 def run() -> dict[str, object]:
-    mesh = sheet(100_000)
+    mesh = wavy_sheet(100_000)
     cloud = capture(mesh.vertices)
     bind(cloud.subset(np.arange(10)), mesh)  # compiles
     times = []

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from benchmarks._machine import copied, machine, over_floor, timed
-from benchmarks._scene import sheet
+from benchmarks._machine import machine, ratio_to_copy, time_calls, time_copy
+from benchmarks._scene import wavy_sheet
 from dynamictree.gaussian.deform import Deformer, Pose
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.turn import turn_sh_fast
@@ -14,15 +14,15 @@ FLOOR_TARGET = 2.0  # ratio to the time of copying a frame's bytes
 
 
 def run() -> dict[str, object]:
-    mesh = sheet(100_000)
+    mesh = wavy_sheet(100_000)
     binding = splats_of_mesh(mesh, at_least=NUM_GAUSSIANS, rng=np.random.default_rng(0)).binding
     displacement = (0.2 * np.sin(mesh.vertices[:, [1, 2, 0]])).astype(np.float32)
     deformer = Deformer(binding)
     out = Pose.empty(binding.cloud.num_gaussians)
-    posed = timed(lambda: deformer.pose(displacement, out=out))
-    floor = copied(frame_bytes(binding))
+    posed = time_calls(lambda: deformer.pose(displacement, out=out))
+    floor = time_copy(frame_bytes(binding))
     shuffled = Deformer(_shuffled(binding))
-    in_any_order = timed(lambda: shuffled.pose(displacement, out=out), runs=20)
+    in_any_order = time_calls(lambda: shuffled.pose(displacement, out=out), runs=20)
     sh = np.random.default_rng(0).normal(size=(100_000, 16, 3)).astype(np.float32)
     turns = binding.cloud.quaternions[:100_000]
     return {
@@ -32,11 +32,11 @@ def run() -> dict[str, object]:
         "best": round(posed.best_ms, 3),
         "p90": round(posed.p90_ms, 3),
         "processor_ms": round(posed.cpu_ms, 3),
-        **over_floor(posed, floor),
+        **ratio_to_copy(posed, floor),
         "over_floor_target": FLOOR_TARGET,
         "shuffled_ms": round(in_any_order.median_ms, 3),
         "shuffled_processor_ms": round(in_any_order.cpu_ms, 3),
-        "turn_sh3_ms": round(timed(lambda: turn_sh_fast(sh, turns), runs=10).median_ms * 5, 1),
+        "turn_sh3_ms": round(time_calls(lambda: turn_sh_fast(sh, turns), runs=10).median_ms * 5, 1),
         "num_gaussians": binding.cloud.num_gaussians,
         "num_faces": len(binding.triangles),
         **machine("numpy", "numba"),

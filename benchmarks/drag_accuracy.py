@@ -19,7 +19,7 @@ import numpy as np
 from safetensors.numpy import load
 
 from benchmarks._machine import BRIEF, machine
-from benchmarks._served import published, started
+from benchmarks._served import start_api, store_spectrum
 from dynamictree import method
 from dynamictree.commands.input_files import read_source
 from dynamictree.mesh import TriangleMesh, edges_of
@@ -31,7 +31,7 @@ from lab.dataset.sample import make_sample, voxel_spectrum
 from recipes.demo import SEED, SPECIES
 from service.services import open_services
 
-GROWN = ((3, "sapling"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (12, "palm"))
+GENERATED = ((3, "sapling"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (12, "palm"))
 FILES = (
     "mesh/tree-lime.glb",
     "mesh/quaternius_common_tree/CommonTree_2.obj",
@@ -50,10 +50,10 @@ def run() -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         sources = list(_trees())
         with open_services(Settings(state_dir=Path(folder))) as services:
-            ids = [published(services, spectrum, mesh) for _, mesh, spectrum in sources]
-        with started(Path(folder)) as (url, _), httpx.Client(base_url=url, timeout=300) as client:
+            ids = [store_spectrum(services, spectrum, mesh) for _, mesh, spectrum in sources]
+        with start_api(Path(folder)) as (url, _), httpx.Client(base_url=url, timeout=300) as client:
             for (name, mesh, spectrum), spectrum_id in zip(sources, ids, strict=True):
-                trees[name] = _pulled(client, spectrum_id, mesh, spectrum, rng)
+                trees[name] = _pull_errors(client, spectrum_id, mesh, spectrum, rng)
     rows = {name: np.concatenate([tree[name] for tree in trees.values()]) for name in next(iter(trees.values()))}
     return {
         "value": _spread(rows["error"][rows["long_enough"]])["p95"],
@@ -66,7 +66,7 @@ def run() -> dict[str, object]:
 
 
 def _trees() -> Iterator[tuple[str, TriangleMesh, SparseVoxelSpectrum]]:
-    for seed, species in GROWN[:1] if BRIEF else GROWN:
+    for seed, species in GENERATED[:1] if BRIEF else GENERATED:
         sample = make_sample(seed, species)
         yield species, sample.mesh, voxel_spectrum(sample)[1]
     if BRIEF:
@@ -79,7 +79,7 @@ def _trees() -> Iterator[tuple[str, TriangleMesh, SparseVoxelSpectrum]]:
             yield path.name, mesh, method.generate(method.voxelize(mesh), seed=0, of_cloud=capture is not None)
 
 
-def _pulled(
+def _pull_errors(
     client: httpx.Client,
     spectrum_id: str,
     mesh: TriangleMesh,
@@ -103,7 +103,7 @@ def _pulled(
         began = time.perf_counter()
         (reached,) = client.post("/v1/interact", json=body).raise_for_status().json()["reached"]
         latency_ms = 1e3 * (time.perf_counter() - began)
-        outside = ~_on_the_way(rig, int(bone[vertex]))[bone] & (bone > 0)
+        outside = ~_on_path(rig, int(bone[vertex]))[bone] & (bone > 0)
         now = mesh.vertices + moved
         growth = np.abs(np.linalg.norm(now[edges[:, 0]] - now[edges[:, 1]], axis=1) / length - 1)
         row = {
@@ -111,7 +111,7 @@ def _pulled(
             "reached_m_off": np.linalg.norm(moved[vertex] - reached["reached_m"]) / pull_m,
             "long_enough": TOO_FAR not in (reached["why"] or ""),
             "says_why": reached["why"] is not None,
-            "outside": _outermost(np.linalg.norm(moved[outside], axis=1)) / pull_m,
+            "outside": _percentile(np.linalg.norm(moved[outside], axis=1)) / pull_m,
             "outside_own": _own_bending(rig, bone, outside, mesh.vertices, moved) / pull_m,
             "stretch": float(np.percentile(growth, 99)),
             "latency_ms": latency_ms,
@@ -121,7 +121,7 @@ def _pulled(
     return {name: np.array(values) for name, values in rows.items()}
 
 
-def _on_the_way(rig: Rig, bone: int) -> np.ndarray:
+def _on_path(rig: Rig, bone: int) -> np.ndarray:
     """Return whether each bone carries `bone` or hangs on it."""
     parent, line = rig.skeleton.parent, np.zeros(len(rig.skeleton), bool)
     line[bone] = True
@@ -150,10 +150,10 @@ def _own_bending(rig: Rig, bone: np.ndarray, outside: np.ndarray, rest: np.ndarr
         u, _, v = np.linalg.svd(at.T @ to)
         u[:, 2] *= np.sign(np.linalg.det(u @ v))
         left[own] = np.linalg.norm(at @ (u @ v) - to, axis=1)
-    return _outermost(left[outside])
+    return _percentile(left[outside])
 
 
-def _outermost(values: np.ndarray) -> float:
+def _percentile(values: np.ndarray) -> float:
     """Return the 95th percentile; 0 if everything carries the place or hangs on it."""
     return float(np.percentile(values, 95)) if len(values) else 0.0
 

@@ -17,7 +17,7 @@ import scipy.sparse.linalg
 from scipy.spatial import cKDTree
 
 from benchmarks._machine import BRIEF, machine
-from benchmarks.modal_locality import line_of
+from benchmarks.modal_locality import on_same_path
 from dynamictree import method
 from dynamictree.modal.force import Drag, contact_at_voxel, equilibrium, generalised
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality
@@ -43,7 +43,7 @@ Push = Callable[[int, np.ndarray], np.ndarray]
 def run() -> dict[str, object]:
     rows = {}
     for species, seed in TREES[:1] if BRIEF else TREES:
-        rows[species] = _compared(species, seed)
+        rows[species] = _compare(species, seed)
     who = next(iter(rows.values()))["error"]
     return {
         "value": {name: round(float(np.mean([row["error"][name] for row in rows.values()])), 3) for name in who},
@@ -54,7 +54,7 @@ def run() -> dict[str, object]:
     }
 
 
-def _compared(species: str, seed: int) -> dict[str, dict[str, float]]:
+def _compare(species: str, seed: int) -> dict[str, dict[str, float]]:
     sample = make_sample(seed, species)
     stems, voxels = sample.skeleton, method.voxelize(sample.mesh)
     grid, spent = voxels.grid, {}
@@ -90,7 +90,7 @@ def _compared(species: str, seed: int) -> dict[str, dict[str, float]]:
         )
         force /= np.linalg.norm(force)
         true = beams(node, force)  # [B, 3]
-        outside = ~line_of(stems, int(stems.stem[node]))[stems.stem]
+        outside = ~on_same_path(stems, int(stems.stem[node]))[stems.stem]
         means = np.stack([np.bincount(near, axis, len(grid)) for axis in true.T], axis=1) / count
         answers = {"beams": true, "voxels": means[near]}
         answers |= {name: push(int(near[node]), force)[near] for name, push in rivals.items()}

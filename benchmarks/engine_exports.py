@@ -8,7 +8,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from benchmarks._machine import machine
-from benchmarks._played import played_product
+from benchmarks._played import read_product
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from lab.dataset.sample import make_sample, voxel_spectrum
@@ -28,7 +28,7 @@ def run() -> dict[str, object]:
             options = ExportParams(formats=(name,))
             path = write_products(sample.mesh, spectrum, options, Path(folder))[name]
             seconds = time.perf_counter() - began
-            gap = ((played_product(name, path, sample.mesh.vertices)[:100] - truth) ** 2).sum(axis=2)
+            gap = ((read_product(name, path, sample.mesh.vertices)[:100] - truth) ** 2).sum(axis=2)
             results[name] = {
                 "max_mm": round(1e3 * float(np.sqrt(gap.max())), 4),
                 "rms_mm": round(1e3 * float(np.sqrt(gap.mean())), 4),

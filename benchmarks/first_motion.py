@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._machine import BRIEF, machine
-from recipes.demo import served
+from recipes.demo import serve
 
 TARGET_S = 1.0
 RUNS = 1 if BRIEF else 5
@@ -55,16 +55,16 @@ def run() -> dict[str, object]:
     try:
         from playwright.sync_api import sync_playwright
 
-        from recipes.software_browser import launched
+        from recipes.software_browser import launch
     except ImportError:
         raise SystemExit("benchmarks: playwright is not installed") from None
     with (
         tempfile.TemporaryDirectory() as state,
-        served(Path(state), Path(state) / "serve.log") as url,
+        serve(Path(state), Path(state) / "serve.log") as url,
         sync_playwright() as driver,
     ):
         try:
-            browser = launched(driver)
+            browser = launch(driver)
         except FileNotFoundError as error:
             raise SystemExit(f"benchmarks: {error}") from None
         whole = browser.new_browser_cdp_session()

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks._interaction import scene
 from benchmarks._machine import BRIEF, machine
-from benchmarks._served import processor_s, serving
+from benchmarks._served import processor_s, serve_tree
 
 TARGET_P50_MS, TARGET_P99_MS = 5.0, 20.0
 RATE_HZ, RATE_S = 100.0, 0.05 if BRIEF else 4.0
@@ -29,7 +29,7 @@ def run() -> dict[str, object]:
     top = int(np.argmax(prepared.spectrum.grid.coords[:, 2]))
     with (
         tempfile.TemporaryDirectory() as state,
-        serving(Path(state), prepared.spectrum, prepared.mesh) as (url, spectrum_id, server),
+        serve_tree(Path(state), prepared.spectrum, prepared.mesh) as (url, spectrum_id, server),
     ):
         push = {"kind": "impulse", "at": {"voxel": top}, "impulse_n_s": [5.0, 1.0, 0.0]}
         body = {"spectrum_id": spectrum_id, "forces": [push], "num_frames": 60}
@@ -63,11 +63,11 @@ async def _measure(url: str, body: dict[str, object], server: int) -> dict[str, 
             for _ in range(20):
                 await push()
             spent, num_frames = processor_s(server), int(RATE_HZ * RATE_S)
-            figures[f"at 100 requests/s, {name}"] = await _steady(push)
+            figures[f"at 100 requests/s, {name}"] = await _constant_rate(push)
             cpu_ms = (processor_s(server) - spent) / num_frames * 1e3
             figures[f"at 100 requests/s, {name}"]["server_cpu_ms_a_request"] = round(cpu_ms, 2)
             for clients, requests in REQUESTS.items():
-                figures[f"{clients} clients, {name}"] = await _closed(push, clients, requests)
+                figures[f"{clients} clients, {name}"] = await _closed_loop(push, clients, requests)
     return figures
 
 
@@ -83,7 +83,7 @@ async def _vertices(url: str, body: dict[str, object]) -> dict[str, float]:
     return {"first_s": round(waits[0], 2), "ms_a_frame": round(float(np.median(waits[1:])) / FRAMES * 1e3, 2)}
 
 
-async def _steady(push) -> dict[str, float]:
+async def _constant_rate(push) -> dict[str, float]:
     """Send a request every 10 ms, without waiting for earlier responses."""
     waits: list[float] = []
     begin = time.perf_counter()
@@ -101,7 +101,7 @@ async def _steady(push) -> dict[str, float]:
     return _figures(waits, time.perf_counter() - begin)
 
 
-async def _closed(push, clients: int, requests: int) -> dict[str, float]:
+async def _closed_loop(push, clients: int, requests: int) -> dict[str, float]:
     """Run concurrent clients that each send a request as soon as the previous one is answered."""
     waits: list[float] = []
     begin = time.perf_counter()

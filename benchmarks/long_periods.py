@@ -32,7 +32,7 @@ WIND = Wind(speed_m_s=5.0, direction_deg=30.0, gust=0.3)
 
 
 def run() -> dict[str, object]:
-    rows = [_compared(species, height_m, seed) for seed, (species, height_m) in enumerate(TREES)]
+    rows = [_compare(species, height_m, seed) for seed, (species, height_m) in enumerate(TREES)]
     correlations = [band["correlation"] for row in rows for band in row["by_height"]]
     ratios = [abs(np.log(band["model_mm"] / band["simulator_mm"])) for row in rows for band in row["by_height"]]
     return {
@@ -44,7 +44,7 @@ def run() -> dict[str, object]:
     }
 
 
-def _compared(species: str, height_m: float, seed: int) -> dict[str, object]:
+def _compare(species: str, height_m: float, seed: int) -> dict[str, object]:
     tree = grow_tree(replace(SPECIES[species], height_m=(height_m, height_m)), np.random.default_rng([5, seed]))
     voxels = method.voxelize(tree.mesh)
     period_s = period_by_height(voxels)

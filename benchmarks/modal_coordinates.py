@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks._interaction import scene
-from benchmarks._machine import machine, timed
+from benchmarks._machine import machine, time_calls
 from dynamictree.modal.force import Impulse, contact_at_voxel
 from dynamictree.modal.response import group_forces, respond
 
@@ -15,7 +15,7 @@ def run() -> dict[str, object]:
     system = scene().system
     top = int(np.argmax(system.grid.coords[:, 2]))
     groups = group_forces([Impulse(at=contact_at_voxel(system.grid, top), impulse_n_s=(5.0, 1.0, 0.0))], falloff_m=1.0)
-    whole = timed(lambda: respond(system, groups, dt_s=1 / 60, num_frames=NUM_FRAMES), runs=30)
+    whole = time_calls(lambda: respond(system, groups, dt_s=1 / 60, num_frames=NUM_FRAMES), runs=30)
     return {
         "value": round(whole.median_ms * 1e3 / NUM_FRAMES, 3),
         "unit": "µs/frame",

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks._interaction import gaussians_on, scene
-from benchmarks._machine import copied, machine, over_floor, timed
+from benchmarks._machine import machine, ratio_to_copy, time_calls, time_copy
 from benchmarks.deform_gaussians import frame_bytes
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.modal.bones import turns_of
@@ -25,7 +25,7 @@ def run() -> dict[str, object]:
     vertices = prepared.vertex_frames()
     deformer = Deformer(gaussians_on(mesh))
     shuffled = Deformer(gaussians_on(mesh, in_face_order=False))
-    states = knocked(system)
+    states = coordinates_after_impulse(system)
 
     def plain() -> np.ndarray:
         return vertices.displacement(next(states))
@@ -44,18 +44,18 @@ def run() -> dict[str, object]:
 
     moved = plain()
     figures = {
-        "vertices": timed(plain),
-        "vertices_bent": timed(bent),
-        "gaussians": timed(lambda: deformer.pose(moved)),
-        "all_in": timed(all_in),
-        "all_in_gaussians_in_any_order": timed(lambda: shuffled.pose(plain())),
+        "vertices": time_calls(plain),
+        "vertices_bent": time_calls(bent),
+        "gaussians": time_calls(lambda: deformer.pose(moved)),
+        "all_in": time_calls(all_in),
+        "all_in_gaussians_in_any_order": time_calls(lambda: shuffled.pose(plain())),
     }
     return {
         "value": round(figures["all_in"].median_ms, 4),
         "unit": "ms/frame",
         "target": TARGET_MS,
-        **over_floor(
-            figures["all_in"], copied(vertices.num_bytes + 12 * mesh.num_vertices + frame_bytes(deformer.binding))
+        **ratio_to_copy(
+            figures["all_in"], time_copy(vertices.num_bytes + 12 * mesh.num_vertices + frame_bytes(deformer.binding))
         ),
         "over_floor_target": FLOOR_TARGET,
         "parts": {name: figure.rounded() for name, figure in figures.items()},
@@ -71,7 +71,7 @@ def run() -> dict[str, object]:
     }
 
 
-def knocked(system) -> Iterator[np.ndarray]:
+def coordinates_after_impulse(system) -> Iterator[np.ndarray]:
     """Yield coordinates endlessly after a knock; each call computes one step, since the step is part of the frame."""
     step = exact_step(system, 1 / 60)
     rng = np.random.default_rng(0)

@@ -59,8 +59,8 @@ def run() -> dict[str, object]:
         "edge_stretch_p99_at_20_percent": {
             kind: [row[f"stretch_{kind}"] for row in rows.values()] for kind in ("plain", "bent")
         },
-        "pulled": _moved_elsewhere([pull for pulls in pulled.values() for pull in pulls]),
-        "pulled_by_tree": {species: _moved_elsewhere(pulls) for species, pulls in pulled.items()},
+        "pulled": _motion_elsewhere([pull for pulls in pulled.values() for pull in pulls]),
+        "pulled_by_tree": {species: _motion_elsewhere(pulls) for species, pulls in pulled.items()},
         "trees": rows,
         **machine("numpy", "scipy", "numba"),
     }
@@ -75,7 +75,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
         candidates = np.intersect1d(stems.stem[stems.level == level], owner[wood])
         for poked in rng.choice(candidates, POKES_PER_LEVEL, replace=False):
             base = stems.position[np.flatnonzero(stems.stem == poked)[0]]
-            inside = line_of(stems, int(poked))[owner]
+            inside = on_same_path(stems, int(poked))[owner]
             for own in (np.flatnonzero(owner == poked), np.flatnonzero((owner == poked) & wood)):
                 # the outermost voxel of all, mostly a leaf, and that of the wood
                 row = int(own[np.argmax(((system.grid.centres_m[own] - base) ** 2).sum(axis=1))])
@@ -116,7 +116,7 @@ def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
     return pulls
 
 
-def _moved_elsewhere(pulls: list[np.ndarray]) -> dict[str, float]:
+def _motion_elsewhere(pulls: list[np.ndarray]) -> dict[str, float]:
     """Return the 95th percentile over all pulls' voxels, and the share of pulls whose own is within the target."""
     own = np.array([np.percentile(moved, 95) for moved in pulls])
     return {
@@ -198,7 +198,7 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
     }
 
 
-def line_of(stems: Skeleton, poked: int) -> np.ndarray:
+def on_same_path(stems: Skeleton, poked: int) -> np.ndarray:
     """Return whether each stem is the poked one, carried by it, or an ancestor of it."""
     above = np.full(len(stems.stem_length_m), -1)
     crossing = (stems.parent >= 0) & (stems.stem[stems.parent] != stems.stem)

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks import _mpm as mpm
 from benchmarks._interaction import gaussians_on, scene
-from benchmarks._machine import Timing, machine, timed
-from benchmarks.modal_frame import knocked
+from benchmarks._machine import Timing, machine, time_calls
+from benchmarks.modal_frame import coordinates_after_impulse
 from dynamictree.gaussian.deform import Deformer
 
 TARGET = 1000.0
@@ -22,14 +22,14 @@ def run() -> dict[str, object]:
     prepared = scene()
     vertices = prepared.vertex_frames()
     binding = gaussians_on(prepared.mesh)
-    deformer, states = Deformer(binding), knocked(prepared.system)
-    ours = timed(lambda: deformer.pose(vertices.displacement(next(states))))
+    deformer, states = Deformer(binding), coordinates_after_impulse(prepared.system)
+    ours = time_calls(lambda: deformer.pose(vertices.displacement(next(states))))
     some = np.random.default_rng(2).choice(len(binding.cloud.means), 20_000, replace=False)
     rows = {
         "500,000 particles": _mpm_row(binding.cloud.means, ours),
         "20,000 particles": _mpm_row(binding.cloud.means[some], ours),
     }
-    again = timed(lambda: deformer.pose(vertices.displacement(next(states))))
+    again = time_calls(lambda: deformer.pose(vertices.displacement(next(states))))
     return {
         "value": rows["500,000 particles"]["ratio"],
         "unit": "times",
@@ -54,7 +54,7 @@ def _mpm_row(points: np.ndarray, ours: Timing) -> dict[str, object]:
     particles = mpm.particles_at(points.astype(np.float64))
     particles.velocity[:, 0] = 0.5 * (particles.position[:, 2] - particles.position[:, 2].min())
     floor = float(particles.position[:, 2].min()) + 0.1
-    rival = timed(lambda: mpm.advance(particles, num_substeps=1, floor=floor), runs=TIMED_SUBSTEPS, warm_ups=2)
+    rival = time_calls(lambda: mpm.advance(particles, num_substeps=1, floor=floor), runs=TIMED_SUBSTEPS, warm_ups=2)
     assert np.isfinite(particles.position).all()
     frame_ms = rival.median_ms * mpm.SUBSTEPS_PER_FRAME
     return {

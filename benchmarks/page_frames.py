@@ -14,7 +14,7 @@ from statistics import median
 import httpx
 
 from benchmarks._machine import machine
-from recipes.demo import served
+from recipes.demo import serve
 
 TARGET = 30.0
 EXAMPLES = ("round-broadleaf", "weeping", "conical-conifer")
@@ -29,7 +29,7 @@ def run() -> dict[str, object]:
     try:
         from playwright.sync_api import Page, sync_playwright
 
-        from recipes.software_browser import launched
+        from recipes.software_browser import launch
     except ImportError:
         raise SystemExit("benchmarks: playwright is not installed") from None
 
@@ -44,12 +44,12 @@ def run() -> dict[str, object]:
     rates: dict[str, dict[str, float]] = {}
     with (
         tempfile.TemporaryDirectory() as state,
-        served(Path(state), Path(state) / "serve.log") as url,
+        serve(Path(state), Path(state) / "serve.log") as url,
         sync_playwright() as driver,
     ):
         jobs = {name: _moved(url, Path("web/examples") / f"{name}.glb") for name in EXAMPLES}
         try:
-            browser = launched(driver)
+            browser = launch(driver)
         except FileNotFoundError as error:
             raise SystemExit(f"benchmarks: {error}") from None
         for name, job in jobs.items():

@@ -35,7 +35,7 @@ Masks = dict[str, np.ndarray]
 
 
 def run() -> dict[str, object]:
-    sets = {"lawn": _lawn, "thin": _thin, "rgba": _rgba}
+    sets = {"lawn": _lawn, "thin": _thin_plant, "rgba": _rgba}
     if os.environ.get("DYNAMICTREE_SAMPLES"):
         sets["banana"] = _banana
     chosen = os.environ.get("DYNAMICTREE_BENCHMARK_SETS", "rgba" if BRIEF else ",".join(sets)).split(",")
@@ -52,7 +52,7 @@ def _lawn(folder: Path) -> Masks:
     return photograph_on_lawn(folder, number=36, side=SIDE_PX)
 
 
-def _thin(folder: Path) -> Masks:
+def _thin_plant(folder: Path) -> Masks:
     """Write photos and an exact mask of each."""
     masks = photograph_on_lawn(folder, number=PHOTOS, side=SIDE_PX, species="sapling", height_m=2.0, seed=3)
     (folder / "masks").mkdir()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks._machine import machine, timed
+from benchmarks._machine import machine, time_calls
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.render.camera import Camera
@@ -11,7 +11,7 @@ NUM_GAUSSIANS = 100_000
 TARGET_MS = 250.0
 
 
-def crown(num_gaussians: int) -> GaussianCloud:
+def gaussian_tree(num_gaussians: int) -> GaussianCloud:
     """Return a tree of Gaussians with SH degree 3: leaves in a ball of 2 m on a trunk."""
     rng = np.random.default_rng(0)
     leaves = rng.normal(size=(num_gaussians, 3))
@@ -30,11 +30,11 @@ def crown(num_gaussians: int) -> GaussianCloud:
 
 
 def run() -> dict[str, object]:
-    cloud = crown(NUM_GAUSSIANS)
+    cloud = gaussian_tree(NUM_GAUSSIANS)
     camera = Camera.orbit(cloud.means)
-    drawn = timed(lambda: render_cloud(cloud, camera, width=512, height=512), runs=15)
+    drawn = time_calls(lambda: render_cloud(cloud, camera, width=512, height=512), runs=15)
     wide = Camera.orbit(cloud.means, aspect=16 / 9)
-    large = timed(lambda: render_cloud(cloud, wide, width=1920, height=1080), runs=5)
+    large = time_calls(lambda: render_cloud(cloud, wide, width=1920, height=1080), runs=5)
     return {
         "value": round(drawn.median_ms, 1),
         "unit": "ms",

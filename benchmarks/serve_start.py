@@ -5,7 +5,7 @@ from pathlib import Path
 from time import perf_counter
 
 from benchmarks._machine import machine
-from recipes.demo import served
+from recipes.demo import serve
 
 TARGET_S = 5.0
 
@@ -14,7 +14,7 @@ def run() -> dict[str, object]:
     def start() -> float:
         with tempfile.TemporaryDirectory() as state:
             began = perf_counter()
-            with served(Path(state), Path(state) / "serve.log"):
+            with serve(Path(state), Path(state) / "serve.log"):
                 return perf_counter() - began
 
     start()

@@ -20,7 +20,7 @@ from dynamictree.requests import ExportParams, Reading
 from lab.dataset.sample import make_sample
 
 MESHES = (*GOLDEN_MESHES, "../foreign/mesh/bevy_palm_scene/PalmTree.gltf", "../foreign/mesh/godot_tree/scene.gltf")
-GROWN = ((7, "round-broadleaf"), (6, "conical-conifer"))
+GENERATED = ((7, "round-broadleaf"), (6, "conical-conifer"))
 
 
 def run() -> dict[str, object]:
@@ -29,7 +29,7 @@ def run() -> dict[str, object]:
         if path.exists():
             files = [path] if path.suffix in (".glb", ".ply") else [f for f in path.parent.rglob("*") if f.is_file()]
             rows[path.name] = _sizes(load_mesh(path, Reading()), sum(file.stat().st_size for file in files))
-    for seed, species in GROWN:
+    for seed, species in GENERATED:
         mesh, source = make_sample(seed, species).mesh, io.BytesIO()
         write_glb(mesh, source)
         rows[species] = _sizes(mesh, len(source.getvalue()))

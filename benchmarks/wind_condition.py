@@ -29,8 +29,8 @@ def run() -> dict[str, object]:
                 "speed_m_s": wind.speed_m_s,
                 "gust": wind.gust,
                 "direction_deg": wind.direction_deg,
-                **{f"model_{name}": value for name, value in _measured(guess, sample.mesh).items()},
-                **{f"truth_{name}": value for name, value in _measured(truth.coefficients, sample.mesh).items()},
+                **{f"model_{name}": value for name, value in _measure(guess, sample.mesh).items()},
+                **{f"truth_{name}": value for name, value in _measure(truth.coefficients, sample.mesh).items()},
             }
         )
     return {
@@ -41,7 +41,7 @@ def run() -> dict[str, object]:
     }
 
 
-def _measured(coefficients: np.ndarray, mesh: TriangleMesh) -> dict[str, float]:
+def _measure(coefficients: np.ndarray, mesh: TriangleMesh) -> dict[str, float]:
     lean = coefficients[:, 0].real.mean(axis=0)
     return {
         "amplitude": round(float(amplitude(coefficients).mean() / mesh.height_m), 5),

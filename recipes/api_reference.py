@@ -10,10 +10,10 @@ Schema = dict[str, Any]
 
 
 def main() -> None:
-    Path(sys.argv[1]).write_text(reference(json.loads(PAGE.read_text())))
+    Path(sys.argv[1]).write_text(reference_page(json.loads(PAGE.read_text())))
 
 
-def reference(page: Schema) -> str:
+def reference_page(page: Schema) -> str:
     """Return the reference as Markdown: operations by tag, then the fields of bodies."""
     lines = ["# HTTP reference", "", page["info"]["description"], ""]
     lines += ["Made of [`/openapi.json`](https://spec.openapis.org/oas/v3.1.1.html), which every service serves.", ""]

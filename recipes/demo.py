@@ -40,7 +40,7 @@ def main() -> None:
     output.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
     mesh_path = arguments.input or grow_demo_tree(output / "input.glb")
-    with tempfile.TemporaryDirectory(prefix="dynamictree-") as state, served(Path(state), output / "serve.log") as url:
+    with tempfile.TemporaryDirectory(prefix="dynamictree-") as state, serve(Path(state), output / "serve.log") as url:
         print(f"== serving at {url}")
         with httpx.Client(base_url=url, timeout=60) as client:
             job = animate(client, mesh_path)
@@ -69,7 +69,7 @@ def grow_demo_tree(path: Path) -> Path:
 
 
 @contextmanager
-def served(state: Path, log_path: Path) -> Iterator[str]:
+def serve(state: Path, log_path: Path) -> Iterator[str]:
     """Context manager that runs a separate service on a free port and yields its URL."""
     command = [
         sys.executable,
@@ -112,9 +112,9 @@ def animate(client: httpx.Client, mesh_path: Path) -> dict[str, Any]:
     """Upload the mesh, create a job for its motion, and poll until the job has ended."""
     print(f"== uploading {mesh_path} ({mesh_path.stat().st_size / 1e6:.2f} MB)")
     with mesh_path.open("rb") as stream:
-        asset = checked(client.post("/v1/assets", files={"file": (mesh_path.name, stream)}))
+        asset = response_body(client.post("/v1/assets", files={"file": (mesh_path.name, stream)}))
     request = {"type": "animate", "asset_id": asset["id"], "seed": SEED, "params": {"formats": ["ply", "glb", "png"]}}
-    job = checked(client.post("/v1/jobs", json=request))
+    job = response_body(client.post("/v1/jobs", json=request))
     columns = (
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -125,7 +125,7 @@ def animate(client: httpx.Client, mesh_path: Path) -> dict[str, Any]:
         bars: dict[str, TaskID] = {}
         while job["state"] in ("queued", "running"):
             response = client.get(f"/v1/jobs/{job['id']}")
-            job = checked(response)
+            job = response_body(response)
             for stage in job["stages"]:
                 if stage["name"] not in bars:
                     bars[stage["name"]] = progress.add_task(stage["name"], total=1.0)
@@ -139,7 +139,7 @@ def animate(client: httpx.Client, mesh_path: Path) -> dict[str, Any]:
 def download(client: httpx.Client, job: dict[str, Any], folder: Path) -> dict[str, Path]:
     """Fetch every artefact of the job and compare it with the manifest's sha256."""
     paths = {}
-    for artifact in checked(client.get(f"/v1/jobs/{job['id']}/artifacts"))["artifacts"]:
+    for artifact in response_body(client.get(f"/v1/jobs/{job['id']}/artifacts"))["artifacts"]:
         path = folder / artifact["name"]
         digest = hashlib.sha256()
         with client.stream("GET", artifact["url"]) as response, path.open("wb") as stream:
@@ -162,13 +162,13 @@ def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, 
     tip = int(np.argmax(np.linalg.norm(outward, axis=1)))
     x, y = outward[tip] / np.linalg.norm(outward[tip])
     aside = np.array([-y, x, 0.0])  # perpendicular to the branch, which hardly moves along its axis
-    metadata = checked(client.get(f"/v1/spectra/{job['result']['spectrum_id']}"))
+    metadata = response_body(client.get(f"/v1/spectra/{job['result']['spectrum_id']}"))
     aside_m = 0.05 * float(np.ptp(tensors["coords"][:, 2])) * metadata["voxel_size_m"]
     pull = {"kind": "drag", "at": {"voxel": tip}, "displacement_m": (aside_m * aside).tolist(), "duration_s": PULL_S}
     request = {"spectrum_id": job["result"]["spectrum_id"], "forces": [pull], "start": "held", "dt_s": 1 / 60}
     request |= {"num_frames": PUSH_FRAMES, "output": "modal"}
     began = time.perf_counter()
-    answer = checked(client.post("/v1/interact", json=request))
+    answer = response_body(client.post("/v1/interact", json=request))
     seconds = time.perf_counter() - began
     answer_path.write_text(json.dumps(answer))
     shapes = 2 * as_complex(tensors["coefficients"][tip])  # [K, 3], φ_k = 2 c_k at the tip; weight 1 there
@@ -185,7 +185,7 @@ def as_complex(pairs: NDArray[Any]) -> NDArray[np.complex128]:
     return np.asarray(pairs[..., 0].astype(np.float64) + 1j * pairs[..., 1])
 
 
-def checked(response: httpx.Response) -> dict[str, Any]:
+def response_body(response: httpx.Response) -> dict[str, Any]:
     """Return the response's body, or exit with the problem that the service reported."""
     if response.is_error:
         raise SystemExit(f"{response.request.method} {response.request.url}: {response.status_code}\n{response.text}")

@@ -111,7 +111,7 @@ def write_forest_glb(
     times = (np.arange(num_frames + 1) / fps).astype(np.float32)
     clock = writer.add_accessor(times[:, None], bounds=True)
     samplers, channels = list[object](), list[object]()
-    groups = [[tree] for tree in trees] if num_motions is None else by_motion(trees, num_motions, wind_deg)
+    groups = [[tree] for tree in trees] if num_motions is None else group_by_motion(trees, num_motions, wind_deg)
     for number, group in enumerate(groups):
         middle = group[len(group) // 2]
         weights = clipped_weights(loop_weights(coefficients.shape[1], num_frames, middle.phase_rad))
@@ -130,7 +130,7 @@ def write_forest_glb(
     writer.finish(stream)
 
 
-def by_motion(trees: Sequence[StandingTree], num_motions: int, wind_deg: float) -> list[list[StandingTree]]:
+def group_by_motion(trees: Sequence[StandingTree], num_motions: int, wind_deg: float) -> list[list[StandingTree]]:
     """Divide trees into equal groups, in order along the wind.
 
     Raises:

@@ -14,7 +14,7 @@ from dynamictree.formats.motion.usd import define_surface, packed_stage, set_poi
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import iter_motion
-from recipes.forest_glb import StandingTree, by_motion
+from recipes.forest_glb import StandingTree, group_by_motion
 
 _FOREST = "/Forest"
 _MOTIONS = f"{_FOREST}/Motions"
@@ -38,7 +38,7 @@ def write_forest_usdz(
     """
     from pxr import Sdf, UsdGeom, Vt
 
-    groups = by_motion(trees, num_motions, wind_deg)
+    groups = group_by_motion(trees, num_motions, wind_deg)
     size = 12 * mesh.num_vertices * num_frames * num_motions
     if size > MAX_SEQUENCE_BYTES:
         raise InputError(f"{num_motions} motions are {size / 1e9:.1f} GB as USD: ask for fewer motions")

@@ -75,7 +75,7 @@ def animate(name: str, path: Path, output: Path, options: list[str]) -> Row:
     )
 
 
-def page(rows: list[Row], output: Path) -> str:
+def gallery_page(rows: list[Row], output: Path) -> str:
     """Return the page with all rows as HTML."""
     moving = sum(row.error is None for row in rows)
     sections = "\n".join(_section(row, output) for row in rows)
@@ -115,7 +115,7 @@ def main(arguments: list[str] | None = None) -> int:
         rows.append(animate(name, path, chosen.output, chosen.options.split()))
         state = rows[-1].error or "moves"
         print(f"{name}: {state} ({rows[-1].seconds:.1f} s)", flush=True)
-        (chosen.output / "index.html").write_text(page(rows, chosen.output))
+        (chosen.output / "index.html").write_text(gallery_page(rows, chosen.output))
     return 0 if rows else 2
 
 

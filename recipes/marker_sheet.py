@@ -32,7 +32,7 @@ def marker_cells(number: int) -> np.ndarray:
     return cells
 
 
-def sheet() -> str:
+def sheet_svg() -> str:
     """Return the SVG: every marker with white border, size and number, and a ruler to check the printed scale."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_MM}mm" height="{HEIGHT_MM}mm" '
@@ -64,7 +64,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=SHEET)
     arguments = parser.parse_args()
-    arguments.output.write_text(sheet())
+    arguments.output.write_text(sheet_svg())
     print(arguments.output)
 
 

@@ -83,7 +83,7 @@ class Modes:
 
         `bends` [J, 3] is the sum of the groups' bends: each turns its joint and everything beyond it.
         """
-        rotation, place = np.stack([_arc(t) for t in theta]), self.foot.copy()
+        rotation, place = np.stack([_turn_matrix(t) for t in theta]), self.foot.copy()
         for b in range(1, len(place)):  # parents come before children
             a = self.parent[b]
             place[b] = place[a] + rotation[a] @ (self.foot[b] - self.foot[a])
@@ -103,7 +103,7 @@ def _superposed(shapes: np.ndarray, q: np.ndarray, weights: np.ndarray) -> np.nd
     )
 
 
-def _arc(theta: np.ndarray) -> np.ndarray:
+def _turn_matrix(theta: np.ndarray) -> np.ndarray:
     """Return the rotation by atan |θ| about θ."""
     size = max(float(np.linalg.norm(theta)), 1e-12)
     return _rotation(theta * np.arctan(size) / size)

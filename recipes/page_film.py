@@ -16,8 +16,8 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from recipes.demo import served
-from recipes.software_browser import launched
+from recipes.demo import serve
+from recipes.software_browser import launch
 
 ROOT = Path(__file__).parents[1]
 TREE = ROOT / "web" / "examples" / "weeping.glb"
@@ -90,10 +90,10 @@ class Film:
 
 
 @contextmanager
-def opened(url: str) -> Iterator[Page]:
+def open_page(url: str) -> Iterator[Page]:
     """Context manager that opens the page in a browser, with the film's clock."""
     with sync_playwright() as driver:
-        browser = launched(driver)
+        browser = launch(driver)
         context = browser.new_context(viewport={"width": WINDOW[0], "height": WINDOW[1]}, locale="en-US")
         context.set_default_timeout(LONGEST_MS)
         page = context.new_page()
@@ -105,7 +105,7 @@ def opened(url: str) -> Iterator[Page]:
         browser.close()
 
 
-def shot(page: Page) -> list[Image.Image]:
+def take_pictures(page: Page) -> list[Image.Image]:
     """Take the pictures of the half-minute film."""
     film = Film(page)
     page.evaluate("film()")
@@ -147,7 +147,7 @@ def _press(film: Film, selector: str) -> None:
     film.page.locator(selector).click(force=True)
 
 
-def write(frames: list[Image.Image], path: Path) -> None:
+def write_film(frames: list[Image.Image], path: Path) -> None:
     """Write a looping WebP with the best quality that `MOST_BYTES` allows."""
     for quality in range(70, 10, -10):
         content = io.BytesIO()
@@ -166,11 +166,11 @@ def main() -> None:
     arguments = parser.parse_args()
     with (
         tempfile.TemporaryDirectory(prefix="dynamictree-") as folder,
-        served(Path(folder) / "state", Path(folder) / "serve.log") as url,
-        opened(url) as page,
+        serve(Path(folder) / "state", Path(folder) / "serve.log") as url,
+        open_page(url) as page,
     ):
-        frames = shot(page)
-    write(frames, arguments.output)
+        frames = take_pictures(page)
+    write_film(frames, arguments.output)
 
 
 if __name__ == "__main__":

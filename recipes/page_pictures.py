@@ -14,8 +14,8 @@ import httpx
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from recipes.demo import checked, served
-from recipes.software_browser import launched
+from recipes.demo import response_body, serve
+from recipes.software_browser import launch
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "web" / "examples"
@@ -32,10 +32,10 @@ WEBP_QUALITY = 84
 def main() -> None:
     with (
         tempfile.TemporaryDirectory(prefix="dynamictree-") as folder,
-        served(Path(folder) / "state", Path(folder) / "serve.log") as url,
+        serve(Path(folder) / "state", Path(folder) / "serve.log") as url,
         sync_playwright() as driver,
     ):
-        browser = launched(driver)
+        browser = launch(driver)
         for path in sorted(EXAMPLES.glob("*.glb")):
             _take_example(_opened(browser, f"{url}/#job={_animated(url, path, num_steps=1)}", SQUARE), path.stem)
         _take(_opened(browser, url, DESKTOP), "viewer-welcome", state="[data-live=true]")
@@ -51,11 +51,11 @@ def main() -> None:
 def _animated(url: str, mesh: Path, **params: int) -> str:
     """Run a job on a mesh until it has ended; return its id."""
     with httpx.Client(base_url=url, timeout=120) as client:
-        asset = checked(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
+        asset = response_body(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
         request = {"type": "animate", "asset_id": asset["id"], "seed": 7, "params": {"formats": ["glb"], **params}}
-        job = checked(client.post("/v1/jobs", json=request))
+        job = response_body(client.post("/v1/jobs", json=request))
         while job["state"] in ("queued", "running"):
-            job = checked(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
+            job = response_body(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
     if job["state"] != "succeeded":
         raise SystemExit(f"the job {job['state']}: {job['error']}")
     return str(job["id"])

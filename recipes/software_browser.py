@@ -10,7 +10,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 
 
-def launched(driver: Playwright) -> Browser:
+def launch(driver: Playwright) -> Browser:
     """Start the browser of BROWSER_PATH, else the system's, else that of `playwright install`.
 
     Raises:

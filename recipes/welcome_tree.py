@@ -18,7 +18,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from recipes.demo import checked, served
+from recipes.demo import response_body, serve
 
 EXAMPLES = Path(__file__).parents[1] / "web" / "examples"
 LONGEST_S = 600.0
@@ -40,7 +40,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="dynamictree-") as folder:
         state = Path(folder)
         with (
-            served(state / "state", state / "serve.log") as url,
+            serve(state / "state", state / "serve.log") as url,
             httpx.Client(base_url=url, timeout=LONGEST_S) as client,
         ):
             write_motion(client, EXAMPLES / f"{arguments.example}.glb", arguments.output)
@@ -48,23 +48,23 @@ def main() -> None:
 
 def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
     """Write `<name>.surface.safetensors` and `<name>.modes.safetensors` beside each other."""
-    asset = checked(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
-    job = checked(client.post("/v1/jobs", json={"type": "diffuse", "asset_id": asset["id"], "seed": 7}))
+    asset = response_body(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
+    job = response_body(client.post("/v1/jobs", json={"type": "diffuse", "asset_id": asset["id"], "seed": 7}))
     while job["state"] in ("queued", "running"):
-        job = checked(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
+        job = response_body(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
     if job["state"] != "succeeded":
         raise SystemExit(f"the job {job['state']}: {job['error']}")
     for name in ("surface", "modes"):
         path = output / f"{mesh.stem}.{name}.safetensors"
         url = f"/v1/spectra/{job['result']['spectrum_id']}/{name}"
         path.write_bytes(client.get(url, params={"shapes": False}).raise_for_status().content)
-        path.write_bytes(thinned(path))
+        path.write_bytes(reduce_file(path))
         print(
             f"{path}  {path.stat().st_size / 1e6:.2f} MB, {len(gzip.compress(path.read_bytes(), 6)) / 1e6:.2f} packed"
         )
 
 
-def thinned(path: Path) -> bytes:
+def reduce_file(path: Path) -> bytes:
     """Return a surface or modes file reduced to a fraction of its size."""
     with safe_open(path, "np") as file:
         metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

@@ -17,7 +17,7 @@ import typer
 import yaml
 
 from dynamictree.cli import app
-from recipes.api_reference import reference
+from recipes.api_reference import reference_page
 from service.http.problems import KINDS
 from web.vendor import LIBRARIES
 
@@ -117,7 +117,7 @@ def _check_command(words: list[str]) -> None:
 
 def test_the_reference_tells_every_operation_and_body() -> None:
     page = json.loads((ROOT / "openapi" / "openapi.json").read_text())
-    headings = set(re.findall(r"^### (\w+)$", reference(page), re.MULTILINE))
+    headings = set(re.findall(r"^### (\w+)$", reference_page(page), re.MULTILINE))
     operations = {operation["operationId"] for item in page["paths"].values() for operation in item.values()}
     assert headings == operations | set(page["components"]["schemas"])
 
@@ -129,7 +129,7 @@ def site(tmp_path_factory) -> Path:
     shutil.copytree(ROOT / "docs", folder / "docs")
     shutil.copy(ROOT / "zensical.toml", folder)
     page = json.loads((ROOT / "openapi" / "openapi.json").read_text())
-    (folder / "docs" / "api.md").write_text(reference(page))
+    (folder / "docs" / "api.md").write_text(reference_page(page))
     zensical = Path(sys.executable).with_name("zensical")
     built = subprocess.run([zensical, "build", "--strict"], cwd=folder, capture_output=True, text=True, check=False)
     assert built.returncode == 0, re.sub(r"\x1b\[[0-9;]*m", "", built.stdout)

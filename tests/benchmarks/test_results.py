@@ -4,7 +4,7 @@ from benchmarks import _results
 
 
 def test_the_page_is_what_the_recorded_results_say() -> None:
-    assert _results.PAGE.read_text() == _results.rendered("page.md"), "make results NAMES=write"
+    assert _results.PAGE.read_text() == _results.fill_template("page.md"), "make results NAMES=write"
 
 
 def test_the_readme_is_what_the_recorded_results_say() -> None:

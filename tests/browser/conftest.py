@@ -17,8 +17,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from recipes.demo import served
-from recipes.software_browser import launched
+from recipes.demo import serve
+from recipes.software_browser import launch
 
 MOVING = "body[data-state=moving]"
 JOB_MS = 240_000.0
@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("served")
-    with served(folder / "state", folder / "serve.log") as url:
+    with serve(folder / "state", folder / "serve.log") as url:
         yield url
 
 
@@ -87,7 +87,7 @@ def job_id(url: str, tree: Path) -> str:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     with sync_playwright() as driver:
-        browser = launched(driver)
+        browser = launch(driver)
         yield browser
         browser.close()
 

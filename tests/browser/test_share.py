@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 
 from jobs.clients.keys import create_key
 from jobs.store import Store
-from recipes.demo import served
+from recipes.demo import serve
 from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Open, animated, web_server
 
 FRAMES = """async ([base64, times]) => {
@@ -63,7 +63,7 @@ def locked(tmp_path_factory: pytest.TempPathFactory, site: Site) -> Iterator[tup
         with pytest.MonkeyPatch.context() as patch:  # other services start without it
             patch.setenv("DYNAMICTREE_KEYS", "required")
             patch.setenv("DYNAMICTREE_EMBED_ORIGINS", f'["{site.origin}"]')
-            url = stack.enter_context(served(folder / "state", folder / "serve.log"))
+            url = stack.enter_context(serve(folder / "state", folder / "serve.log"))
         with closing(Store.open(f"sqlite:///{folder / 'state' / 'jobs.sqlite'}")) as store:
             key = create_key(store, name="page")[1]
         yield url, key

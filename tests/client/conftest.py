@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from recipes.demo import served
+from recipes.demo import serve
 from tests.servers import free_port
 
 
@@ -20,5 +20,5 @@ def url(tmp_path_factory: pytest.TempPathFactory, hook_port: int) -> Iterator[st
     folder = tmp_path_factory.mktemp("served")
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("DYNAMICTREE_OUTBOUND_HOSTS", f'["127.0.0.1:{hook_port}"]')
-        with served(folder / "state", folder / "serve.log") as url:
+        with serve(folder / "state", folder / "serve.log") as url:
             yield url

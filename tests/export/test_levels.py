@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from benchmarks._played import accessor, played_morphs, z_up
+from benchmarks._played import accessor, read_morphs, z_up
 from dynamictree import method
 from dynamictree.export.levels import SHARES
 from dynamictree.export.moving_tree import Facts
@@ -50,7 +50,7 @@ def test_levels_have_their_share_of_triangles_and_report_it(written: Written) ->
 def test_wood_moves_as_the_tree_does_and_the_error_is_the_reported_one(written: Written) -> None:
     mesh, truth, archive, facts = written
     content = archive.read("tree-lod1.glb")
-    rest, played = positions(content), played_morphs(content)[:NUM_FRAMES]
+    rest, played = positions(content), read_morphs(content)[:NUM_FRAMES]
     places = {place.tobytes(): number for number, place in enumerate(mesh.vertices)}
     same = [(n, places[p.tobytes()]) for n, p in enumerate(rest.astype(np.float32)) if p.tobytes() in places]
     assert len(same) > 0.3 * len(rest)
@@ -96,7 +96,7 @@ def test_cards_show_the_tree_and_sway_with_it(written: Written) -> None:
     alpha = np.asarray(Image.open(io.BytesIO(png)))[:, :, 3] > 127
     assert 0.02 < alpha.mean() < 0.6
     assert alpha[-8:].any()  # the stem reaches the ground
-    rest, played = positions(content), played_morphs(content)[:NUM_FRAMES]
+    rest, played = positions(content), read_morphs(content)[:NUM_FRAMES]
     top, of_tree = rest[:, 2] > 0.8 * rest[:, 2].max(), mesh.vertices[:, 2] > 0.8 * mesh.height_m
     mean = truth[:, of_tree].mean(axis=1)
     cards = played[:, top].mean(axis=1)

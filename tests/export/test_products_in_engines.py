@@ -12,7 +12,7 @@ from alembic3d import Abc, AbcGeom
 from pxr import Usd, UsdGeom
 from safetensors.numpy import load_file
 
-from benchmarks._played import played_morphs, played_skin, played_usd_skin, reported_facts, world_matrices, z_up
+from benchmarks._played import read_morphs, read_skin, read_usd_skin, reported_facts, world_matrices, z_up
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.write import write_products
@@ -37,7 +37,7 @@ def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(gap.mean())), float(np.sqrt(gap.max()))
 
 
-@pytest.mark.parametrize(("name", "play"), [("glb", played_skin), ("glb-morph", played_morphs)])
+@pytest.mark.parametrize(("name", "play"), [("glb", read_skin), ("glb-morph", read_morphs)])
 def test_what_is_not_exact_says_how_far_off_it_is(
     name: str, play, products: Products, sapling, truth: np.ndarray
 ) -> None:
@@ -68,14 +68,14 @@ def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
     products: Products, sapling: Sapling, truth: np.ndarray
 ) -> None:
     path = products[0]["usd-skinned"]
-    played, facts = played_usd_skin(path), products[1]["usd-skinned"]
+    played, facts = read_usd_skin(path), products[1]["usd-skinned"]
     assert facts == products[1]["glb"]
     assert set(products[1]) == {"glb", "glb-morph", "usd-skinned", "lod", "rig"}, "what is exact has nothing to tell"
     rms, most = errors_m(played, truth)
     assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
     assert facts["max_error_m"] == pytest.approx(most, rel=1e-3)
     np.testing.assert_allclose(played[-1], played[0], atol=1e-7)
-    np.testing.assert_allclose(played, played_skin(products[0]["glb"].read_bytes()), atol=1e-5)
+    np.testing.assert_allclose(played, read_skin(products[0]["glb"].read_bytes()), atol=1e-5)
     stage = Usd.Stage.Open(str(path))
     assert problems_of(stage) == []
     assert (UsdGeom.GetStageUpAxis(stage), stage.GetTimeCodesPerSecond()) == (UsdGeom.Tokens.z, FPS)
@@ -115,7 +115,7 @@ def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(sapling: Sapling,
 def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(sapling: Sapling, truth: np.ndarray, tmp_path) -> None:
     """Keys in 16 bits are off by 0.03 mrad, which no child adds to: 2e-5 of the height, with floats 4e-6."""
     path = write_products(*sapling, ExportParams(formats=("glb",), flutter=0.0), tmp_path)["glb"]
-    assert errors_m(played_skin(path.read_bytes()), truth)[1] < 2e-5 * sapling[0].height_m
+    assert errors_m(read_skin(path.read_bytes()), truth)[1] < 2e-5 * sapling[0].height_m
     rest = len(trimesh.Trimesh(sapling[0].vertices, sapling[0].faces, process=False).export(file_type="glb"))
     assert path.stat().st_size < 1.3 * rest + 1e6
 
@@ -123,7 +123,7 @@ def test_a_skin_of_all_bones_is_exact_to_its_keys_and_small(sapling: Sapling, tr
 def test_a_rig_has_wind_groups_for_its_joints(products: Products, truth: np.ndarray) -> None:
     archive = zipfile.ZipFile(products[0]["rig"])
     content = archive.read("tree-rig.glb")
-    rms, _ = errors_m(played_skin(content), truth)
+    rms, _ = errors_m(read_skin(content), truth)
     assert products[1]["rig"]["rms_error_m"] == pytest.approx(rms, rel=1e-3)
     document = pygltflib.GLTF2().load_from_bytes(content)
     wind = json.loads(archive.read("dynamic-wind.json"))

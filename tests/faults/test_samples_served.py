@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses
-from recipes.demo import served
+from recipes.demo import serve
 from tests.formats.stored import animated_splat
 
 TREES = ("tree_10k", "tls_tree_1")
@@ -19,7 +19,7 @@ TREES = ("tree_10k", "tls_tree_1")
 @pytest.mark.timeout(1800)
 def test_every_sample_comes_out_moving_and_its_roots_stay(samples: Path, tmp_path: Path) -> None:
     paths = [*sorted((samples / "splat").iterdir()), *sorted((samples / "scan").iterdir())]
-    with served(tmp_path / "state", tmp_path / "serve.log") as url, httpx.Client(base_url=url, timeout=120) as client:
+    with serve(tmp_path / "state", tmp_path / "serve.log") as url, httpx.Client(base_url=url, timeout=120) as client:
         for path in paths:
             splat = through(client, path)
             share = splat.binding.moving.mean()  # 1 of trees; 0.87 of train_1000, parts of which stand apart

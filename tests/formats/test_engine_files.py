@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
-from benchmarks._played import played_usdz, played_vertex_texture
+from benchmarks._played import read_usdz, read_vertex_texture
 from dynamictree.errors import InputError
 from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, texture_layout, vertex_texture_files
@@ -31,7 +31,7 @@ def test_a_mesh_without_texture_places_has_its_lookup_in_the_second_set(rng) -> 
     mesh = TriangleMesh(vertices=whole.vertices, faces=whole.faces)
     frames, stream = frames_of(mesh, rng, 3), io.BytesIO()
     write_stored_zip(stream, vertex_texture_files(mesh, iter(frames), num_frames=3, fps=24.0, loop=True))
-    np.testing.assert_allclose(played_vertex_texture(stream.getvalue()), frames, atol=2e-3)
+    np.testing.assert_allclose(read_vertex_texture(stream.getvalue()), frames, atol=2e-3)
 
 
 @pytest.mark.parametrize("num_vertices", [3, 256, 257, 8_000, 100_000, 600_000])
@@ -59,7 +59,7 @@ def test_usd_holds_every_frame_binds_each_face_to_its_material_and_passes_its_va
     path = tmp_path / "tree.usdz"
     with path.open("wb") as stream:
         write_motion_usdz(mesh, iter(frames), stream, fps=30.0)
-    np.testing.assert_allclose(played_usdz(path), frames, atol=1e-6)
+    np.testing.assert_allclose(read_usdz(path), frames, atol=1e-6)
     stage = Usd.Stage.Open(str(path))
     assert problems_of(stage) == []
     assert (stage.GetTimeCodesPerSecond(), UsdGeom.GetStageUpAxis(stage)) == (30.0, "Z")

@@ -10,7 +10,7 @@ import numpy as np
 import pygltflib
 import pytest
 
-from benchmarks._played import accessor, played_skin, z_up
+from benchmarks._played import accessor, read_skin, z_up
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf.document import open_gltf
@@ -50,7 +50,7 @@ def files(tree: Tree, tmp_path_factory) -> Files:
 def frames(content: bytes) -> np.ndarray:
     """Vertices of the first primitive at every key."""
     document = pygltflib.GLTF2().load_from_bytes(content)
-    return z_up(accessor(document, document.meshes[0].primitives[0].attributes.POSITION)) + played_skin(content)
+    return z_up(accessor(document, document.meshes[0].primitives[0].attributes.POSITION)) + read_skin(content)
 
 
 def test_a_compressed_file_shows_the_motion_and_says_how_far_off_it_is(files: Files) -> None:

@@ -9,7 +9,7 @@ import pygltflib
 import pytest
 from safetensors.numpy import load
 
-from benchmarks._played import accessor, played_morphs
+from benchmarks._played import accessor, read_morphs
 from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_files
 from dynamictree.formats.tensors.motion import write_motion
@@ -40,7 +40,7 @@ def played(content: bytes) -> tuple[np.ndarray, np.ndarray]:
     sampler = document.animations[0].samplers[0]
     assert sampler.interpolation == "LINEAR"
     assert all(one.targets == document.meshes[0].primitives[0].targets for one in document.meshes[0].primitives)
-    return accessor(document, sampler.input)[:, 0], played_morphs(content)
+    return accessor(document, sampler.input)[:, 0], read_morphs(content)
 
 
 @pytest.mark.parametrize("num_frames", [100, 61])

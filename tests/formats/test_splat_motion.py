@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._scene import sheet
+from benchmarks._scene import wavy_sheet
 from dynamictree.errors import InputError, NumericsError
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.motion.splat_sequence import iter_splat_files
@@ -37,7 +37,7 @@ def splat() -> AnimatedSplat:
     rng = np.random.default_rng(8)
     x, y = np.meshgrid(np.linspace(0, 2, 20), np.linspace(0, 2, 20), indexing="ij")
     vertices = np.stack([x, y, 0.2 * np.sin(2 * x)], axis=-1).reshape(-1, 3).astype(np.float32)
-    mesh = TriangleMesh(vertices=vertices, faces=sheet(2 * 19**2).faces[::2])
+    mesh = TriangleMesh(vertices=vertices, faces=wavy_sheet(2 * 19**2).faces[::2])
     count = 500
     quaternions = rng.normal(size=(count, 4))
     cloud = cloud_at(

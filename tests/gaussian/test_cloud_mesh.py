@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks._scene import sheet
+from benchmarks._scene import wavy_sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -32,7 +32,7 @@ def plane(side: int = 6) -> TriangleMesh:
     """A level square of 1 m, whose texture coordinates are its x and y."""
     x, y = np.meshgrid(*[np.linspace(0, 1, side)] * 2, indexing="ij")
     vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32)
-    faces = sheet(2 * (side - 1) ** 2).faces
+    faces = wavy_sheet(2 * (side - 1) ** 2).faces
     return TriangleMesh(vertices=vertices, faces=faces, look=MeshLook(uv=vertices[:, :2].copy()))
 
 

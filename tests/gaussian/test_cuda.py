@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.render_frame import crown
+from benchmarks.render_frame import gaussian_tree
 from dynamictree.gaussian.cuda import has_gsplat
 from dynamictree.gaussian.deform import Pose
 from dynamictree.gaussian.rasterize import render_cloud, render_on_cpu
@@ -16,7 +16,7 @@ from dynamictree.rotation import quaternion_products
 def test_gsplat_and_the_cpu_draw_the_same_picture(antialias: bool, rng) -> None:
     if not has_gsplat():
         pytest.skip("gsplat or a CUDA device is not there")
-    cloud = crown(20_000)
+    cloud = gaussian_tree(20_000)
     turn = np.array([np.cos(0.3), 0, 0, np.sin(0.3)])
     pose = Pose(
         means=cloud.means + np.float32(0.1),

@@ -8,7 +8,7 @@ import trimesh
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from benchmarks._scene import sheet
+from benchmarks._scene import wavy_sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding, bind, bind_to_faces, solid_faces
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
@@ -29,7 +29,7 @@ def mesh() -> TriangleMesh:
     """A bent sheet, 5 m from the origin."""
     x, y = np.meshgrid(np.linspace(0, 2, 24), np.linspace(0, 2, 24), indexing="ij")
     vertices = np.stack([x + 5, y, 0.3 * np.sin(3 * x) * np.cos(2 * y)], axis=-1).reshape(-1, 3).astype(np.float32)
-    return TriangleMesh(vertices=vertices, faces=sheet(2 * 23**2).faces)
+    return TriangleMesh(vertices=vertices, faces=wavy_sheet(2 * 23**2).faces)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pygltflib
 import pytest
 from pxr import Usd, UsdGeom
 
-from benchmarks._played import accessor, played_morphs, z_up
+from benchmarks._played import accessor, read_morphs, z_up
 from dynamictree import method
 from dynamictree.commands.input_files import load_mesh
 from dynamictree.errors import InputError
@@ -200,7 +200,7 @@ def test_blender_plays_the_motion_that_the_file_tells(way: str, tmp_path: Path) 
     command = [os.environ["BLENDER_PYTHON"], "-c", PLAY, "tree.glb", "places.npy", way, *map(str, frames)]
     subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True, timeout=300)
     moved = np.load(tmp_path / "places.npy").reshape(len(frames), -1, 3) - mesh.vertices
-    positions = played_morphs((tmp_path / "tree.glb").read_bytes())[list(frames)]
+    positions = read_morphs((tmp_path / "tree.glb").read_bytes())[list(frames)]
     np.testing.assert_allclose(moved, positions, atol=1e-5)
 
 

@@ -19,7 +19,7 @@ from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Camera, Renderer, RenderSettings
-from recipes.marker_sheet import SHEET, marker_cells, sheet
+from recipes.marker_sheet import SHEET, marker_cells, sheet_svg
 from tests.reconstruct.conftest import SQUARE, sparse_model, stump_and_ground, textured
 from tests.reconstruct.finished import write_finished
 
@@ -107,9 +107,9 @@ def test_only_markers_of_the_sheet_tell_a_scale_by_themselves() -> None:
 
 
 def test_the_sheet_in_the_documentation_is_the_one_that_is_read() -> None:
-    assert SHEET.read_text() == sheet()
+    assert SHEET.read_text() == sheet_svg()
     for number, edge_m in SHEET_EDGES_M.items():
-        assert f'width="{1000 * edge_m:g}" height="{1000 * edge_m:g}"' in sheet()
+        assert f'width="{1000 * edge_m:g}" height="{1000 * edge_m:g}"' in sheet_svg()
         picture = 255 * np.kron(marker_cells(number), np.ones((8, 8))).astype(np.uint8)
         padded = np.pad(picture, 40, constant_values=255)
         [(seen, corners)] = MarkerFinder().find(padded).items()

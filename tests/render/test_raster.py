@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks._scene import sheet
+from benchmarks._scene import wavy_sheet
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Renderer, RenderSettings
 
@@ -63,6 +63,6 @@ def test_faces_that_share_an_edge_leave_no_gap(rng):
     inner[1:-1, 1:-1] = 1
     jitter = rng.uniform(-0.03, 0.03, (2, number, number)) * inner
     vertices = np.stack([x + jitter[0], rng.uniform(-0.2, 0.2, x.shape), z + jitter[1]], axis=2).reshape(-1, 3)
-    mesh = TriangleMesh(vertices=vertices.astype(np.float32), faces=sheet(2 * (number - 1) ** 2).faces)
+    mesh = TriangleMesh(vertices=vertices.astype(np.float32), faces=wavy_sheet(2 * (number - 1) ** 2).faces)
     camera = Camera.look_at(np.array([0.0, -6, 0]), np.zeros(3), vertical_fov_deg=35.0)
     assert (Renderer(mesh, RenderSettings(width=400, height=400)).buffers(camera).face >= 0).all()

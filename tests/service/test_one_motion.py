@@ -11,7 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
-from benchmarks._played import played_product
+from benchmarks._played import read_product
 from benchmarks._trees import KINDS, tree_of_kind
 from dynamictree import method
 from dynamictree.export.write import write_products
@@ -89,7 +89,7 @@ def require_one_place(client, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum,
         (folder / compression).mkdir()
         params = ExportParams(formats=formats, glb_compression=compression)  # type: ignore[arg-type]
         for name, path in write_products(mesh, spectrum, params, folder / compression).items():
-            frames = played_product(name, path, mesh.vertices)[: spectrum.num_frames : stride]
+            frames = read_product(name, path, mesh.vertices)[: spectrum.num_frames : stride]
             places[f"{name} {compression}"] = frames[:, vertices]
     height_m = mesh.height_m
     most = dict.fromkeys(("motion none", "usd none", "alembic none", "ply none"), 3e-6 * height_m)
