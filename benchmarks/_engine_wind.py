@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pygltflib
 
-from benchmarks._played import accessor, z_up
+from benchmarks._read_exports import accessor, z_up
 from recipes.wind_reference import coordinates, feet, half_turns, turned, wave_at
 
 

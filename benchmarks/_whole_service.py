@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from benchmarks._served import processor_s
+from benchmarks._api_process import processor_s
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.mesh import TriangleMesh
 from recipes.demo import serve

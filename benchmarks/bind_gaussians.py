@@ -4,8 +4,8 @@ import time
 
 import numpy as np
 
+from benchmarks._gaussian_scene import wavy_sheet
 from benchmarks._machine import machine
-from benchmarks._scene import wavy_sheet
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 

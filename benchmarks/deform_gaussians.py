@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from benchmarks._gaussian_scene import wavy_sheet
 from benchmarks._machine import machine, ratio_to_copy, time_calls, time_copy
-from benchmarks._scene import wavy_sheet
 from dynamictree.gaussian.deform import Deformer, Pose
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.turn import turn_sh_fast

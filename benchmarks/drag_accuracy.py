@@ -18,8 +18,8 @@ import httpx
 import numpy as np
 from safetensors.numpy import load
 
+from benchmarks._api_process import start_api, store_spectrum
 from benchmarks._machine import BRIEF, machine
-from benchmarks._served import start_api, store_spectrum
 from dynamictree import method
 from dynamictree.commands.input_files import read_source
 from dynamictree.mesh import TriangleMesh, edges_of

@@ -8,7 +8,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from benchmarks._machine import machine
-from benchmarks._played import read_product
+from benchmarks._read_exports import read_product
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from lab.dataset.sample import make_sample, voxel_spectrum

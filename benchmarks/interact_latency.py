@@ -13,9 +13,9 @@ from pathlib import Path
 import httpx
 import numpy as np
 
+from benchmarks._api_process import processor_s, serve_tree
 from benchmarks._interaction import scene
 from benchmarks._machine import BRIEF, machine
-from benchmarks._served import processor_s, serve_tree
 
 TARGET_P50_MS, TARGET_P99_MS = 5.0, 20.0
 RATE_HZ, RATE_S = 100.0, 0.05 if BRIEF else 4.0

@@ -10,7 +10,7 @@ import pygltflib
 from playwright.sync_api import Browser
 
 from benchmarks._engine_wind import read_engine_wind
-from benchmarks._played import accessor, z_up
+from benchmarks._read_exports import accessor, z_up
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from lab.dataset.sample import make_sample, voxel_spectrum

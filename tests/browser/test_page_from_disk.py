@@ -9,7 +9,7 @@ import pytest
 from jaxtyping import Complex64, Float32
 from playwright.sync_api import Browser, Page
 
-from benchmarks._played import z_up
+from benchmarks._read_exports import z_up
 from dynamictree import method
 from dynamictree.export.write import write_products
 from dynamictree.gaussian.animate import iter_poses, reduced_splat

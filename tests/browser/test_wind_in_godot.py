@@ -16,7 +16,7 @@ from playwright.sync_api import Browser
 from scipy.spatial import cKDTree
 
 from benchmarks._engine_wind import read_engine_wind
-from benchmarks._played import z_up
+from benchmarks._read_exports import z_up
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import Wind

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from benchmarks._played import accessor, read_morphs, z_up
+from benchmarks._read_exports import accessor, read_morphs, z_up
 from dynamictree import method
 from dynamictree.export.levels import SHARES
 from dynamictree.export.moving_tree import Facts

@@ -12,7 +12,7 @@ from alembic3d import Abc, AbcGeom
 from pxr import Usd, UsdGeom
 from safetensors.numpy import load_file
 
-from benchmarks._played import read_morphs, read_skin, read_usd_skin, reported_facts, world_matrices, z_up
+from benchmarks._read_exports import read_morphs, read_skin, read_usd_skin, reported_facts, world_matrices, z_up
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.write import write_products

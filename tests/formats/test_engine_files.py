@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
-from benchmarks._played import read_usdz, read_vertex_texture
+from benchmarks._read_exports import read_usdz, read_vertex_texture
 from dynamictree.errors import InputError
 from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, texture_layout, vertex_texture_files

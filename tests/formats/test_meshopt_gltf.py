@@ -10,7 +10,7 @@ import numpy as np
 import pygltflib
 import pytest
 
-from benchmarks._played import accessor, read_skin, z_up
+from benchmarks._read_exports import accessor, read_skin, z_up
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf.document import open_gltf

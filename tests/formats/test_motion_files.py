@@ -9,7 +9,7 @@ import pygltflib
 import pytest
 from safetensors.numpy import load
 
-from benchmarks._played import accessor, read_morphs
+from benchmarks._read_exports import accessor, read_morphs
 from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_files
 from dynamictree.formats.tensors.motion import write_motion

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._scene import wavy_sheet
+from benchmarks._gaussian_scene import wavy_sheet
 from dynamictree.errors import InputError, NumericsError
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.motion.splat_sequence import iter_splat_files

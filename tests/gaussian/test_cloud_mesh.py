@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks._scene import wavy_sheet
+from benchmarks._gaussian_scene import wavy_sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud

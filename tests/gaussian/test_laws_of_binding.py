@@ -8,7 +8,7 @@ import trimesh
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from benchmarks._scene import wavy_sheet
+from benchmarks._gaussian_scene import wavy_sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding, bind, bind_to_faces, solid_faces
 from dynamictree.gaussian.cloud import GaussianCloud, in_box

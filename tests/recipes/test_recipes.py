@@ -13,7 +13,7 @@ import pygltflib
 import pytest
 from pxr import Usd, UsdGeom
 
-from benchmarks._played import accessor, read_morphs, z_up
+from benchmarks._read_exports import accessor, read_morphs, z_up
 from dynamictree import method
 from dynamictree.commands.input_files import load_mesh
 from dynamictree.errors import InputError

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks._scene import wavy_sheet
+from benchmarks._gaussian_scene import wavy_sheet
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Renderer, RenderSettings
 

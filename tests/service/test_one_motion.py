@@ -11,7 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
-from benchmarks._played import read_product
+from benchmarks._read_exports import read_product
 from benchmarks._trees import KINDS, tree_of_kind
 from dynamictree import method
 from dynamictree.export.write import write_products
