@@ -31,7 +31,7 @@ class Draft:
     _written_at: float = field(default=-np.inf, init=False)
 
     def show_points(self, model: SparseModel) -> None:
-        """Write the points of structure from motion; the model is in the stage's frame."""
+        """Write the points of structure from motion; the model is in the upright frame."""
         least_points = 4  # fewest points with a spacing
         most_points = 20_000
         rows = thinned(model.points, most_points, np.random.default_rng(0))

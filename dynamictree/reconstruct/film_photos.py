@@ -14,7 +14,7 @@ from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.film import MAX_FILM_FRAMES, decoded
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO, QUALITIES
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
-from dynamictree.reconstruct.stage import find_stage
+from dynamictree.reconstruct.upright_frame import find_upright_frame
 from dynamictree.reconstruct.views import SparseModel
 
 _REDUCED = "force_original_aspect_ratio=decrease:flags=lanczos"
@@ -195,5 +195,5 @@ class FilmPhotos:
 
 
 def _upright(model: SparseModel) -> SparseModel:
-    stage = find_stage(model, np.random.default_rng(0), ground=False)
-    return model.transformed(1.0, stage.rotation, stage.origin)
+    upright = find_upright_frame(model, np.random.default_rng(0), ground=False)
+    return model.transformed(1.0, upright.rotation, upright.origin)

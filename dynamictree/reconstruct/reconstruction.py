@@ -185,7 +185,7 @@ def _find_cameras(
 
 
 def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, " G"]:
-    """Return a mask of the Gaussians that belong to the mesh, in the stage's frame.
+    """Return a mask of the Gaussians that belong to the mesh, in the upright frame.
 
     Raises:
         ReconstructionError: there are too few, which means that the cameras are wrong.
@@ -200,7 +200,7 @@ def own_gaussians(scene: GaussianCloud, mesh: TriangleMesh) -> Bool[np.ndarray, 
 
 
 def _report(fit: SplatFit, scene: Scene, mesh_by: str, photos: list[str]) -> Report:
-    """Create the report in the stage's frame, without times and the sizes that `Reconstruction.write` adds."""
+    """Create the report in the upright frame, without times and the sizes that `Reconstruction.write` adds."""
     model, figures = scene.model, fit.figures
     cameras = {view.source: view.camera for view in model.views}
     circle = camera_circle(cameras)

@@ -11,7 +11,7 @@ from dynamictree.reconstruct.depth import DepthMaps, find_depths, load_depths, o
 from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
 from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.sky import Foreground, without_sky
-from dynamictree.reconstruct.stage import find_stage
+from dynamictree.reconstruct.upright_frame import find_upright_frame
 from dynamictree.reconstruct.views import SparseModel
 
 LEAST_FACES = 200  # faces of a surface
@@ -20,7 +20,7 @@ CLUSTER_GAP = 0.06  # share of the region's radius; pieces closer together belon
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Cameras and depth maps in the stage's frame."""
+    """Cameras and depth maps in the upright frame."""
 
     model: SparseModel  # all views
     matched: SparseModel  # views of the depth maps
@@ -47,16 +47,16 @@ def find_scene(
         model: result of structure from motion.
         max_views: number of views to match, evenly chosen; bounds time and memory.
         saved: file for the depth maps; if it exists, it is read, and must be of the same model.
-        on_model: called with the model in the stage's frame, before stereo.
+        on_model: called with the model in the upright frame, before stereo.
         on_progress: called with the completed share; its exceptions propagate.
     """
     ground_cut = 0.02  # share of the region's radius; lower parts count as ground
     cut_out = all(view.alpha is not None for view in model.views)
-    stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
-    model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
+    frame = find_upright_frame(model, np.random.default_rng(0), ground=not cut_out)
+    model = model.transformed(1 / frame.radius, frame.rotation, frame.origin)
     on_model(model)
     matched = _evenly_chosen(model, max_views)
-    cut = ground_cut if stage.ground_found else -np.inf
+    cut = ground_cut if frame.ground_found else -np.inf
     if saved is not None and saved.exists():
         depths, subject = load_depths(matched, saved)
     else:
@@ -69,7 +69,7 @@ def find_scene(
         depths = outside_sky(depths, sky)
     on_progress(1.0)
     return Scene(
-        model=model, matched=matched, depths=depths, subject=subject, cut=cut, ground_found=stage.ground_found, sky=sky
+        model=model, matched=matched, depths=depths, subject=subject, cut=cut, ground_found=frame.ground_found, sky=sky
     )
 
 

@@ -48,7 +48,7 @@ def fit_splat(
     """Fit Gaussians to all photos except those held out, which evaluate the result.
 
     Args:
-        model: views and points in the stage's frame.
+        model: views and points in the upright frame.
         depths: depth maps of the same views, if there are any; those of held-out photos are not used.
         schedule: number of steps, picture sizes and learning rates.
         sky: photos without their sky, if they show any; Gaussians of sky are added behind the result.

@@ -31,7 +31,7 @@ def first_table(
 ) -> Float32[np.ndarray, "G P"]:
     """Create about `number` isotropic Gaussians, sized by their spacing; without masks also some on a far dome.
 
-    The model is in the stage's frame, in which the region's radius is 1; it has the views of the depth maps.
+    The model is in the upright frame, in which the region's radius is 1; it has the views of the depth maps.
     """
     crown_share = 0.4  # share of the other points, which are missing in thin crowns
     covers = None if sky is None else [view.alpha for view in sky]

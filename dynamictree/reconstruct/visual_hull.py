@@ -13,7 +13,7 @@ from dynamictree.reconstruct.views import View
 
 _COVERED = 32  # least alpha inside a mask, of 255; low, since twigs narrower than a pixel cover a part of it
 _FARTHEST_PX = 255  # largest distance from a mask that is stored
-_REGION = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 2.0]])  # bounds in the stage's frame
+_REGION = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 2.0]])  # bounds in the upright frame
 _LEAST_CONTRAST = 8.0  # standard deviation of grey, of 255; sky in JPEG has 1 to 3, leaves in front of it 20 and more
 
 
@@ -146,7 +146,7 @@ def texture_points(
 
     `covers` are the shares of each pixel that are not sky.
     """
-    low, high, radius = 0.02, 2.0, 1.0  # cylinder of the stage's region around the plant
+    low, high, radius = 0.02, 2.0, 1.0  # cylinder of the photos' region around the plant
     masks = [textured_mask(view.image) for view in views]
     if covers is not None:
         masks = [np.minimum(mask, cover) for mask, cover in zip(masks, covers, strict=True)]

@@ -14,8 +14,8 @@ from dynamictree.reconstruct.coloured_mesh import finished_mesh, photo_colors, s
 from dynamictree.reconstruct.depth import stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
-from dynamictree.reconstruct.stage import camera_up, find_stage
 from dynamictree.reconstruct.stereo import Hypotheses, agreed_depths, match_view, neighbours_of
+from dynamictree.reconstruct.upright_frame import camera_up, find_upright_frame
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Renderer, RenderSettings
 from tests.reconstruct.conftest import Orbit, sparse_model
@@ -142,7 +142,7 @@ def test_the_stage_stands_on_the_ground_whatever_the_frame(orbit, rng):
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     moved = model.transformed(0.37, turn, np.array([3.0, -2, 5]))
-    stage = find_stage(moved, np.random.default_rng(0))
+    stage = find_upright_frame(moved, np.random.default_rng(0))
     assert stage.ground_found
     assert stage.up @ (turn @ [0, 0, 1]) > np.cos(np.radians(1))
     ground = 0.37 * turn @ (np.array([0.0, 0, 0]) - [3.0, -2, 5])
@@ -164,7 +164,7 @@ def test_a_plane_that_leans_away_from_level_photos_is_no_ground(orbit, rng):
     standing = model.points[model.points[:, 2] > 0.1]
     level = rng.uniform(-0.4, 0.4, (len(standing) // 8, 3)) * [1, 1, 0]
     leaf = Rotation.from_euler("x", 9.6, degrees=True).apply(level) - [0, 0, 0.05]
-    stage = find_stage(with_points(model, standing, leaf), np.random.default_rng(0))
+    stage = find_upright_frame(with_points(model, standing, leaf), np.random.default_rng(0))
     assert stage.up[2] > np.cos(np.radians(2))
 
 
@@ -173,7 +173,7 @@ def test_a_slope_with_most_of_the_points_is_ground(orbit, rng):
     lean = Rotation.from_euler("x", 10, degrees=True)
     ground = lean.apply(rng.uniform(-2, 2, (2000, 3)) * [1, 1, 0])
     high = model.points[model.points[:, 2] > 0.5]
-    stage = find_stage(with_points(model, high, ground), np.random.default_rng(0))
+    stage = find_upright_frame(with_points(model, high, ground), np.random.default_rng(0))
     assert stage.ground_found
     assert stage.up @ lean.apply([0, 0, 1]) > np.cos(np.radians(1))
 
@@ -192,7 +192,7 @@ def test_up_is_level_whatever_the_pitch(orbit):
 def test_without_ground_up_is_the_cameras_own(orbit, rng):
     model = model_of(orbit, rng)
     few = sparse_model(model.views, model.points[model.points[:, 2] > 0.05][:40])
-    stage = find_stage(few, np.random.default_rng(0))
+    stage = find_upright_frame(few, np.random.default_rng(0))
     assert not stage.ground_found
     assert stage.up[2] > 0.95
 

@@ -14,7 +14,7 @@ _AGREE_DEG = 5.0  # angle between agreeing cues for up, and between them and the
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class UprightFrame:
     """Frame with +Z up; its origin lies on the ground below the cameras' focus."""
 
     up: Float64[np.ndarray, "3"]
@@ -24,14 +24,14 @@ class Stage:
 
     @property
     def rotation(self) -> Float64[np.ndarray, "3 3"]:
-        """Rotation from world to stage."""
+        """Rotation from world to upright frame."""
         side = np.eye(3)[np.argmin(np.abs(self.up))]
         right = np.cross(side, self.up)
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(self.up, right), self.up])
 
 
-def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = True) -> Stage:
+def find_upright_frame(model: SparseModel, rng: np.random.Generator, *, ground: bool = True) -> UprightFrame:
     """Find the vertical from the cameras' orientations, and the ground as the plane below with most points.
 
     If two cues agree on the vertical, an inclined plane is ground only if many points lie on it. With `ground=False`
@@ -50,9 +50,9 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
         plane = _ground_plane(near, positions, up, ground_thickness * radius, rng, cues_agree=cues_agree)
     if plane is None:
         lowest = np.percentile((near - focus) @ up, 1) if len(near) else -radius
-        return Stage(up=up, origin=focus + lowest * up, radius=radius, ground_found=False)
+        return UprightFrame(up=up, origin=focus + lowest * up, radius=radius, ground_found=False)
     normal, offset = plane
-    return Stage(up=normal, origin=focus - (focus @ normal - offset) * normal, radius=radius, ground_found=True)
+    return UprightFrame(up=normal, origin=focus - (focus @ normal - offset) * normal, radius=radius, ground_found=True)
 
 
 def camera_up(
