@@ -15,8 +15,8 @@ from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.refused import advice_for
 from dynamictree.mesh import TriangleMesh, validate_mesh
+from dynamictree.plant.axes_units import Conventions
 from dynamictree.plant.find import plant_of_mesh
-from dynamictree.plant.place import Conventions
 from dynamictree.requests import Reading
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")

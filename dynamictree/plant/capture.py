@@ -10,7 +10,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, StillPart, TriangleMesh
 from dynamictree.plant.choice import choose_gaussians
-from dynamictree.plant.likeness import VISIBLE
+from dynamictree.plant.plausibility import VISIBLE
 from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.plant.trees.segment import require_tree
 from dynamictree.requests import CloudParams

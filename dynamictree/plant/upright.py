@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from dynamictree.axis_names import AXES
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
-from dynamictree.plant.likeness import FEWEST_GAUSSIANS
 from dynamictree.plant.names import LEAF, WOOD
+from dynamictree.plant.plausibility import FEWEST_GAUSSIANS
 from dynamictree.plant.sample import surface_points
 from dynamictree.plant.still import touching_groups
 from dynamictree.plant.still_mesh import find_still_parts

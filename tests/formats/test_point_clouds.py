@@ -13,7 +13,7 @@ from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import Scan, cloud_of_points
 from dynamictree.formats.source_file import read_capture
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.plant.likeness import doubt_cloud
+from dynamictree.plant.plausibility import doubt_cloud
 from dynamictree.up_axis import up_rotation
 
 Keys = tuple[tuple[int, int], ...]

@@ -16,7 +16,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.axes import transformed
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, TriangleMesh
-from dynamictree.plant.likeness import FEWEST_FACES
+from dynamictree.plant.plausibility import FEWEST_FACES
 from dynamictree.plant.still import height_of
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.upright import CERTAIN, USUAL, UpAxis, judge_up_axis

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from dynamictree.commands.input_files import load_mesh
-from dynamictree.plant.likeness import doubt_mesh
+from dynamictree.plant.plausibility import doubt_mesh
 from dynamictree.requests import Reading
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES

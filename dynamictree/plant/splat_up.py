@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.planes import Direction, Plane, Points, best_plane, fit_plane, flat_points
-from dynamictree.plant.likeness import one_per_cell
+from dynamictree.plant.plausibility import one_per_cell
 from dynamictree.plant.pot import axis_of_pot, find_pot
 from dynamictree.plant.still import height_of
 from dynamictree.up_axis import turn_to_z

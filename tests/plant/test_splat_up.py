@@ -14,8 +14,8 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.gaussian.axes import to_source_axes, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.plant.capture import Capture, moving_part
-from dynamictree.plant.level import up_of_standing
 from dynamictree.plant.sample import surface_points
+from dynamictree.plant.splat_up import up_of_standing
 from dynamictree.requests import Reading
 from dynamictree.source import Source
 from dynamictree.up_axis import up_rotation
