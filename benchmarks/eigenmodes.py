@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from benchmarks._machine import BRIEF, machine
 from benchmarks.modal_locality import on_same_path
 from dynamictree import method
-from dynamictree.modal.force import Drag, contact_at_voxel, equilibrium, generalised
+from dynamictree.modal.force import Drag, contact_at_voxel, equilibrium, modal_force
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, displacement, modal_system
@@ -136,7 +136,7 @@ def _ends(stems: Skeleton, rng: np.random.Generator) -> np.ndarray:
 
 
 def _by_modes(system: ModalSystem, at: int, force: np.ndarray) -> np.ndarray:
-    pushed = generalised(system, contact_at_voxel(system.grid, at), force)
+    pushed = modal_force(system, contact_at_voxel(system.grid, at), force)
     return displacement(system.shapes, equilibrium(system, pushed[None]).q)[0].astype(np.float64)
 
 

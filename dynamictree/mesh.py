@@ -182,7 +182,7 @@ class TriangleMesh(Surface):
             parts = [_from_trimesh(source, np.eye(4))]
         if not parts:
             raise MeshError("the scene has no triangles; a mesh with faces is needed, not points or lines")
-        return joined(parts)
+        return join_meshes(parts)
 
     @property
     def material_of_face(self) -> Int32[np.ndarray, " F"]:
@@ -343,7 +343,7 @@ def _from_trimesh_material(source: "trimesh.visual.material.Material", *, textur
     )
 
 
-def joined(parts: Sequence[TriangleMesh]) -> TriangleMesh:
+def join_meshes(parts: Sequence[TriangleMesh]) -> TriangleMesh:
     """Concatenate meshes; missing texture coordinates become 0, missing colours and materials white."""
     materials: list[Material] = []
     face_material, starts = list[Int32[np.ndarray, " F"]](), np.cumsum([0, *(part.num_vertices for part in parts)])

@@ -41,11 +41,11 @@ class WindBands:
 
     def at(self, speed_m_s: float) -> Float64[np.ndarray, " K"]:
         """Gain of each bin in a wind of this mean speed."""
-        drags, table = drag(np.asarray(self.speeds_m_s)), np.asarray(self.gains, np.float64)
-        return np.array([np.interp(drag(np.float64(max(speed_m_s, 0.0))), drags, column) for column in table.T])
+        drags, table = drag_at(np.asarray(self.speeds_m_s)), np.asarray(self.gains, np.float64)
+        return np.array([np.interp(drag_at(np.float64(max(speed_m_s, 0.0))), drags, column) for column in table.T])
 
 
-def drag(speed_m_s: Float64[np.ndarray, "*S"] | np.float64) -> Float64[np.ndarray, "*S"]:
+def drag_at(speed_m_s: Float64[np.ndarray, "*S"] | np.float64) -> Float64[np.ndarray, "*S"]:
     """Return the drag D(U): U^1.4 up to 12 m/s; above, as crowns streamline, linear (docs/decisions/modal.md)."""
     return np.asarray(speed_m_s * np.minimum(speed_m_s, 12.0) ** (DRAG_EXPONENT - 1))
 
@@ -54,7 +54,7 @@ def power_law(speed_m_s: float, num_frequencies: int) -> WindBands:
     """Approximate the gains of a spectrum without wind bands: D(U) / D(own) for every bin, up to 30 m/s."""
     own = max(speed_m_s, SLOWEST_M_S)
     speeds = (0.0, own) if own >= FASTEST_M_S else (0.0, own, FASTEST_M_S)
-    gains = drag(np.array(speeds)) / drag(np.float64(own))
+    gains = drag_at(np.array(speeds)) / drag_at(np.float64(own))
     return WindBands(speeds_m_s=speeds, gains=tuple((float(gain),) * num_frequencies for gain in gains))
 
 

@@ -23,7 +23,7 @@ from dynamictree.modal.turbulence import TurbulentWind
 from dynamictree.rig.pose import Skeleton
 from dynamictree.rig.rig import Rig
 from dynamictree.up_axis import up_rotation
-from dynamictree.wind_bands import drag
+from dynamictree.wind_bands import drag_at
 
 VERSION = 5
 SHADERS = (
@@ -155,7 +155,7 @@ def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
     text = text.replace("TEXTUREvec2", f"Texture2D {source}, SamplerState point_sampler, vec2" if hlsl else "vec2")
     text = text.replace("TEXTURES ", f"{source}, point_sampler, " if hlsl else "")
     gains = np.asarray(wind.bands.gains).reshape(-1, 1)
-    drags = drag(np.asarray(wind.bands.speeds_m_s)[:, None])
+    drags = drag_at(np.asarray(wind.bands.speeds_m_s)[:, None])
     for table, rows in (("GUSTS", gusts), ("PARTIALS", partials), ("DRAGS", drags), ("GAINS", gains)):
         text = text.replace(f"{table}_TABLE", _table(table, rows, hlsl=hlsl))
     text = text.replace("OWN_M_S", _number(wind.wind.speed_m_s))

@@ -9,7 +9,7 @@ from dynamictree.export.splat_sheet import splat_sheet
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
 from dynamictree.render import Backdrop, Renderer, RenderSettings, draw_contact_sheet, write_png
-from dynamictree.render.camera import Camera, cameras_of, in_view
+from dynamictree.render.camera import Camera, cameras_of, points_in_view
 from dynamictree.render.video import Picture
 
 
@@ -33,7 +33,7 @@ def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
     shot = tree.params.shot
     look = RenderSettings(width=shot.side_px, height=shot.side_px, ground=shot.ground, grey_still=shot.grey_still)
     renderer = Renderer(tree.mesh, look)
-    seen = in_view(tree.mesh.vertices, ~tree.mesh.still_vertices)
+    seen = points_in_view(tree.mesh.vertices, ~tree.mesh.still_vertices)
     cameras = cameras_of(shot, tree.mesh.vertices[seen], len(tree.phases))
     for frame, camera in zip(tree.frames(report), cameras, strict=True):
         yield renderer.picture(frame, camera=camera)

@@ -13,7 +13,7 @@ from dynamictree.gaussian.deform import Pose
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.render import Backdrop
-from dynamictree.render.camera import Camera, in_view
+from dynamictree.render.camera import Camera, points_in_view
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class SplatScene:
             binding = replace(binding, cloud=_grey_where(binding.cloud, ~binding.moving))
         cloud = binding.cloud
         covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
-        bounds = _bounding_points(cloud.subset(in_view(cloud.means, binding.moving)))
+        bounds = _bounding_points(cloud.subset(points_in_view(cloud.means, binding.moving)))
         return cls(binding=binding, bounds=bounds, covered_m2=covered, ground=ground)
 
     def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> Backdrop:

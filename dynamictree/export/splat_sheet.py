@@ -32,7 +32,7 @@ def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.
     )
     deformer, camera = Deformer(scene.binding), _camera(tree, scene, 1.0)
     rest = deformer.pose(splat.displacement(0.0))
-    amplitude = _of_gaussians(scene.binding, sway_amplitude(tree.coefficients, num_frames))
+    amplitude = _gaussian_amplitudes(scene.binding, sway_amplitude(tree.coefficients, num_frames))
     moving = scene.binding.moving
     still = scene.picture(camera, STILL_PX, rest, scene.backdrop(camera, STILL_PX))
     report(0.3)
@@ -59,7 +59,7 @@ def _camera(tree: MovingTree, scene: SplatScene, aspect: float) -> Camera:
     return Camera.orbit(scene.bounds, azimuth_deg=shot.azimuth_deg, elevation_deg=shot.elevation_deg, aspect=aspect)
 
 
-def _of_gaussians(binding: Binding, amplitude: Float32[np.ndarray, " N"]) -> Float32[np.ndarray, " G"]:
+def _gaussian_amplitudes(binding: Binding, amplitude: Float32[np.ndarray, " N"]) -> Float32[np.ndarray, " G"]:
     """Return the amplitude at each Gaussian's place on its face [m]; 0 where it stands still."""
     result, moving = np.zeros(binding.cloud.num_gaussians, np.float32), binding.moving
     corners = amplitude[binding.triangles[binding.face_of[moving]]]

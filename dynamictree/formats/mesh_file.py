@@ -15,7 +15,7 @@ from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.refused import advice_for
 from dynamictree.mesh import TriangleMesh, validate_mesh
-from dynamictree.plant.axes_units import Conventions
+from dynamictree.plant.axes_unit import Conventions
 from dynamictree.plant.find import plant_of_mesh
 from dynamictree.requests import Reading
 

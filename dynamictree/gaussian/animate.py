@@ -9,7 +9,7 @@ from jaxtyping import Complex64, Float32, Float64
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail, level_rows
-from dynamictree.gaussian.deform import Deformer, Pose, posed
+from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.spectrum import displacement_at, iter_motion
 
 
@@ -56,7 +56,7 @@ def iter_poses(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 
 def iter_splat_frames(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[GaussianCloud]:
     """Yield one cloud per frame, with colours rotated like their Gaussians: the paper's output."""
     for pose in iter_poses(binding, displacements):
-        yield posed(binding.cloud, pose)
+        yield apply_pose(binding.cloud, pose)
 
 
 def reduced_splat(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -> Binding:

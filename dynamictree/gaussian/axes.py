@@ -20,16 +20,16 @@ def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianClo
     """
     if not (np.isfinite(unit_m) and unit_m > 0):
         raise InputError(f"unit_m is {unit_m}; it must be positive and finite")
-    turned = transformed(cloud, up_rotation(up_axis), unit_m)
+    turned = transform_cloud(cloud, up_rotation(up_axis), unit_m)
     return replace(turned, source=replace(turned.source, up_axis=up_axis, scale=unit_m))
 
 
 def to_source_axes(cloud: GaussianCloud, up_axis: str | None = None) -> GaussianCloud:
     """Undo `to_z_up`, so that files we write match the capture; `up_axis` is that of a format with a fixed one."""
-    return transformed(cloud, up_rotation(up_axis or cloud.source.up_axis).T, 1 / cloud.source.scale)
+    return transform_cloud(cloud, up_rotation(up_axis or cloud.source.up_axis).T, 1 / cloud.source.scale)
 
 
-def transformed(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], scale: float) -> GaussianCloud:
+def transform_cloud(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], scale: float) -> GaussianCloud:
     """Rotate a cloud with its harmonics, then scale it about the origin."""
     if scale == 1 and np.array_equal(rotation, np.eye(3)):
         return cloud

@@ -57,7 +57,7 @@ class GaussianCloud:
         )
 
 
-def joined(clouds: Sequence[GaussianCloud]) -> GaussianCloud:
+def join_clouds(clouds: Sequence[GaussianCloud]) -> GaussianCloud:
     """Concatenate several clouds, with the highest degree among them."""
     width = max(cloud.sh.shape[1] for cloud in clouds)
     widened = [np.pad(cloud.sh, ((0, 0), (0, width - cloud.sh.shape[1]), (0, 0))) for cloud in clouds]

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.mesh import MeshLook, TriangleMesh, joined
+from dynamictree.mesh import MeshLook, TriangleMesh, join_meshes
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.rotation import quaternion_matrices
 
@@ -98,7 +98,7 @@ def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = N
     ]
     face_tree = np.repeat(np.arange(len(parts), dtype=np.int32), [part.num_faces for part in parts])
     return replace(
-        joined(parts),
+        join_meshes(parts),
         face_tree=face_tree,
         source=cloud.source,
     )

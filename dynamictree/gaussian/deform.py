@@ -55,15 +55,15 @@ class Deformer:
             ],
             axis=1,
         )  # [U, 13]
-        self._face_rest = _blocked(face_rest)
-        self._triangles = _filled(binding.triangles)
+        self._face_rest = _in_blocks(face_rest)
+        self._triangles = _padded(binding.triangles)
         still = len(self._triangles)
         self._faces = _at_cache_line((still + 1, LANES))  # current state; the last face is at rest, for still Gaussians
         self._faces[:] = 0
         self._faces[still, 9] = 1  # w of the identity
         face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
-        self._rest = _blocked(self._gaussian_rest(frames, face_of))
-        self._face_of = _filled(np.where(binding.face_of == STILL, np.int32(still), face_of))
+        self._rest = _in_blocks(self._gaussian_rest(frames, face_of))
+        self._face_of = _padded(np.where(binding.face_of == STILL, np.int32(still), face_of))
 
     def pose(self, displacement: Float32[np.ndarray, "N 3"], *, out: Pose | None = None) -> Pose:
         """Compute the Gaussians' pose for a displacement of the mesh's vertices.
@@ -96,7 +96,7 @@ class Deformer:
         binding, cloud = self.binding, self.binding.cloud
         all_frames = np.concatenate([frames, np.eye(3)[None]])[face_of]  # [G, 3, 3]
         means = cloud.means.astype(np.float64)
-        offsets = np.where(binding.moving[:, None], means - _places(binding), 0)
+        offsets = np.where(binding.moving[:, None], means - _bound_points(binding), 0)
         frame_turn = matrix_quaternions(all_frames) * np.array([1, -1, -1, -1])  # inverse
         return np.concatenate(
             [
@@ -110,7 +110,7 @@ class Deformer:
         )
 
 
-def posed(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
+def apply_pose(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
     """Apply a pose to a cloud, with colours rotated like their Gaussians, for export to a file."""
     turns = quaternion_products(pose.quaternions, cloud.quaternions * np.array([1, -1, -1, -1], np.float32))
     return replace(
@@ -138,7 +138,7 @@ def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64
     return np.stack([along, across, normal], axis=2), flat
 
 
-def _places(binding: Binding) -> Float64[np.ndarray, "G 3"]:
+def _bound_points(binding: Binding) -> Float64[np.ndarray, "G 3"]:
     """Return the surface point to which each Gaussian is bound [m]."""
     if len(binding.triangles) == 0:
         return binding.cloud.means.astype(np.float64)
@@ -147,14 +147,14 @@ def _places(binding: Binding) -> Float64[np.ndarray, "G 3"]:
     return places
 
 
-def _blocked(rows: Float64[np.ndarray, "M W"]) -> Float32[np.ndarray, "blocks WB"]:
+def _in_blocks(rows: Float64[np.ndarray, "M W"]) -> Float32[np.ndarray, "blocks WB"]:
     """Arrange rows in blocks, column by column within a block; the last block is padded with its last row."""
     num_blocks = -(-len(rows) // BLOCK)
     padded = np.pad(rows.astype(np.float32), ((0, num_blocks * BLOCK - len(rows)), (0, 0)), mode="edge")
     return np.ascontiguousarray(padded.reshape(num_blocks, BLOCK, -1).transpose(0, 2, 1)).reshape(num_blocks, -1)
 
 
-def _filled(rows: Int32[np.ndarray, "..."]) -> Int32[np.ndarray, "..."]:
+def _padded(rows: Int32[np.ndarray, "..."]) -> Int32[np.ndarray, "..."]:
     """Pad rows to whole blocks with the last row."""
     missing = -len(rows) % BLOCK
     return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode="edge")

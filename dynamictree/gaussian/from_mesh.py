@@ -16,8 +16,8 @@ from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import albedo_at, alpha_at, appearance_of
 from dynamictree.rotation import matrix_quaternions
 
-PER_FACE = 5  # number from GaMeS section 4
-AT_LEAST = 100_000
+GAUSSIANS_PER_FACE = 5  # number from GaMeS section 4
+MIN_GAUSSIANS = 100_000
 """Least total number of Gaussians; a mesh of few faces has its detail in its texture."""
 _WIDTH = 0.8  # factor of GaMeS' scales (its learned ρ); five such Gaussians cover a face without holes
 _FLAT = 0.02  # thickness over width; GaMeS' 1e-8 m underflows in formats that quantise
@@ -33,7 +33,7 @@ class MeshSplat:
 
 
 def splats_of_mesh(
-    mesh: TriangleMesh, *, per_face: int = PER_FACE, at_least: int = AT_LEAST, rng: np.random.Generator
+    mesh: TriangleMesh, *, per_face: int = GAUSSIANS_PER_FACE, at_least: int = MIN_GAUSSIANS, rng: np.random.Generator
 ) -> MeshSplat:
     """Create `per_face` Gaussians on every face, more on large faces of small meshes, and none in holes of the texture.
 
@@ -53,7 +53,7 @@ def splats_of_mesh(
         raise InputError("the mesh's texture is transparent on every face; nothing is left to make Gaussians of")
     faces, weights, colors = faces[opaque], weights[opaque], colors[opaque]
     rotations, scales = face_shapes(corners)
-    narrower = np.sqrt(PER_FACE / counts[faces])[:, None]  # Gaussians are smaller if a face has more
+    narrower = np.sqrt(GAUSSIANS_PER_FACE / counts[faces])[:, None]  # Gaussians are smaller if a face has more
     cloud = GaussianCloud(
         means=np.einsum("gc,gcx->gx", weights, mesh.vertices[mesh.faces[faces]]),
         quaternions=matrix_quaternions(rotations)[faces].astype(np.float32),

@@ -14,7 +14,7 @@ from jaxtyping import Float32, Int32, Int64, UInt8
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cuda import has_gsplat, render_with_gsplat
-from dynamictree.gaussian.deform import Pose, posed
+from dynamictree.gaussian.deform import Pose, apply_pose
 from dynamictree.gaussian.rasterize_kernel import MIN_ALPHA, TILE, WIDEST, blend, list_tiles, project
 from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
@@ -55,7 +55,7 @@ def render_cloud(
     if min(width, height) < 1 or width * height > MAX_PIXELS:
         raise InputError(f"the picture is {width} × {height}; from 1 × 1 to {MAX_PIXELS:,} pixels are allowed")
     if has_gsplat():
-        posed_cloud = cloud if pose is None else posed(cloud, pose)
+        posed_cloud = cloud if pose is None else apply_pose(cloud, pose)
         color, alpha, depth = render_with_gsplat(posed_cloud, camera, width=width, height=height, antialias=antialias)
         far = np.where(alpha > MIN_ALPHA, depth, np.float32(np.inf)).astype(np.float32)
         return SplatPicture(color=color, alpha=alpha, depth=far)

@@ -112,17 +112,17 @@ def generalised_force(
     """
     match force:
         case Impulse():
-            vector = finite("impulse_n_s", force.impulse_n_s)
+            vector = require_finite("impulse_n_s", force.impulse_n_s)
             rate = _impulse_rate(force, dt_s, num_frames)
-            return np.asarray(rate[:, None] * generalised(system, force.at, vector))
+            return np.asarray(rate[:, None] * modal_force(system, force.at, vector))
         case Drag():
             share = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)
-            return np.asarray(share[:, None] * generalised(system, force.at, drag_force_n(system, force)))
+            return np.asarray(share[:, None] * modal_force(system, force.at, drag_force_n(system, force)))
         case WindField():
             return _wind(system, force, dt_s, num_frames)
 
 
-def generalised(system: ModalSystem, at: Contact, vector_n: Float64[np.ndarray, " 3"]) -> Complex128[np.ndarray, " M"]:
+def modal_force(system: ModalSystem, at: Contact, vector_n: Float64[np.ndarray, " 3"]) -> Complex128[np.ndarray, " M"]:
     """Project a force at a contact to modal coordinates, Σ_p conj(φ_k(p)) · F_p [J]."""
     pushed: Complex128[np.ndarray, " M"] = _shape_at(system, at).conj() @ vector_n
     return pushed
@@ -141,9 +141,9 @@ def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
     if (drag.force_n is None) == (drag.displacement_m is None):
         raise InputError("a drag has either force_n or displacement_m; give exactly one of them")
     if drag.force_n is not None:
-        return finite("force_n", drag.force_n)
+        return require_finite("force_n", drag.force_n)
     assert drag.displacement_m is not None
-    wanted = finite("displacement_m", drag.displacement_m)
+    wanted = require_finite("displacement_m", drag.displacement_m)
     tensor = compliance(system, drag.at)
     if np.trace(tensor) <= 0:
         raise InputError("the tree does not move at the point that is dragged; aim higher, or at a branch")
@@ -175,7 +175,7 @@ def davis_state(system: ModalSystem, force: Impulse | Drag, *, gain: float = 1.0
     """
     vector = force.impulse_n_s if isinstance(force, Impulse) else force.displacement_m or force.force_n
     assert vector is not None
-    along = finite("direction", vector)
+    along = require_finite("direction", vector)
     length = float(np.linalg.norm(along))
     moved = _shape_at(system, force.at) @ (along / max(length, np.finfo(np.float64).tiny))  # φ·d, [M]
     largest = float(np.abs(moved).max())
@@ -199,7 +199,7 @@ def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) ->
     velocity = np.asarray(wind.velocity_m_s, np.float64)
     if len(velocity) == 0:
         raise InputError("the wind has no samples; give at least one velocity")
-    finite("wind_m_s", velocity.ravel())
+    require_finite("wind_m_s", velocity.ravel())
     area = system.grid.voxel_size_m**2 / 4
     pressure = air_density_kg_m3 / 2 * drag_coefficient * area * np.linalg.norm(velocity, axis=1, keepdims=True)
     per_voxel_n = pressure * velocity  # [S, 3]
@@ -237,7 +237,7 @@ def _check_times(start_s: float, duration_s: float | None) -> None:
         raise InputError(f"start_s {start_s}, duration_s {duration_s}: both must be finite, the duration not negative")
 
 
-def finite(name: str, values: Vector | Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def require_finite(name: str, values: Vector | Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Convert values to an array, and check that they are finite.
 
     Raises:

@@ -18,8 +18,8 @@ from dynamictree.modal.force import (
     contact_at_point,
     contact_at_voxel,
     drag_force_n,
-    finite,
-    generalised,
+    modal_force,
+    require_finite,
 )
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.step import State
@@ -196,14 +196,14 @@ class InteractiveTree:
         from dynamictree.rig.pose import Weights
 
         point, still = self.drawn(drag.at), np.zeros(system.num_modes, np.complex128)
-        wanted = finite("displacement_m", drag.displacement_m or (0.0, 0.0, 0.0))
+        wanted = require_finite("displacement_m", drag.displacement_m or (0.0, 0.0, 0.0))
         if group.locality is not None:
             pull = pull_to(
                 grip_at(self.joints, self.chain(group), point), wanted, near=None if near is None else near.bend
             )
             reached = Reached(wanted_m=wanted, reached_m=pull.reached_m, beyond_m=pull.beyond_m)
             return Rest(bend=pull.bend, q=still, reached=reached)
-        q = generalised(system, drag.at, drag_force_n(system, drag)) / system.stiffness
+        q = modal_force(system, drag.at, drag_force_n(system, drag)) / system.stiffness
         answer = Answer(
             groups=(group,), q=q[None, None], bends=(np.zeros((1, 0, 3)),), final=State.at_rest(0, 0), final_bends=()
         )

@@ -21,7 +21,7 @@ from jaxtyping import Complex64
 
 from dynamictree.modal.real_trees import height_law_hz, learned_law_hz, loop_times, speedup_of
 from dynamictree.models.motion_model import Generate, GenerateFromBin, OnStep
-from dynamictree.models.several_trees import share_of_steps
+from dynamictree.models.several_trees import steps_of_run
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
@@ -64,11 +64,11 @@ def with_period(generate: GenerateFromBin, period_s: float, *, quick_when_small:
         sway_bins = enlarged * spread_bins(longer / times, highest, rng)
         own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
         lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
-        steps = share_of_steps(on_step, 0, 2 if times > 1 else 1)
+        steps = steps_of_run(on_step, 0, 2 if times > 1 else 1)
         flutter = generate(_scaled_down(voxels, 1 / magnified), seed=seed, lowest_bin=lowest, on_step=steps)
         coefficients = _mixed(flutter, flutter_bins)
         if times > 1:
-            sway = generate(_scaled_down(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
+            sway = generate(_scaled_down(voxels, enlarged), seed=seed, on_step=steps_of_run(on_step, 1, 2))
             slow = _mixed(sway, sway_bins)
             coefficients[:, : slow.shape[1]] = slow
         grid = flutter.grid if magnified == 1 else voxels.grid

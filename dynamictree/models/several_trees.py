@@ -33,7 +33,7 @@ def generate_trees(
     rows_of_tree = {int(number): np.flatnonzero(voxels.tree == number) for number in np.unique(voxels.tree)}
     spectra = []
     for index, (number, rows) in enumerate(rows_of_tree.items()):
-        own, own_steps = tree_voxels(voxels, rows), share_of_steps(on_step, index, len(rows_of_tree))
+        own, own_steps = tree_voxels(voxels, rows), steps_of_run(on_step, index, len(rows_of_tree))
         spectra.append(_on_grid(generate(own, seed=seed + number, on_step=own_steps), own.grid))
     num_frequencies = max(spectrum.num_frequencies for spectrum in spectra)
     coefficients = np.zeros((len(voxels.grid), num_frequencies, 3), np.complex64)
@@ -80,7 +80,7 @@ def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> Surface
     )
 
 
-def share_of_steps(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
+def steps_of_run(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
     """Return the callback of one of `count` runs, which counts steps over all of them."""
     if on_step is None:
         return None
@@ -98,9 +98,9 @@ def with_bands(
         on_step: see OnStep; steps are counted over all winds.
     """
     speeds = list(dict.fromkeys((wind.speed_m_s, *BANDS_M_S.values())))
-    own = generate(wind, share_of_steps(on_step, 0, len(speeds)))
+    own = generate(wind, steps_of_run(on_step, 0, len(speeds)))
     sizes = {wind.speed_m_s: mode_sizes(own.coefficients)}
     for number, speed in enumerate(speeds[1:], start=1):
-        other = generate(replace(wind, speed_m_s=speed), share_of_steps(on_step, number, len(speeds)))
+        other = generate(replace(wind, speed_m_s=speed), steps_of_run(on_step, number, len(speeds)))
         sizes[speed] = mode_sizes(other.coefficients)
     return replace(own, bands=bands_of_sizes(sizes, wind.speed_m_s))

@@ -10,14 +10,7 @@ from dynamictree.axis_names import name_of
 from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, TriangleMesh, validate_mesh
-from dynamictree.plant.axes_units import (
-    Conventions,
-    axis_doubts,
-    crown_warnings,
-    mesh_to_z_up,
-    scale_cloud,
-    size_doubts,
-)
+from dynamictree.plant.axes_unit import Conventions, axis_doubts, crown_warnings, mesh_to_z_up, scale_cloud, size_doubts
 from dynamictree.plant.capture import Capture, moving_part, with_still_parts
 from dynamictree.plant.plausibility import FEWEST_FACES, VISIBLE, doubt_cloud, doubt_mesh
 from dynamictree.plant.splat_up import up_of_standing

@@ -14,7 +14,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import MeshLook, TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.fusion import EMPTY_SURFACE, Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import EMPTY_SURFACE, Box, Surface, faces_above, fuse, main_cluster
 from dynamictree.reconstruct.scene import CLUSTER_GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.surface_choice import NEAR_SHARE, best_mesh
@@ -32,7 +32,7 @@ def stereo_surface(scene: Scene) -> Surface:
     if scene.subject is None:
         return EMPTY_SURFACE
     fused = fuse(scene.depths.views, scene.depths.depths, scene.subject, resolution=voxels)
-    return main_cluster(above(fused, scene.cut), CLUSTER_GAP)
+    return main_cluster(faces_above(fused, scene.cut), CLUSTER_GAP)
 
 
 def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
@@ -87,7 +87,7 @@ def finished_mesh(surface: Surface, scene: Scene) -> TriangleMesh:
         number, agreed = len(scene.model.views), len(surface.faces)
         problem = f"{number} photos fit together, but they agree on {agreed} triangles of surface"
         raise ReconstructionError(f"{problem}; at least {LEAST_FACES} are needed; {ADVICE}")
-    surface = _smoothed(_decimated(surface))
+    surface = _smooth(_decimate(surface))
     mesh = TriangleMesh(vertices=surface.vertices, faces=surface.faces)
     return replace(mesh, look=replace(mesh.look, vertex_colors=photo_colors(mesh, scene.model.views)))
 
@@ -126,14 +126,14 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
     return color
 
 
-def _decimated(surface: Surface) -> Surface:
+def _decimate(surface: Surface) -> Surface:
     if len(surface.faces) <= MAX_FACES:
         return surface
     vertices, faces = fast_simplification.simplify(surface.vertices, surface.faces, target_count=MAX_FACES)
     return Surface(vertices.astype(np.float32), faces.astype(np.int32))
 
 
-def _smoothed(surface: Surface) -> Surface:
+def _smooth(surface: Surface) -> Surface:
     smoothing_rounds = 4
     smoothing = (0.5, -0.53)  # Taubin's pair of steps: smooths without shrinking
     edges = edges_of(surface.faces)

@@ -36,12 +36,12 @@ def densify(state: SplatState, rules: DensityRules, *, extent: float, rng: np.ra
         first = pull[chosen] * np.where((np.hypot(x, y) < 0.75) & (z > 0.02), 4, 1)
         chosen = chosen[np.argsort(-first, kind="stable")[:room]]
     split = chosen[largest[chosen] > rules.large * reach[chosen]]
-    halves = [_half(table[split], rng) for _ in range(2)]
+    halves = [_narrower_sample(table[split], rng) for _ in range(2)]
     survives[split] = False
     state.keep(np.flatnonzero(survives), np.concatenate([table[np.setdiff1d(chosen, split)], *halves]))
 
 
-def _half(rows: Float32[np.ndarray, "S P"], rng: np.random.Generator) -> Float32[np.ndarray, "S P"]:
+def _narrower_sample(rows: Float32[np.ndarray, "S P"], rng: np.random.Generator) -> Float32[np.ndarray, "S P"]:
     """Sample a narrower Gaussian inside each row's Gaussian."""
     half = rows.copy()
     offset = rng.normal(size=(len(rows), 3)) * np.exp(rows[:, LOG_SCALE])

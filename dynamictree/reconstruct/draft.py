@@ -11,7 +11,7 @@ from jaxtyping import Float32
 from dynamictree.files import atomic_file
 from dynamictree.formats.splat.ply import UP_AXIS
 from dynamictree.formats.splat.splat import write_splat
-from dynamictree.reconstruct.splat_start import spacing, thinned
+from dynamictree.reconstruct.splat_start import point_spacing, subsample
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel
@@ -34,10 +34,10 @@ class Draft:
         """Write the points of structure from motion; the model is in the upright frame."""
         least_points = 4  # fewest points with a spacing
         most_points = 20_000
-        rows = thinned(model.points, most_points, np.random.default_rng(0))
+        rows = subsample(model.points, most_points, np.random.default_rng(0))
         points, colors = model.points[rows].astype(np.float32), model.colors[rows] / np.float32(255)
         if len(points) >= least_points:
-            self._write(table_of_points(points, colors, spacing(points), opacity=0.9, sh_degree=0))
+            self._write(table_of_points(points, colors, point_spacing(points), opacity=0.9, sh_degree=0))
 
     def show(self, state: SplatState) -> None:
         """Write the Gaussians after an optimisation step, unless the last preview is younger than `EVERY_S`."""

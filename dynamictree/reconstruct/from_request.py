@@ -13,7 +13,7 @@ from dynamictree.reconstruct import Progress, Reconstruction, reconstruct
 from dynamictree.reconstruct.film_photos import Film
 from dynamictree.reconstruct.options import options_of
 from dynamictree.reconstruct.reconstruction import Callbacks
-from dynamictree.reconstruct.recut import pack, recut, unpack
+from dynamictree.reconstruct.recut import pack_folder, recut, unpack_folder
 from dynamictree.requests import ReconstructParams
 
 Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
@@ -69,9 +69,9 @@ def reconstruct_capture(
         root = Path(os.path.commonpath([path.parent for path in files]))
         listening = replace(callbacks, on_progress=on_progress)
         learn_scene(files, folder, params, root=root, work=work, callbacks=listening)
-        pack(folder, archive)
+        pack_folder(folder, archive)
 
-    unpack(recall("reconstruction", learn), folder)
+    unpack_folder(recall("reconstruction", learn), folder)
     cut = CutParams.part_of(params.model_dump())
     capture = recut(folder, folder, CutParams(height_m=params.height_m, marker_m=params.marker_m))
     if cut.cuts:

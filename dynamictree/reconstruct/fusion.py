@@ -84,7 +84,7 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
     return _with_faces(surface, large[group == np.bincount(group).argmax()])
 
 
-def above(surface: Surface, height: float) -> Surface:
+def faces_above(surface: Surface, height: float) -> Surface:
     """Return the faces whose corners are all above a height."""
     return _with_faces(surface, np.flatnonzero((surface.vertices[surface.faces][:, :, 2] > height).all(axis=1)))
 

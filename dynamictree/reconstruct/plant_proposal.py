@@ -12,7 +12,7 @@ from dynamictree.plant.still import touching_groups
 from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly_chosen, focus_of
 
-_NEAR = 0.85  # share of the cameras' distance from their focus; Gaussians farther away are background
+_NEAR_DISTANCE = 0.85  # share of the cameras' distance from their focus; Gaussians farther away are background
 _WHOLE = 0.7  # share of an object's Gaussians that must lie in most photos
 _CENTRAL = 0.5  # share of half the picture; objects farther from its middle count little
 _IN_GROUND, _BELOW = 0.2, 0.7  # share of the ground's thickness: feet are higher, and horizontally nearer to the plant
@@ -40,7 +40,7 @@ def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     focus, distance = focus_of(chosen)
     means = cloud.means.astype(np.float64)
     away = np.linalg.norm(means - focus, axis=1)
-    near = (away < _NEAR * distance) & (cloud.scales.max(axis=1) < wide * distance) & (cloud.opacity > faint)
+    near = (away < _NEAR_DISTANCE * distance) & (cloud.scales.max(axis=1) < wide * distance) & (cloud.opacity > faint)
     background = np.zeros(cloud.num_gaussians, np.bool_)
     if not near.any():
         return Proposal(near=near, background=background, central=background)

@@ -135,7 +135,7 @@ def _require_plant(own: Bool[np.ndarray, " G"]) -> None:
         raise InputError(f"{problem}; draw strokes on the plant, or reconstruct without only_plant to look")
 
 
-def pack(folder: Path, archive: Path) -> None:
+def pack_folder(folder: Path, archive: Path) -> None:
     """Put the files of a reconstruction into a ZIP archive."""
     with zipfile.ZipFile(archive, "w") as packed:
         for path in sorted(folder.iterdir()):
@@ -143,8 +143,8 @@ def pack(folder: Path, archive: Path) -> None:
                 packed.write(path, path.name)
 
 
-def unpack(archive: Path, folder: Path) -> None:
-    """Extract the files that `pack` stored."""
+def unpack_folder(archive: Path, folder: Path) -> None:
+    """Extract the files that `pack_folder` stored."""
     with zipfile.ZipFile(archive) as packed:
         packed.extractall(folder)
 

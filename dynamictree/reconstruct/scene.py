@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.depth import DepthMaps, find_depths, load_depths, outside_sky, save_depths
-from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import Box, faces_above, fuse, main_cluster
 from dynamictree.reconstruct.photo_cameras import evenly_chosen
 from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.upright_frame import find_upright_frame
@@ -78,7 +78,7 @@ def _subject(depths: DepthMaps, cut: float) -> Box | None:
     box_margin = 0.08  # share of the shape's extent, since thin ends have no depth
     voxels = 128  # number along the longest side
     region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
-    surface = main_cluster(above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), CLUSTER_GAP)
+    surface = main_cluster(faces_above(fuse(depths.views, depths.depths, region, resolution=voxels), cut), CLUSTER_GAP)
     if len(surface.faces) < LEAST_FACES:
         return None
     low, high = (corner(surface.vertices, axis=0).astype(np.float64) for corner in (np.min, np.max))

@@ -15,7 +15,7 @@ from dynamictree.reconstruct.optimise import Schedule, SplatTask, Target, downsc
 from dynamictree.reconstruct.picture_loss import psnr, ssim
 from dynamictree.reconstruct.result import SplatFigures
 from dynamictree.reconstruct.sky import Foreground
-from dynamictree.reconstruct.splat_start import first_table, sky_table
+from dynamictree.reconstruct.splat_start import initial_table, sky_table
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.views import SparseModel, View, nearest_pixels
 
@@ -59,7 +59,7 @@ def fit_splat(
     start_gaussians = 25_000
     held_out_rows = held_out_views(len(model.views))
     learned = [view for view in range(len(model.views)) if view not in held_out_rows]
-    table = first_table(
+    table = initial_table(
         replace(model, views=tuple(model.views[view] for view in learned)),
         None if depths is None else _some_depths(depths, learned),
         sky=None if sky is None else [sky[view] for view in learned],

@@ -20,7 +20,7 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 Cover = UInt8[np.ndarray, "H W"]
 
 
-def first_table(
+def initial_table(
     model: SparseModel,
     depths: DepthMaps | None,
     *,
@@ -41,14 +41,14 @@ def first_table(
         points, colors = np.concatenate([points, dense]), np.concatenate([colors, dense_colors])
     hull, hull_colors = hull_points(model.views, number, rng)
     points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
-    rows = thinned(points, number, rng)
+    rows = subsample(points, number, rng)
     points, colors = points[rows].astype(np.float32), colors[rows].astype(np.float32)
     whole = all(view.alpha is None for view in model.views)
     if whole:
         crown, crown_colors = texture_points(model.views, round(crown_share * number), rng, covers)
         points = np.concatenate([points, crown.astype(np.float32)])
         colors = np.concatenate([colors, crown_colors])
-    table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
+    table = table_of_points(points, colors, point_spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
     if not whole:
         return table
     far, far_colors, share = dome_points(model.views, covers)
@@ -91,7 +91,7 @@ def points_of_depths(
     return np.concatenate(points), np.concatenate(colors)
 
 
-def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:
+def subsample(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:
     """Subsample about `number` points evenly in space, a random one per cell of a grid; return their rows."""
     if len(points) <= number:
         return np.arange(len(points))
@@ -109,7 +109,7 @@ def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Gene
     return np.sort(order[chosen])
 
 
-def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
+def point_spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Compute half the mean distance to the three nearest points, with an upper limit; after Kerbl et al."""
     widest_share = 0.1  # [region's radius], limit for isolated points
     distance = np.asarray(cKDTree(points).query(points, k=4)[0])[:, 1:].mean(axis=1)

@@ -37,7 +37,7 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
     for view in views:
         photo = downscaled_picture(view.image, 320).astype(np.float32) / 255
         height, width = photo.shape[:2]
-        drawn = {name: _drawn(mesh, view, width, height) for name, mesh in meshes.items()}
+        drawn = {name: _render_mesh(mesh, view, width, height) for name, mesh in meshes.items()}
         behind = render_on_cpu(scene.subset(~own), view.camera, width=width, height=height).over((0.0, 0.0, 0.0))
         counted = render_on_cpu(scene.subset(own), view.camera, width=width, height=height).alpha > 0.5
         counted |= np.any([there for _, there in drawn.values()], axis=0)
@@ -49,7 +49,7 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
     return max(mean, key=lambda name: mean[name])
 
 
-def _drawn(
+def _render_mesh(
     mesh: TriangleMesh, view: View, width: int, height: int
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """Render the mesh in its own colours, without light; return the picture and a mask."""

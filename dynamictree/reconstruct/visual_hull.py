@@ -54,12 +54,12 @@ def points_in_masks(
     """Like `hull_points`, for photos that all have masks; no points if the masks have no common one."""
     candidates = 8  # random positions per wanted point
     masks = [_mask(view) for view in masked]
-    centres, half = _refined(masks, number)
+    centres, half = _refine_cells(masks, number)
     if len(centres) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.float32)
     chosen = centres[rng.integers(len(centres), size=candidates * number)]
     points = chosen + rng.uniform(-half, half, (len(chosen), 3))
-    points = points[_agreed(masks, points)]
+    points = points[_enough_masks(masks, points)]
     exact = np.ones(len(points), np.bool_)
     for mask in masks:
         at, _, visible = _projected(mask.view, points)
@@ -78,7 +78,7 @@ def _mask(view: View) -> _Mask:
     return _Mask(view, np.minimum(away_px, _FARTHEST_PX).astype(np.uint8))
 
 
-def _refined(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"], float]:
+def _refine_cells(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"], float]:
     """Return centres and half side of the cells that may contain the subject, refined down to a pixel."""
     first_cell, finest_cell_px, most_cells = 1 / 8, 1.5, 50_000
     half = 0.5 * first_cell
@@ -86,7 +86,7 @@ def _refined(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"
     cells = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     while True:
-        cells = cells[_agreed(masks, cells, half)]
+        cells = cells[_enough_masks(masks, cells, half)]
         if len(cells) == 0 or len(cells) >= max(number, most_cells):
             return cells, half
         middle = cells.mean(axis=0)
@@ -97,7 +97,7 @@ def _refined(masks: list[_Mask], number: int) -> tuple[Float64[np.ndarray, "C 3"
         cells, half = (cells[:, None] + half * corners).reshape(-1, 3), 0.5 * half
 
 
-def _agreed(masks: list[_Mask], centres: Float64[np.ndarray, "C 3"], half: float = 0.0) -> Bool[np.ndarray, " C"]:
+def _enough_masks(masks: list[_Mask], centres: Float64[np.ndarray, "C 3"], half: float = 0.0) -> Bool[np.ndarray, " C"]:
     """Whether enough dilated masks are set somewhere in each cell's projection."""
     least_seen = 1 / 2  # share of the photos
     max_disagreeing = 1 / 8  # share of the photos that see a point; one bad mask must not cut a hole into the plant

@@ -78,7 +78,7 @@ class Camera:
         return np.concatenate([in_picture[:, :2] / in_picture[:, 2:], in_picture[:, 2:]], axis=1)
 
 
-def in_view(points: Float[np.ndarray, "N 3"], moving: Bool[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
+def points_in_view(points: Float[np.ndarray, "N 3"], moving: Bool[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     """Select the points that a picture must contain: the plant, and still parts near its foot, such as a pot."""
     low, high = points[moving].min(axis=0), points[moving].max(axis=0)
     height = high[2] - low[2]

@@ -14,7 +14,7 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
 from dynamictree.parallel import in_bands
 from dynamictree.render.appearance import Appearance, appearance_of
-from dynamictree.render.camera import Camera, in_view
+from dynamictree.render.camera import Camera, points_in_view
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
 from dynamictree.render.shade import Scene, View, shade_rows
@@ -66,7 +66,7 @@ class Renderer:
         """
         self.mesh = validate_mesh(mesh)
         self.look = look or RenderSettings()
-        self._in_view = mesh.vertices[in_view(mesh.vertices, ~mesh.still_vertices)]
+        self._in_view = mesh.vertices[points_in_view(mesh.vertices, ~mesh.still_vertices)]
         self.camera = Camera.orbit(self._in_view, aspect=self.look.width / self.look.height)
         appearance = appearance_of(mesh, grey_still=self.look.grey_still)
         self._surface = _Surface(mesh.vertices, mesh.faces, appearance)

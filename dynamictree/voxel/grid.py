@@ -44,7 +44,7 @@ class VoxelGrid:
         resolution: int,
     ) -> "VoxelGrid":
         """Create a grid from coordinates in any order, with duplicates removed."""
-        keys = distinct(_keys(coords, resolution))
+        keys = unique_keys(_keys(coords, resolution))
         ordered = np.stack([keys // resolution**2, keys // resolution % resolution, keys % resolution], axis=1)
         return cls(coords=ordered.astype(np.int32), origin_m=origin_m, voxel_size_m=voxel_size_m, resolution=resolution)
 
@@ -92,7 +92,7 @@ def grid_frame(points: Float32[np.ndarray, "N 3"], resolution: int) -> tuple[tup
     return (float(origin[0]), float(origin[1]), float(origin[2])), side / resolution
 
 
-def distinct(keys: Int64[np.ndarray, " M"]) -> Int64[np.ndarray, " D"]:
+def unique_keys(keys: Int64[np.ndarray, " M"]) -> Int64[np.ndarray, " D"]:
     """Return unique keys in ascending order; for millions of keys 40 times as fast as `np.unique`."""
     ordered = np.sort(keys)
     first: Int64[np.ndarray, " D"] = ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]

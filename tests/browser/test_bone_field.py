@@ -4,12 +4,12 @@ import httpx
 import numpy as np
 from safetensors.numpy import load
 
-from dynamictree.wind_bands import drag
+from dynamictree.wind_bands import drag_at
 from recipes.wind_reference import feet, half_turns, turned
 from service.routes.surface import ZERO
 from tests.browser.conftest import Open
 
-STORM_GAIN = float(drag(np.float64(20.0)) / drag(np.float64(5.0)))
+STORM_GAIN = float(drag_at(np.float64(20.0)) / drag_at(np.float64(5.0)))
 TURN_RAD = 0.7
 DISPLACED = """async ({ path, q, turn }) => {
     const THREE = await import("three");

@@ -8,7 +8,7 @@ import pytest
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.tensors.voxels import read_voxels
-from dynamictree.mesh import joined
+from dynamictree.mesh import join_meshes
 from tests.commands.conftest import Run, assert_refused
 from tests.formats.meshes import written
 from tests.plant.stand import tree
@@ -18,7 +18,7 @@ from tests.plant.stand import tree
 def path(tmp_path: Path) -> Path:
     """A file of three trees in a row."""
     one = tree(6.0, num_cards=60)
-    scene = joined([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
+    scene = join_meshes([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
     (path := tmp_path / "three.ply").write_bytes(written(write_ply, scene))
     return path
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from dynamictree import method
 from dynamictree.devoxelize.nearest import nearest_rows
-from dynamictree.mesh import TriangleMesh, edges_of, joined
+from dynamictree.mesh import TriangleMesh, edges_of, join_meshes
 from dynamictree.spectrum import SparseVoxelSpectrum, from_motion
 from dynamictree.voxel.voxelize import surface_average, voxelize
 
@@ -31,7 +31,7 @@ def tube(start: list[float], end: list[float], radius: float, *, rings: int = 40
 
 def merged(*meshes: TriangleMesh) -> tuple[TriangleMesh, np.ndarray]:
     """One mesh, and which of them each vertex is from."""
-    return joined(meshes), np.repeat(np.arange(len(meshes)), [m.num_vertices for m in meshes])
+    return join_meshes(meshes), np.repeat(np.arange(len(meshes)), [m.num_vertices for m in meshes])
 
 
 def two_close_twigs() -> tuple[TriangleMesh, np.ndarray]:

@@ -12,7 +12,7 @@ from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import sniff_file_type
 from dynamictree.mesh import TriangleMesh
-from dynamictree.plant.axes_units import guess_unit_m
+from dynamictree.plant.axes_unit import guess_unit_m
 from dynamictree.plant.upright import judge_up_axis
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation

@@ -12,7 +12,7 @@ from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud, opacity_grid
 from dynamictree.gaussian.deform import Deformer
-from dynamictree.gaussian.from_mesh import PER_FACE, face_shapes, splats_of_mesh
+from dynamictree.gaussian.from_mesh import GAUSSIANS_PER_FACE, face_shapes, splats_of_mesh
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.rotation import quaternion_matrices
@@ -96,8 +96,8 @@ def test_far_strays_do_not_coarsen_the_surface(rng) -> None:
 def test_gaussians_of_a_mesh_cover_it_evenly(rng) -> None:
     mesh = plane()
     splat = splats_of_mesh(mesh, at_least=0, rng=rng)
-    assert splat.cloud.num_gaussians == PER_FACE * mesh.num_faces
-    np.testing.assert_array_equal(np.bincount(splat.binding.face_of), PER_FACE)
+    assert splat.cloud.num_gaussians == GAUSSIANS_PER_FACE * mesh.num_faces
+    np.testing.assert_array_equal(np.bincount(splat.binding.face_of), GAUSSIANS_PER_FACE)
     np.testing.assert_allclose(splat.cloud.means[:, 2], 0, atol=1e-6)
     normals = quaternion_matrices(splat.cloud.quaternions)[:, :, 0]
     np.testing.assert_allclose(np.abs(normals[:, 2]), 1, atol=1e-5)  # the flat axis stands on the face

@@ -12,7 +12,7 @@ from benchmarks._gaussian_scene import wavy_sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding, bind, bind_to_faces, solid_faces
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
-from dynamictree.gaussian.deform import Deformer, Pose, posed
+from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.gaussian.deform_kernel import COLLAPSED, MAX_STRETCH
 from dynamictree.gaussian.harmonics import harmonics, turn_sh
 from dynamictree.gaussian.nearest import nearest_faces
@@ -60,7 +60,7 @@ def test_at_rest_the_cloud_comes_back(binding: Binding, cloud: GaussianCloud) ->
     pose = Deformer(binding).pose(np.zeros_like(binding.vertices))
     for name, rtol, atol in (("means", 2e-7, 1e-6), ("quaternions", 1e-7, 5e-7), ("scales", 5e-7, 0)):
         np.testing.assert_allclose(getattr(pose, name), getattr(cloud, name), rtol=rtol, atol=atol)
-    back = posed(cloud, pose)
+    back = apply_pose(cloud, pose)
     np.testing.assert_allclose(back.sh, cloud.sh, atol=2e-5)
     assert back.opacity is cloud.opacity
 
@@ -70,7 +70,7 @@ def test_a_rigid_motion_moves_it_rigidly_colours_too(binding: Binding, cloud: Ga
     vector = {"random": [0.7, -1.1, 2.0], "half": [0, np.pi, 0], "tiny": [1e-6, 0, 0]}[turn]
     rotation, shift = Rotation.from_rotvec(vector).as_matrix(), np.array([1.0, -2.0, 3.0])
     displacement = (binding.vertices @ rotation.T + shift - binding.vertices).astype(np.float32)
-    moved = posed(cloud, Deformer(binding).pose(displacement))
+    moved = apply_pose(cloud, Deformer(binding).pose(displacement))
     np.testing.assert_allclose(moved.means, cloud.means @ rotation.T + shift, atol=1e-5)
     np.testing.assert_allclose(moved.scales, cloud.scales, rtol=1e-4)
     np.testing.assert_allclose(covariances(moved), rotation @ covariances(cloud) @ rotation.T, rtol=1e-3, atol=2e-7)

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.cloud import GaussianCloud, joined
-from dynamictree.gaussian.deform import Pose, posed
+from dynamictree.gaussian.cloud import GaussianCloud, join_clouds
+from dynamictree.gaussian.deform import Pose, apply_pose
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import draw, render_cloud
 from dynamictree.gaussian.rasterize_kernel import MIN_ALPHA
@@ -80,7 +80,7 @@ def test_a_gaussian_is_where_the_camera_projects_it(camera: Camera) -> None:
 
 
 def test_what_is_behind_or_beside_the_camera_is_not_seen(camera: Camera) -> None:
-    picture = render_cloud(joined([one(0.1, at=(0, -9, 0)), one(0.1, at=(50, 0, 0))]), camera, width=64, height=64)
+    picture = render_cloud(join_clouds([one(0.1, at=(0, -9, 0)), one(0.1, at=(50, 0, 0))]), camera, width=64, height=64)
     assert picture.alpha.max() == 0
     np.testing.assert_array_equal(picture.over((0.2, 0.4, 0.6))[0, 0], [51, 102, 153])
 
@@ -104,7 +104,7 @@ def test_turned_back_views_show_what_turned_harmonics_show(cloud: GaussianCloud,
     turn = matrix_quaternions(Rotation.from_rotvec([0.2, 1.3, -0.5]).as_matrix()[None]).astype(np.float32)
     pose = Pose(means=cloud.means, quaternions=quaternion_products(turn, cloud.quaternions), scales=cloud.scales)
     in_renderer = render_cloud(cloud, camera, width=80, height=64, pose=pose)
-    as_written = render_cloud(posed(cloud, pose), camera, width=80, height=64)
+    as_written = render_cloud(apply_pose(cloud, pose), camera, width=80, height=64)
     assert decibels(in_renderer.color, as_written.color) > 90
     not_turned = render_cloud(replace(cloud, quaternions=pose.quaternions), camera, width=80, height=64)
     assert decibels(not_turned.color, as_written.color) < 40

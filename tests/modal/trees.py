@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import modal_system
 from dynamictree.rig.rig import rig_of
@@ -52,6 +52,6 @@ def rigged_fork(fineness: int = 1) -> tuple[InteractiveTree, TriangleMesh, dict[
         first = 2 * np.arange(len(middle) - 1)[:, None]
         faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([1, 3, 2])])
         ribbons.append(TriangleMesh(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32)))
-    mesh = joined(ribbons)
+    mesh = join_meshes(ribbons)
     system = modal_system(spectrum, mass_kg=30.0, damping_ratio=0.05)
     return InteractiveTree(system, rig_of(mesh, spectrum), mesh), mesh, parts

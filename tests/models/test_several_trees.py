@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dynamictree import method
 from dynamictree.export.write import write_products
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.models import periods
 from dynamictree.models.paper.network import PaperNetwork, paper_preset
 from dynamictree.models.several_trees import tree_voxels
@@ -25,7 +25,7 @@ def pair_of(left_m: float, right_m: float) -> TriangleMesh:
     """Two trees side by side, labelled."""
     left, right = tree(left_m, num_cards=40), tree(right_m, seed=1, num_cards=40)
     aside = np.float32([0.4 * (left_m + right_m), 0, 0])
-    both = joined([left, right.with_vertices(right.vertices + aside)])
+    both = join_meshes([left, right.with_vertices(right.vertices + aside)])
     return replace(both, face_tree=np.repeat(np.int32([0, 1]), [left.num_faces, right.num_faces]))
 
 

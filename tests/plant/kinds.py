@@ -13,7 +13,7 @@ from dynamictree.commands.input_files import is_cloud, load_capture, load_mesh
 from dynamictree.errors import DynamicTreeError
 from dynamictree.formats.description import describe_capture, describe_mesh
 from dynamictree.formats.splat.ply import write_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud, joined
+from dynamictree.gaussian.cloud import GaussianCloud, join_clouds
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import moving_part
@@ -167,7 +167,7 @@ def lawn(radius: float) -> trimesh.Trimesh:
 
 def splat_bytes(*clouds: GaussianCloud) -> bytes:
     """A PLY that names neither axis nor unit, in the axes of a camera that looked level."""
-    content = written(write_gaussian_ply, replace(joined(clouds), source=Source(up_axis="-Y")))
+    content = written(write_gaussian_ply, replace(join_clouds(clouds), source=Source(up_axis="-Y")))
     head, body = content.split(b"end_header\n", 1)
     lines = [line for line in head.split(b"\n") if not line.startswith(b"comment")]
     return b"\n".join(lines) + b"end_header\n" + body

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 
@@ -48,7 +48,7 @@ def stand_of_five() -> tuple[TriangleMesh, Int64[np.ndarray, " F"]]:
     for seed, (place, height_m) in enumerate(zip(PLACES_M, HEIGHTS_M, strict=True)):
         one = tree(height_m, seed=seed)
         parts.append(one.with_vertices(one.vertices + np.float32([*place, 0])))
-    return joined(parts), np.repeat(np.arange(5), [part.num_faces for part in parts])
+    return join_meshes(parts), np.repeat(np.arange(5), [part.num_faces for part in parts])
 
 
 def on_ground(

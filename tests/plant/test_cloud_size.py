@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynamictree.formats.source_file import read_capture
-from dynamictree.plant.axes_units import DEFAULT_HEIGHT_M, cloud_height
+from dynamictree.plant.axes_unit import DEFAULT_HEIGHT_M, cloud_height
 from dynamictree.requests import Reading
 
 

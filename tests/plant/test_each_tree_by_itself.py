@@ -13,7 +13,7 @@ from dynamictree.export.write import write_products
 from dynamictree.formats.tensors.bundle import read_cloud_bundle, read_mesh_bundle, write_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
-from dynamictree.mesh import StillPart, TriangleMesh, edges_of, joined
+from dynamictree.mesh import StillPart, TriangleMesh, edges_of, join_meshes
 from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
@@ -36,7 +36,7 @@ from tests.service.test_clouds import post_cloud
 def pair() -> TriangleMesh:
     """Two trees whose crowns touch, labelled."""
     left, right = tree(6.0, seed=0, num_cards=60), tree(5.0, seed=1, num_cards=60)
-    both = joined([left, right.with_vertices(right.vertices + np.float32([2.1, 0, 0]))])
+    both = join_meshes([left, right.with_vertices(right.vertices + np.float32([2.1, 0, 0]))])
     return replace(both, face_tree=np.repeat(np.int32([0, 1]), [left.num_faces, right.num_faces]))
 
 
@@ -103,7 +103,7 @@ def test_the_products_of_a_stand_keep_lengths_in_each_tree(pair: TriangleMesh, t
 
 def test_trees_side_by_side_get_a_grid_as_fine_as_a_single_one(pair: TriangleMesh) -> None:
     alone = tree(6.0)
-    apart = joined([alone, alone.with_vertices(alone.vertices + np.float32([24, 0, 0]))])
+    apart = join_meshes([alone, alone.with_vertices(alone.vertices + np.float32([24, 0, 0]))])
     labelled = replace(apart, face_tree=np.repeat(np.int32([0, 1]), alone.num_faces))
     assert [stand_resolution(mesh, 128) for mesh in (alone, pair, labelled)] == [128, 128, 512]
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
-from dynamictree.gaussian.axes import to_source_axes, transformed
-from dynamictree.gaussian.cloud import GaussianCloud, joined
+from dynamictree.gaussian.axes import to_source_axes, transform_cloud
+from dynamictree.gaussian.cloud import GaussianCloud, join_clouds
 from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.plant.sample import surface_points
 from dynamictree.plant.splat_up import up_of_standing
@@ -34,13 +34,13 @@ def standing(species: str, *, ground: bool, slope_deg: float = 0.0) -> GaussianC
     lawn = sheet([-height, -height, -0.005 * height], [2 * height, 0, 0], [0, 2 * height, 0], 110)
     rough = lawn.means + 0.004 * height * np.random.default_rng(0).normal(size=lawn.means.shape).astype(np.float32)
     slope = Rotation.from_euler("x", slope_deg, degrees=True).as_matrix()
-    return joined([tree, transformed(replace(lawn, means=rough), slope, 1.0)]) if ground else tree
+    return join_clouds([tree, transform_cloud(replace(lawn, means=rough), slope, 1.0)]) if ground else tree
 
 
 def read(cloud: GaussianCloud, tilt_deg: tuple[float, float], reading: Reading | None = None) -> Capture:
     """As a file with -Y up that names no axis, after a tilt."""
     turn = Rotation.from_euler("xy", tilt_deg, degrees=True).as_matrix()
-    content = written(write_splat, replace(transformed(cloud, turn, 1.0), source=Source(up_axis="-Y")))
+    content = written(write_splat, replace(transform_cloud(cloud, turn, 1.0), source=Source(up_axis="-Y")))
     return read_capture(io.BytesIO(content), file_type="splat", reading=reading)
 
 
@@ -92,7 +92,7 @@ def test_a_pot_that_stands_on_nothing_is_upright(tilt_deg: tuple[float, float], 
     side = 0.2 * height
     below = sheet([-side / 2, -side / 2, -0.25 * height], [side, 0, 0], [0, side, 0], 40)
     wall = splat_of(*pot(0.15 * height, 0.25 * height))
-    capture = read(joined([tree, wall, below] if bottom else [tree, wall]), tilt_deg)
+    capture = read(join_clouds([tree, wall, below] if bottom else [tree, wall]), tilt_deg)
     assert levelled(capture)
     assert tilt_left_deg(capture, tilt_deg) < 5
 

@@ -13,7 +13,7 @@ from dynamictree.formats.tensors.bundle import read_cloud_bundle, write_bundle
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.cloud import joined as joined_clouds
+from dynamictree.gaussian.cloud import join_clouds as joined_clouds
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, with_still_parts

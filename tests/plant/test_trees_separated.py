@@ -7,7 +7,7 @@ import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.formats.description import describe_trees
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.plant.trees.of_mesh import dense_points, mesh_points, only_tree_of, with_trees
 from dynamictree.plant.trees.segment import segment_trees
 from lab.dataset.species import SPECIES
@@ -91,7 +91,7 @@ def test_stems_that_grow_from_one_foot_are_of_one_tree() -> None:
             moved = one.vertices.astype(np.float64)
             moved[:, :2] += out * (apart + lean * moved[:, 2:])
             stems.append(one.with_vertices(moved.astype(np.float32)))
-        assert num_trees(joined(stems)) == 1
+        assert num_trees(join_meshes(stems)) == 1
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5])
@@ -105,7 +105,7 @@ def test_leaves_that_hang_far_out_stand_on_no_ground_of_their_own(turn: float) -
             tube([0, 0, 4.6], 2.8 * out + [0, 0, 4.9], 0.05),
             tube(2.8 * out + [0, 0, 4.9], 2.9 * out + [0, 0, 3.6], 0.15),
         ]
-    assert num_trees(joined([trunk, *fronds])) == 1
+    assert num_trees(join_meshes([trunk, *fronds])) == 1
 
 
 def test_a_canopy_without_stems_is_refused_with_a_reason() -> None:

@@ -11,7 +11,7 @@ import trimesh
 
 from dynamictree.axis_names import AXES
 from dynamictree.formats.source_file import read_capture
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
@@ -76,7 +76,7 @@ def test_a_tree_in_a_scene_stands_up_from_any_axis(axis: str) -> None:
     """A ball on a pole with stones that lie wider than its crown: the plant alone says what is up."""
     pole = TriangleMesh.from_trimesh(trimesh.creation.cylinder(0.12, 2).apply_translation((0, 0, 1)))
     stones = [ball((x, y, 0.1), 0.15) for x, y in ((2.0, 0.3), (-1.5, 1.2), (0.4, -1.8), (1.2, 1.9))]
-    scene = joined([pole, ball((0, 0, 2.4), 0.7), *stones])
+    scene = join_meshes([pole, ball((0, 0, 2.4), 0.7), *stones])
     laid = scene.with_vertices((scene.vertices @ up_rotation(axis)).astype(np.float32))
     assert judge_up_axis(laid).axis == axis
 
@@ -113,7 +113,7 @@ def test_a_scanned_plant_that_lies_is_doubted_though_no_axis_is_sure(species: st
 def test_several_trees_that_lie_in_a_gltf_are_flagged(up_axis: str, doubted: bool) -> None:
     whole = grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(1)).mesh
     tree = TriangleMesh(vertices=whole.vertices, faces=whole.faces)
-    plot = joined([tree, tree.with_vertices(tree.vertices + np.float32([3 * tree.height_m, 0, 0]))])
+    plot = join_meshes([tree, tree.with_vertices(tree.vertices + np.float32([3 * tree.height_m, 0, 0]))])
     laid = trimesh.Trimesh(plot.vertices @ (up_rotation(up_axis)), plot.faces, process=False)
     mesh = read(laid.export(file_type="glb"), "glb")
     messages = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import zoom
 
-from dynamictree.mesh import Material, MeshLook, TriangleMesh, joined
+from dynamictree.mesh import Material, MeshLook, TriangleMesh, join_meshes
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Camera, Renderer, RenderSettings
 
@@ -86,7 +86,7 @@ def orbit(tmp_path_factory) -> Orbit:
 def photographed(folder: Path, *, potted: bool = False) -> Orbit:
     """Fourteen photos from around and a little above."""
     parts = stump_and_ground(np.random.default_rng(5), potted=potted)
-    renderer = Renderer(joined(parts), RenderSettings(width=WIDTH, height=HEIGHT, ground=False))
+    renderer = Renderer(join_meshes(parts), RenderSettings(width=WIDTH, height=HEIGHT, ground=False))
     cameras, photos = [], []
     for number in range(14):
         turn = np.radians(number * 360 / 14)
@@ -96,4 +96,4 @@ def photographed(folder: Path, *, potted: bool = False) -> Orbit:
         Image.fromarray(renderer.picture(camera=camera)).save(path, quality=95)
         cameras.append(camera)
         photos.append(path)
-    return Orbit(stump=joined(parts[:-1]), cameras=tuple(cameras), photos=tuple(photos))
+    return Orbit(stump=join_meshes(parts[:-1]), cameras=tuple(cameras), photos=tuple(photos))

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud, joined
+from dynamictree.gaussian.cloud import GaussianCloud, join_clouds
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_on_cpu
@@ -113,7 +113,7 @@ def sheet(low: list[float], u: list[float], v: list[float], number: int) -> Gaus
 def _planted(parts: list[GaussianCloud], target: np.ndarray, distance: float, arc_deg: float) -> Planted:
     rng = np.random.default_rng(3)
     height = float(np.ptp(parts[0].means[:, 2]))
-    scene = as_learned(joined(parts), 0.004 * height, rng)
+    scene = as_learned(join_clouds(parts), 0.004 * height, rng)
     order = rng.permutation(scene.num_gaussians)
     owner = np.repeat(np.arange(len(parts)), [part.num_gaussians for part in parts])
     return Planted(
@@ -138,7 +138,7 @@ def potted() -> Planted:
         tree,
         coloured(splat_of(*pot(0.15 * h, 0.25 * h)), (0.7, 0.35, 0.2)),
         table,
-        coloured(joined([book, spine]), (0.2, 0.3, 0.6)),
+        coloured(join_clouds([book, spine]), (0.2, 0.3, 0.6)),
         cloth,
         coloured(ball(60, [0.7 * h, -0.4 * h, 0.6 * h], 0.1 * h, 0.01 * h, rng), (0.8, 0.8, 0.8)),
     ]
@@ -167,7 +167,7 @@ def on_lawn() -> Planted:
     parts = [
         tree,
         lawn,
-        coloured(joined([bench, back]), (0.45, 0.3, 0.18)),
+        coloured(join_clouds([bench, back]), (0.45, 0.3, 0.18)),
         coloured(hedge, (0.2, 0.36, 0.15)),
         coloured(sky, (0.6, 0.75, 0.95)),
     ]

@@ -12,7 +12,7 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.coloured_mesh import finished_mesh, photo_colors, stereo_surface
 from dynamictree.reconstruct.depth import stereo_view
-from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import Box, Surface, faces_above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.stereo import Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.upright_frame import camera_up, find_upright_frame
@@ -131,10 +131,10 @@ def test_pieces_that_are_near_stay_and_far_ones_and_specks_go():
 
 
 def test_what_lies_low_is_cut():
-    high = above(together(strip(0, 10, 0.5), strip(0, 12, 2)), 1.0)
+    high = faces_above(together(strip(0, 10, 0.5), strip(0, 12, 2)), 1.0)
     assert np.array_equal(high.vertices, strip(0, 12, 2).vertices)
     assert np.array_equal(high.faces, strip(0, 12, 2).faces)
-    assert len(main_cluster(above(high, 9.0), 1.0).faces) == 0
+    assert len(main_cluster(faces_above(high, 9.0), 1.0).faces) == 0
 
 
 def test_the_stage_stands_on_the_ground_whatever_the_frame(orbit, rng):

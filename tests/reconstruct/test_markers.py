@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from dynamictree.errors import InputError
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.photo_requests import CutParams, PhotoParams
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.marker_detection import MarkerFinder, Sighting, placed_markers
@@ -44,7 +44,7 @@ def with_marker(enlarged: float) -> TriangleMesh:
     corners = corners @ rotation.T + [0.8, 0.25, 0.03]
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     marker = textured(corners, SQUARE[:, ::-1], uv, marker_png(NUMBER))
-    return joined([*stump_and_ground(np.random.default_rng(5)), marker])
+    return join_meshes([*stump_and_ground(np.random.default_rng(5)), marker])
 
 
 def photographed(scene: TriangleMesh, number: int, arc_deg: float) -> list[View]:

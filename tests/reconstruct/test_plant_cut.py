@@ -12,7 +12,7 @@ from dynamictree.cli import app
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud, joined
+from dynamictree.gaussian.cloud import GaussianCloud, join_clouds
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
@@ -186,7 +186,7 @@ def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path) -> None:
     tree = _faded(planted.scene.subset(planted.plant), 0.9)
     twigs = tree.subset(np.arange(0, tree.num_gaussians, 20))
     aside = (twigs.means + np.float32([0.05, 0, 0]) * np.ptp(tree.means[:, 2])).astype(np.float32)
-    scene = joined([tree, replace(twigs, means=aside, opacity=0.3 * twigs.opacity)])
+    scene = join_clouds([tree, replace(twigs, means=aside, opacity=0.3 * twigs.opacity)])
     alone = replace(planted, scene=scene, owner=np.zeros(scene.num_gaussians, np.int64))
     left = {}
     for name, inside_masks_db in (("masked", [25.0]), ("whole", [])):
@@ -217,7 +217,7 @@ def test_faint_gaussians_in_the_air_and_strays_are_fog_and_those_on_the_plant_ar
     air = rng.uniform([0.7 * h, -h, 0], [h, h, 0.4 * h], (100, 3)).astype(np.float32)
     mist = _faded(replace(tree.subset(np.zeros(len(air), np.int64)), means=air), 0.2)
     stray = _faded(replace(mist.subset(np.array([0])), means=np.float32([[1.2 * h, 0, 0.5 * h]])), 0.9)
-    scene = joined([tree, faint, mist, stray])
+    scene = join_clouds([tree, faint, mist, stray])
     fog = faint_floaters(scene, np.ones(scene.num_gaussians, np.bool_))
     assert fog[-len(air) - 1 :].all()
     assert fog[: -len(air) - 1].mean() < 0.005
@@ -242,7 +242,7 @@ def test_a_rim_in_the_colour_of_the_backdrop_is_not_the_plant(rng: np.random.Gen
     rim = coloured(replace(tree, means=near), (0, 0, 0))
     cloth = replace(rim.subset(np.arange(9)), means=10 * near[:9], scales=np.full((9, 3), 3, np.float32))
     own = np.repeat([True, True, False], [len(near), len(near), 9])
-    hidden = background_coloured(joined([tree, rim, cloth]), own, potted().views)
+    hidden = background_coloured(join_clouds([tree, rim, cloth]), own, potted().views)
     assert hidden[len(near) :][own[len(near) :]].mean() > 0.99
     assert hidden[: len(near)].mean() < 0.01
 

@@ -15,7 +15,7 @@ from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.photo_requests import CutParams
 from dynamictree.reconstruct.photo_previews import write_photo_previews
-from dynamictree.reconstruct.recut import pack, recut, unpack
+from dynamictree.reconstruct.recut import pack_folder, recut, unpack_folder
 from dynamictree.reconstruct.views import View
 from tests.reconstruct.finished import BOX, NUM_FLOOR, NUM_LAMP, NUM_STEM, write_finished
 from tests.reconstruct.planted import potted, stroke_across, write_planted
@@ -118,8 +118,8 @@ def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: P
 
 
 def test_unpack_undoes_pack(finished: Path, tmp_path) -> None:
-    pack(finished, tmp_path / "all.zip")
-    unpack(tmp_path / "all.zip", tmp_path / "again")
+    pack_folder(finished, tmp_path / "all.zip")
+    unpack_folder(tmp_path / "all.zip", tmp_path / "again")
     names = sorted(path.name for path in finished.iterdir())
     assert sorted(path.name for path in (tmp_path / "again").iterdir()) == names
     assert all((finished / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in names)

@@ -12,7 +12,7 @@ from dynamictree.reconstruct.depth import DepthMaps, outside_sky, stereo_view
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.sky import without_sky
 from dynamictree.reconstruct.splat import fit_splat
-from dynamictree.reconstruct.splat_start import first_table, sky_table
+from dynamictree.reconstruct.splat_start import initial_table, sky_table
 from dynamictree.reconstruct.splat_table import COLOR, MEAN, cloud_of
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
@@ -101,7 +101,7 @@ def model_of(views: list[View]) -> SparseModel:
 def test_a_splat_begins_without_sky() -> None:
     views, _ = leaves_in_the_open(BLUE)
     rng = np.random.default_rng(0)
-    table = first_table(model_of(views), None, number=2000, sh_degree=0, sky=blue_sky(), rng=rng)
+    table = initial_table(model_of(views), None, number=2000, sh_degree=0, sky=blue_sky(), rng=rng)
     far = table[np.linalg.norm(table[:, MEAN], axis=1) > 5]
     assert len(far) > 50
     red, _, blue = far[:, COLOR].T

@@ -15,7 +15,7 @@ from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.picture_loss import picture_loss, psnr, ssim
 from dynamictree.reconstruct.splat import fit_splat, held_out_views
-from dynamictree.reconstruct.splat_start import thinned
+from dynamictree.reconstruct.splat_start import subsample
 from dynamictree.reconstruct.splat_state import SplatState
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
@@ -197,7 +197,7 @@ def test_photos_are_held_out_all_along_the_walk(number, expected):
 
 def test_points_are_thinned_evenly_in_space(rng):
     points = np.concatenate([rng.normal(scale=0.01, size=(5000, 3)), rng.uniform(-1, 1, (500, 3))])
-    thinned_points = thinned(points, 300, rng)
+    thinned_points = subsample(points, 300, rng)
     assert 200 < len(thinned_points) <= 300
     assert (thinned_points < 5000).sum() < 30
-    assert len(thinned(points[:100], 300, rng)) == 100
+    assert len(subsample(points[:100], 300, rng)) == 100

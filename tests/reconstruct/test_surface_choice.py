@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamictree.gaussian.cloud import GaussianCloud, joined
+from dynamictree.gaussian.cloud import GaussianCloud, join_clouds
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
-from dynamictree.mesh import joined as joined_meshes
+from dynamictree.mesh import join_meshes as joined_meshes
 from dynamictree.reconstruct.coloured_mesh import photo_colors
 from dynamictree.reconstruct.splat_start import dome_points
 from dynamictree.reconstruct.splat_table import cloud_of, table_of_points
@@ -26,7 +26,7 @@ def scene(orbit: Orbit) -> GaussianCloud:
     points, colors = points[share > 0], colors[share > 0]
     size = np.full(len(points), 0.4, np.float32)
     sky = cloud_of(table_of_points(points, colors, size, opacity=0.95, sh_degree=0))
-    return joined([replace(near, sh=near.sh[:, :1]), sky])
+    return join_clouds([replace(near, sh=near.sh[:, :1]), sky])
 
 
 def lower_half(stump: TriangleMesh) -> TriangleMesh:

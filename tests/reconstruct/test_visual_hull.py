@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import ReconstructionError
-from dynamictree.reconstruct.splat_start import first_table
+from dynamictree.reconstruct.splat_start import initial_table
 from dynamictree.reconstruct.splat_table import MEAN
 from dynamictree.reconstruct.views import View
 from dynamictree.reconstruct.visual_hull import hull_points, texture_points, textured_mask
@@ -60,7 +60,7 @@ def test_one_stem_gives_points_along_all_of_it(orbit, rng):
     assert cKDTree(stem).query(points)[0].max() < 0.06
     model = model_of(orbit, rng)
     bare = replace(model, views=masked_views(orbit, stem), points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
-    table = first_table(bare, None, number=2000, sh_degree=1, rng=rng)
+    table = initial_table(bare, None, number=2000, sh_degree=1, rng=rng)
     assert 500 < len(table) < 2100
     assert np.isfinite(table).all()
 
@@ -134,7 +134,7 @@ def test_a_splat_begins_in_the_crown_unless_masks_say_where_the_plant_is(orbit: 
         alpha = np.full((240, 320), 255, np.uint8)
         alpha[: 240 // 2] = 0
         own = [replace(view, alpha=alpha if masked else None) for view in views]
-        table = first_table(
+        table = initial_table(
             replace(model, views=tuple(own)), None, number=2000, sh_degree=0, rng=np.random.default_rng(1)
         )
         return int((np.linalg.norm(table[:, MEAN] - [0, 0, 0.6], axis=1) < 0.3).sum())

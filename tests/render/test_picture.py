@@ -9,7 +9,7 @@ from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.render import Camera, Renderer, RenderSettings
 from dynamictree.render import shade as light
 from dynamictree.render.appearance import foliage_faces
-from dynamictree.render.camera import in_view
+from dynamictree.render.camera import points_in_view
 from tests.formats.meshes import png_of
 from tests.render.conftest import facing_card
 from tests.render.test_raster import cast_rays
@@ -197,7 +197,7 @@ def test_the_plant_fills_the_picture_whatever_it_stands_on() -> None:
 
 def test_a_pot_is_in_the_picture_and_the_sky_above_is_not() -> None:
     points = np.array([[0, 0, 0], [0.2, 0, 1], [-0.3, 0, -0.3], [0.3, 0.1, -0.1], [0, 0, 9], [0.7, 0, 0]])
-    assert in_view(points, np.arange(6) < 2).tolist() == [True, True, True, True, False, False]
+    assert points_in_view(points, np.arange(6) < 2).tolist() == [True, True, True, True, False, False]
     pot = np.array([False, True])
     corners = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0, 1], [-0.3, 0, -0.3], [0.3, 0, -0.3], [0, 0.1, 0]], np.float32)
     mesh = TriangleMesh(vertices=corners, faces=np.arange(6, dtype=np.int32).reshape(2, 3), still_faces=pot)

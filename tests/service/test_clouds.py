@@ -14,7 +14,7 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.bundle import read_cloud_bundle
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import joined
+from dynamictree.mesh import join_meshes
 from dynamictree.plant.capture import Capture, carrying_mesh
 from dynamictree.source import Source
 from jobs.records import AssetRecord
@@ -182,7 +182,7 @@ def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, mon
 
 def test_an_asset_lists_its_trees_and_a_job_takes_one(client: TestClient) -> None:
     one = tree(6.0, num_cards=60)
-    two = joined([one, one.with_vertices(one.vertices + np.float32([5, 0, 0]))])
+    two = join_meshes([one, one.with_vertices(one.vertices + np.float32([5, 0, 0]))])
     asset = send(client, ("two.ply", written(write_ply, two))).json()
     assert [entry["tree"] for entry in asset["summary"]["trees"]] == [1, 2]
     assert [entry["code"] for entry in asset["summary"]["warnings"]] == ["several-trees"]

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD, coarse_moments, moments_of
 from dynamictree.voxel.voxelize import grid_pieces, surface_moments, voxelize
@@ -16,7 +16,7 @@ def pole(radius_m: float, height_m: float, sides: int) -> TriangleMesh:
     """Upright on the origin; and a speck aside, so that the axis runs through the middles of voxels of 4 / 64."""
     aside = np.array([[0.0725, 0.0725, 0], [0.0725, 0.07, 0], [0.07, 0.0725, 0]], np.float32)
     speck = TriangleMesh(vertices=aside, faces=np.array([[0, 1, 2]], np.int32))
-    return joined([tube([0, 0, 0], [0, 0, height_m], radius_m, rings=2, sides=sides), speck])
+    return join_meshes([tube([0, 0, 0], [0, 0, height_m], radius_m, rings=2, sides=sides), speck])
 
 
 def card(edge_m: float) -> TriangleMesh:

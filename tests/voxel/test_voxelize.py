@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import InputError, MeshError
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.voxel import voxelize as voxelize_module
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average, voxelize
@@ -66,7 +66,7 @@ def test_every_resolution_holds_every_vertex(rng, resolution: int) -> None:
 
 
 def test_a_surface_in_a_boundary_plane_fills_one_layer() -> None:
-    mesh = joined([square(0.0), square(1.0)])
+    mesh = join_meshes([square(0.0), square(1.0)])
     grid = voxelize(mesh, 32).grid
     assert len(np.unique(grid.coords[:, 2])) == 2
 
@@ -91,7 +91,7 @@ def test_normals_are_unit_and_follow_the_winding() -> None:
 
 
 def test_the_sides_of_a_two_sided_card_do_not_cancel() -> None:
-    card = joined([square(), square(flip=True)])
+    card = join_meshes([square(), square(flip=True)])
     normals = voxelize(card, 32).normals
     np.testing.assert_allclose(np.abs(normals @ [0, 0, 1]), 1, atol=1e-6)
 
@@ -101,7 +101,7 @@ def test_normals_average_by_area() -> None:
         vertices=np.array([[0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]], np.float32),
         faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
     )
-    voxels = voxelize(joined([square(), wall]), 32)
+    voxels = voxelize(join_meshes([square(), wall]), 32)
     corner = np.linalg.norm(voxels.normals - np.array([0.5**0.5, 0, 0.5**0.5]), axis=1) < 0.3
     assert 25 <= corner.sum() <= 40  # the row of voxels where floor and wall meet
 

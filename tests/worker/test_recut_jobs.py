@@ -15,7 +15,7 @@ from PIL import Image
 from dynamictree.errors import ReconstructionError
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.formats.tensors.bundle import read_mesh_bundle
-from dynamictree.reconstruct.recut import pack
+from dynamictree.reconstruct.recut import pack_folder
 from jobs.records import AssetRecord, JobRecord
 from jobs.states import stages_of
 from jobs.storage.stage_files import MESH_BUNDLE
@@ -59,7 +59,7 @@ def remember(
     watching = watch(runtime, hold(runtime, job))
     attempt = Attempt(runtime=runtime, watch=watching, folder=folder, asset=photos)
     attempt.fetch()
-    attempt.recall("reconstruct", folder, "reconstruction", make or partial(pack, folder / "finished"))
+    attempt.recall("reconstruct", folder, "reconstruction", make or partial(pack_folder, folder / "finished"))
     return photos
 
 

@@ -13,8 +13,8 @@ from dynamictree.formats.gltf.scene import mesh_instances
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.splat.activations import scales_from_log
-from dynamictree.gaussian.axes import to_source_axes, transformed
-from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined
+from dynamictree.gaussian.axes import to_source_axes, transform_cloud
+from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, join_clouds
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.rotation import polar_rotations, unit_quaternions
 
@@ -43,7 +43,7 @@ def read_gltf_gaussian(stream: ByteReader) -> GaussianCloud:
     stored = [_read_primitive(document, primitive) for _, primitive in primitives]
     if min(cloud.scales.min() for cloud in stored) < 0:  # negative scales are logarithms, as in an early draft
         stored = [replace(cloud, scales=scales_from_log(cloud.scales)) for cloud in stored]
-    return joined([_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)])
+    return join_clouds([_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)])
 
 
 def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
@@ -140,5 +140,5 @@ def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> Gaus
         raise FormatError(
             "a node of the GLB file mirrors, shears or stretches its splat; bake the transform into the splat"
         )
-    turned = transformed(cloud, rotation, scale)
+    turned = transform_cloud(cloud, rotation, scale)
     return replace(turned, means=(turned.means + transform[:3, 3]).astype(np.float32))

@@ -13,7 +13,7 @@ from jaxtyping import Float32
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import harmonic_from_color
-from dynamictree.gaussian.cloud import GaussianCloud, check_count, joined
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, join_clouds
 from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "-Y"
@@ -77,7 +77,7 @@ def read_ksplat(stream: SeekableReader) -> GaussianCloud:
         raise FormatError(
             f"harmonics of the .ksplat file lie between {bounds[0]:g} and {bounds[1]:g}, which is no range"
         )
-    return joined([_read_section(content, section, place, level, bounds) for section, place in sections])
+    return join_clouds([_read_section(content, section, place, level, bounds) for section, place in sections])
 
 
 def _sections(content: bytes, num_sections: int, level: int) -> Iterator[tuple[_Section, _Place]]:

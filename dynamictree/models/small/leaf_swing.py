@@ -16,7 +16,7 @@ from dynamictree.models.small.foliage import ARM, ARM_SCALE
 from dynamictree.models.small.spread import squared_magnitude
 from dynamictree.voxel.grid import VoxelGrid
 
-MAX_GAIN = 2.0
+MAX_LEAF_GAIN = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +32,7 @@ class Leaves:
         beyond = spectrum - spectrum[self.base]
         outward = self.outward[:, None].to(spectrum.dtype)
         across = beyond - (beyond * outward).sum(dim=2, keepdim=True) * outward
-        gain = (_size(beyond) / _size(across).clamp_min(torch.finfo(torch.float32).tiny)).clamp_max(MAX_GAIN)
+        gain = (_size(beyond) / _size(across).clamp_min(torch.finfo(torch.float32).tiny)).clamp_max(MAX_LEAF_GAIN)
         gain[:, 0] = 1
         return spectrum + self.share[:, None, None] * (gain[..., None] * across - beyond)
 

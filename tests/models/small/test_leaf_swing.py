@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynamictree.models.small.foliage import ARM, ARM_SCALE, NUM_FOLIAGE_VALUES
-from dynamictree.models.small.leaf_swing import MAX_GAIN, Leaves, leaves_of
+from dynamictree.models.small.leaf_swing import MAX_LEAF_GAIN, Leaves, leaves_of
 from dynamictree.voxel.grid import VoxelGrid
 
 AXES = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]], np.float32)
@@ -76,7 +76,7 @@ def test_a_leaf_swings_as_far_as_it_was_drawn_and_leans_no_further(leaves: Leave
 def test_a_motion_along_a_leaf_is_not_made_a_large_swing(leaves: Leaves, order: torch.Tensor) -> None:
     beyond = torch.tensor([1e-4, 0, 1], dtype=torch.complex64).expand(1, 3, 3)  # up, as the second leaf points
     swung = leaves.swing(motion_of(order, torch.zeros(1, 3, 3), beyond))
-    assert swung[order[SECOND]].abs().max() <= 3 * MAX_GAIN * 1e-4 * 1.001
+    assert swung[order[SECOND]].abs().max() <= 3 * MAX_LEAF_GAIN * 1e-4 * 1.001
 
 
 def test_what_the_ground_holds_does_not_swing(grid: VoxelGrid, leaves: Leaves, order: torch.Tensor) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.axes import transformed
+from dynamictree.gaussian.axes import transform_cloud
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning, TriangleMesh
 from dynamictree.plant.plausibility import FEWEST_FACES
@@ -78,7 +78,7 @@ def scale_cloud(
     scale = scale_to(height_m or (detected if keep else DEFAULT_HEIGHT_M), detected)
     assert scale is not None
     source = replace(cloud.source, scale=cloud.source.scale * scale)
-    scaled = replace(transformed(cloud, np.eye(3), scale), source=source)
+    scaled = replace(transform_cloud(cloud, np.eye(3), scale), source=source)
     if height_m is not None:
         return scaled, ()
     message = (
