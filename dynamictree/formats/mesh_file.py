@@ -67,7 +67,7 @@ def read_mesh(
         stream: the file's bytes.
         file_type: one of `MESH_TYPES`, as `sniff_file_type` returns it.
         reading: the file's axis and unit; unset fields come from glTF or a PLY comment, or are detected
-            (see `plant/place.py`).
+            (see `plant/axes_unit.py`).
         companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
 
     Raises:

@@ -52,7 +52,7 @@ def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = No
 
     Args:
         seed: 0 or more.
-        species: name in `SPECIES`, or CROSSED; by default drawn from the seed, among SPECIES.
+        species: name in `SPECIES`, or MIXED_SPECIES; by default drawn from the seed, among SPECIES.
         wind: by default drawn from the seed.
         gusts: index of the motion of this tree in this wind; the dataset has the first one.
 

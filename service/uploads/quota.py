@@ -13,7 +13,7 @@ from service.http.problems import ProblemError
 from service.services import Owned
 
 OWNER_DIVISOR, TOTAL_DIVISOR = 4, 2
-"""Announced uploads reserve at most 1 / OWNERS_SHARE of the free space for one owner, and 1 / ALL_SHARE for all."""
+"""Announced uploads reserve at most 1 / OWNER_DIVISOR of the free space per owner, and 1 / TOTAL_DIVISOR in total."""
 
 
 def require_space(owned: Owned, wanted: int) -> None:

@@ -8,9 +8,9 @@ import { turned } from "./modes.js";
 import { cross, dot, length, minus, plus, rowOf, scaled } from "./vectors.js";
 
 const ROUNDS = 12; // a frame; the next frame goes on from there
-const LARGEST_BEND_RAD = 0.4;
+const MAX_BEND_RAD = 0.4;
 const [TOLERANCE, RIGID] = [3e-7, 1e-14];
-const [STEP_RAD, SETTLED_RAD, STUCK_RAD] = [0.5, 1e-3, 1e-6];
+const [MAX_STEP_RAD, CONVERGED_RAD, MIN_STEP_RAD] = [0.5, 1e-3, 1e-6];
 const LET_GO_S = 0.08; // once nothing is pinned, the place goes like a critically damped spring of this time
 const GONE = 3e-3; // of the way
 
@@ -77,12 +77,12 @@ export function equilibrium({ segments, give }, target, { bend, base = null, rou
   const rod = { segments, give: give.map((g) => Math.max(g, least)), base, target, tolerance: TOLERANCE * compliance };
   let now = stance(rod, bend);
   if (!(compliance > 0)) return now;
-  let [force, price, longest] = [[0, 0, 0], 0, STEP_RAD];
-  for (let round = 0; round < rounds && longest >= STUCK_RAD; round++) {
+  let [force, price, longest] = [[0, 0, 0], 0, MAX_STEP_RAD];
+  for (let round = 0; round < rounds && longest >= MIN_STEP_RAD; round++) {
     const { force: next, step } = newtonStep(rod, now, force);
     [force, price] = [next, Math.max(price, 1.5 * length(next))];
     const size = Math.max(...step.map(length));
-    const share = Math.min(1, longest / Math.max(size, STUCK_RAD));
+    const share = Math.min(1, longest / Math.max(size, MIN_STEP_RAD));
     const bends = now.bend.map((k, n) => plus(k, scaled(step[n], share)));
     const tried = stance(rod, bends);
     if (tried.energy - now.energy > price * (length(now.gap) - length(tried.gap))) {
@@ -90,8 +90,8 @@ export function equilibrium({ segments, give }, target, { bend, base = null, rou
       continue;
     }
     now = tried;
-    if (size <= Math.min(longest, SETTLED_RAD)) break;
-    longest = Math.min(STEP_RAD, 2 * longest);
+    if (size <= Math.min(longest, CONVERGED_RAD)) break;
+    longest = Math.min(MAX_STEP_RAD, 2 * longest);
   }
   return now;
 }
@@ -103,7 +103,7 @@ function stance({ segments, give, base, target }, bend) {
   const total = bend.map((k, n) => (base ? plus(k, base[n]) : k));
   for (let n = segments.length - 1; n >= 0; n--) {
     const square = dot(bend[n], bend[n]);
-    const folded = (square / LARGEST_BEND_RAD ** 2) ** 2;
+    const folded = (square / MAX_BEND_RAD ** 2) ** 2;
     energy += (square * (1 + folded / 3)) / give[n] / 2;
     stiffness[n] = (1 + 5 * folded) / give[n];
     moments[n] = applied(frame, ofTurn(scaled(total[n], -1), scaled(bend[n], (1 + folded) / give[n])));
