@@ -30,9 +30,9 @@ from worker.runtime import Runtime
 
 logger = logging.getLogger(__name__)
 
-SOURCE = "source"
+SOURCE_KEY = "source"
 INPUTS: dict[JobType, tuple[str, ...]] = {
-    "reconstruct": (SOURCE,),
+    "reconstruct": (SOURCE_KEY,),
     "voxelize": (MESH_BUNDLE,),
     "diffuse": (VOXELS,),
     "animate": (SPECTRUM, MESH_BUNDLE, CLOUD_BUNDLE),
@@ -112,15 +112,15 @@ class Attempt:
         from worker.stages import photo_name  # imports numba and the formats, at the first job
 
         asset = self.asset
-        self.hashes.update(dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint))
+        self.hashes.update(dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE_KEY), asset.fingerprint))
         if asset.prepared is not None:
             name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
             self.take([_output_file(name, asset.prepared.sha256, asset.prepared.bytes)])
             self.hashes[name] = asset.fingerprint
             return
-        self.sources[SOURCE] = _output_file(SOURCE, asset.fingerprint, 0)
+        self.sources[SOURCE_KEY] = _output_file(SOURCE_KEY, asset.fingerprint, 0)
         for index, part in enumerate(asset.parts):
-            self.sources[f"{SOURCE}/{index}"] = _output_file(part.name, part.sha256, part.bytes)
+            self.sources[f"{SOURCE_KEY}/{index}"] = _output_file(part.name, part.sha256, part.bytes)
             path = self.folder / "inputs" / "photos" / photo_name(index, part.name)
             path.parent.mkdir(parents=True, exist_ok=True)
             self.runtime.artifacts.fetch(part.sha256, path)
@@ -201,7 +201,7 @@ class Attempt:
         path = folder / f".{name}"
         learned = name == "reconstruction"
         if learned:
-            used = [file for source, file in self.sources.items() if source.startswith(SOURCE)]
+            used = [file for source, file in self.sources.items() if source.startswith(SOURCE_KEY)]
         else:
             used = [self.sources[source] for source in RESULT_SOURCES[name]]
         choice = (LearningParams if learned else CloudParams).part_of(self.job.params).model_dump(mode="json")

@@ -98,7 +98,7 @@ def _write(process: subprocess.Popen[bytes], message: dict[str, str | int | floa
     process.stdin.flush()
 
 
-def is_stopped(pid: int) -> bool:
+def is_process_stopped(pid: int) -> bool:
     """Return whether a process was stopped by a signal or a debugger; False if the system does not report it."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
@@ -113,7 +113,7 @@ def _write_to_store(say: Callable[[], object]) -> bool:
     If the database is unavailable, the lease continues for a while; then the reaper decides.
     """
     try:
-        if not is_stopped(os.getppid()):
+        if not is_process_stopped(os.getppid()):
             say()
     except FencedError:
         return False

@@ -116,7 +116,7 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
         length_scale_m=length,
         partial_hz=_partials(spectrum.frequencies_hz, damping, fastest_gust_hz, rng),
         partial_phase_rad=rng.uniform(0, 2 * np.pi, (spectrum.num_frequencies, NUM_PARTIALS)),
-        strength=_of_unit_mean_square(strength),
+        strength=_to_unit_mean_square(strength),
         lean=gusts.wave(1.0, largest_gust, DRAG_EXPONENT * resonance, phase[0]),
         bands=spectrum.wind_bands,
         turn_rad=gusts.wave(0.0, LARGEST_TURN_RAD, lateral_share * resonance, phase[1]),
@@ -187,7 +187,7 @@ def _gusts(rate_hz: float, fastest_hz: float, gust: float, rng: np.random.Genera
     )
 
 
-def _of_unit_mean_square(wave: Wave) -> Wave:
+def _to_unit_mean_square(wave: Wave) -> Wave:
     """Scale a wave to unit mean square over time; a sum of this many cosines is close to normal."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(32)
     spread = np.sqrt((wave.amplitude**2).sum() / 2)

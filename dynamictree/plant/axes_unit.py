@@ -19,7 +19,7 @@ from dynamictree.mesh import SourceWarning, TriangleMesh
 from dynamictree.plant.plausibility import FEWEST_FACES
 from dynamictree.plant.still import height_of
 from dynamictree.plant.still_cloud import find_sky
-from dynamictree.plant.upright import CERTAIN, USUAL, UpAxis, judge_up_axis
+from dynamictree.plant.upright import CERTAIN, USUAL_AXES, UpAxis, judge_up_axis
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 
@@ -117,7 +117,7 @@ def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...
     """Warn of an inferred up axis that is uncertain or unusual."""
     # enough for the usual axis of a format: of 224 readings, 1 is wrong below `CERTAIN`
     probably = 0.5
-    if judged.confidence >= (probably if judged.axis == usual else CERTAIN) and judged.axis in (*USUAL, usual):
+    if judged.confidence >= (probably if judged.axis == usual else CERTAIN) and judged.axis in (*USUAL_AXES, usual):
         return ()
     message = (
         f"the file does not say which way is up; {judged.axis} was taken with a confidence of "

@@ -36,7 +36,7 @@ CUES = ("trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "tape
 WEIGHTS = np.array([5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
 HABIT_LOGIT = 0.7
 """Added to the logit of a format's usual axis; it decides if the shape is ambiguous."""
-USUAL, LIKELY = ("+Y", "+Z"), 0.65
+USUAL_AXES, LIKELY = ("+Y", "+Z"), 0.65
 """If no axis is likely, the likelier of these is chosen, since files with other axes are rare."""
 
 _POINTS = 20_000
@@ -107,7 +107,7 @@ def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis:
     chances = (odds / odds.sum()).tolist()
     best = int(np.argmax(chances))
     if chances[best] < LIKELY and not any_axis:
-        best = max((AXES.index(axis) for axis in USUAL), key=lambda row: float(chances[row]))
+        best = max((AXES.index(axis) for axis in USUAL_AXES), key=lambda row: float(chances[row]))
     return UpAxis(axis=AXES[best], confidence=chances[best], upright=chances[4], lying=sum(chances[:4]))  # as in AXES
 
 
@@ -152,7 +152,7 @@ def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.nd
     if sampled is None:
         return None
     points, faces = sampled
-    return _cues_of_points(points, _kinds(mesh)[faces], _largest_part(mesh)[faces], axes)
+    return _cues_of_points(points, _material_kinds(mesh)[faces], _largest_part(mesh)[faces], axes)
 
 
 def _cues_of_points(
@@ -231,7 +231,7 @@ def _spreads(
     return np.asarray(np.bincount(number, np.sqrt(x * x + y * y), count) / size)
 
 
-def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+def _material_kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """Classify faces by their material's name: 1 for wood, 2 for leaves, 0 for others."""
     if mesh.look.face_material is None or not mesh.look.materials:
         return np.zeros(mesh.num_faces, np.int64)

@@ -65,10 +65,10 @@ def find_cameras(
             assert child.stdin is not None
             child.stdin.write(job.encode())
             child.stdin.close()
-            _listen(child, on_progress, time.monotonic() + time_limit_s, search_seconds(len(photos)))
+            _read_messages(child, on_progress, time.monotonic() + time_limit_s, search_seconds(len(photos)))
             child.wait(_GRACE_S)
         finally:
-            _end(child)
+            _end_process_group(child)
         if child.returncode != 0:
             raise CameraSearchError(f"the search for cameras ended with {child.returncode}: {_last_line(log.name)}")
     model = read_model(folder, {photo.name: photo.source for photo in photos})
@@ -99,7 +99,7 @@ def search_seconds(num_photos: int) -> dict[str, float]:
     }
 
 
-def _listen(
+def _read_messages(
     child: subprocess.Popen[bytes], on_progress: Callable[[float], None], until_s: float, expected_s: dict[str, float]
 ) -> None:
     listen_s = 0.25  # time between two calls of the caller's progress function
@@ -123,7 +123,7 @@ def _listen(
                 done = max(done, first + (last - first) * share)
 
 
-def _end(child: subprocess.Popen[bytes]) -> None:
+def _end_process_group(child: subprocess.Popen[bytes]) -> None:
     """End the process group: SIGTERM, and SIGKILL after a grace period."""
     for signal_number in (signal.SIGTERM, signal.SIGKILL):
         if child.poll() is not None:

@@ -20,7 +20,7 @@ from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.photo_cameras import PhotoCamera, evenly_chosen
-from dynamictree.reconstruct.plant_proposal import Proposal, propose
+from dynamictree.reconstruct.plant_proposal import Proposal, propose_plant
 from dynamictree.reconstruct.scribbles import labels_of_strokes
 
 _NEIGHBOURS = 10
@@ -46,7 +46,7 @@ def plant_of(
     every = np.ones(cloud.num_gaussians, np.bool_)
     if masked and not scribbles:
         return every
-    proposal = Proposal(near=every, background=~every, central=every) if masked else propose(cloud, views)
+    proposal = Proposal(near=every, background=~every, central=every) if masked else propose_plant(cloud, views)
     strokes = labels_of_strokes(
         cloud,
         views,

@@ -28,7 +28,7 @@ class Proposal:
     central: Bool[np.ndarray, " G"]  # probably the plant: the largest object in the middle of the photos
 
 
-def propose(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
+def propose_plant(cloud: GaussianCloud, views: list[PhotoCamera]) -> Proposal:
     """Label Gaussians as near or far, background (ground, pots and other objects) and central."""
     level = 0.9  # least z of the ground's normal
     most_views = 40

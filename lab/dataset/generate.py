@@ -166,7 +166,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
             rejected[str(seed)] = {"rules": list(violated), "species": sample.species, "measures": asdict(measures)}
         else:
             trees.append(stored_tree(sample, resolutions=recipe.resolutions))
-            records.append({**facts_of(sample, trees[-1]), "measures": asdict(measures)})
+            records.append({**tree_record(sample, trees[-1]), "measures": asdict(measures)})
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
             f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, "
@@ -187,7 +187,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
     _write(folder / f"{shard_name(index)}.json", json.dumps(record, sort_keys=True).encode())
 
 
-def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
+def tree_record(sample: Sample, tree: StoredTree) -> dict[str, object]:
     """Return the values of a tree for the record, so that `filter` does not generate the tree again."""
     return {
         "seed": sample.seed,

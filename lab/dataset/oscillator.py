@@ -36,7 +36,7 @@ STEM_DAMPING, BRANCH_DAMPING, LEAF_DAMPING = 0.02, 0.02, 0.08
 """ζ of wood, of a stem's branches (each of them a damper), and of leaves in still air. As measured, a bare tree has
 0.039, and twice as much in leaf; wind adds to it."""
 SLOWEST_RATIO, FASTEST_RATIO = 0.7, 1.5  # limits of a stem's frequency over that at REFERENCE_SLENDERNESS
-BIN_SAMPLES = 8
+SAMPLES_PER_BIN = 8
 CENTRE_OF_DRAG = 0.7  # position [share of the stem's length]
 
 
@@ -184,14 +184,14 @@ def bin_transfer(
     Gusts of all frequencies drive a tree, but a loop has only its bins. With the value at the bin alone, a lightly
     damped stem would swing several times too far if its frequency is near a bin, and too little between bins.
     """
-    offsets = (np.arange(BIN_SAMPLES) + 0.5) / BIN_SAMPLES - 0.5
+    offsets = (np.arange(SAMPLES_PER_BIN) + 0.5) / SAMPLES_PER_BIN - 0.5
     power = np.zeros((len(own), len(omega)))
     for offset in offsets:
         ratio = (omega + offset * omega[1]) / own[:, None]
         power += 1 / ((1 - ratio**2) ** 2 + (2 * damping_ratio[:, None] * ratio) ** 2)
     ratio = omega / own[:, None]
     centre = 1 / (1 - ratio**2 + 2j * damping_ratio[:, None] * ratio)
-    transfer = np.sqrt(power / BIN_SAMPLES) * centre / np.abs(centre)
+    transfer = np.sqrt(power / SAMPLES_PER_BIN) * centre / np.abs(centre)
     transfer[:, 0] = 1  # bin 0 is the static lean
     return np.asarray(transfer)
 

@@ -37,7 +37,7 @@ from lab.dataset.rotation import product, quaternion_of, rotate, to_matrix
 from lab.dataset.sapling import Tree
 from lab.dataset.tubes import own_rings
 
-ABOVE_FLARE = 0.15  # share of the trunk's length; Weber and Penn's flare ends at 1/8
+ABOVE_FLARE_SHARE = 0.15  # share of the trunk's length; Weber and Penn's flare ends at 1/8
 TRUNK_BEND = 0.6
 """Lean of a trunk over that of an equally slender branch; equals a lean by the radius at the ground (usual flare)."""
 
@@ -192,7 +192,7 @@ def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"
     base = base_radius(stems)
     if not is_trunk:
         return base
-    ring = ABOVE_FLARE * stems.segments
+    ring = ABOVE_FLARE_SHARE * stems.segments
     low, along = int(ring), ring - int(ring)
     above_flare = (1 - along) * stems.radii[:, low] + along * stems.radii[:, low + 1]
     return np.asarray(np.where(stems.first > 0, base, above_flare / TRUNK_BEND), np.float32)

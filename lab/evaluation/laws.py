@@ -114,7 +114,7 @@ def _of_motions(
     response, response_in_storm = _exponents(tips)
     some = np.random.default_rng(0).permutation(len(places))[:MAX_POINTS]
     num_frames = 2 * motions[0].shape[1]
-    slow, fast = (to_motion(_without_lean(motions[at][some]), num_frames).astype(np.float64) for at in (2, 3))
+    slow, fast = (to_motion(_lean_removed(motions[at][some]), num_frames).astype(np.float64) for at in (2, 3))
     frame_s = 1 / float(frequencies_hz[1]) / num_frames
     return {
         "spectral_slope": _slope(tips[1], frequencies_hz[1:]),
@@ -217,7 +217,7 @@ def _is_bare(tree: TreeLaws) -> bool:
     return tree.species in SPECIES and SPECIES[tree.species].foliage.kind == "none"
 
 
-def _without_lean(spectrum: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+def _lean_removed(spectrum: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "N K 3"]:
     moving = spectrum.copy()
     moving[:, 0] = 0
     return moving

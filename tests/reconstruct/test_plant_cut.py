@@ -18,7 +18,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams, Scribble
 from dynamictree.reconstruct.coloured_mesh import mesh_of_plant
 from dynamictree.reconstruct.plant_cut import background_coloured, faint_floaters, minimum_cut, plant_of
-from dynamictree.reconstruct.plant_proposal import propose
+from dynamictree.reconstruct.plant_proposal import propose_plant
 from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.scribbles import _pixels, labels_of_strokes, weights_at
 from dynamictree.reconstruct.splat_table import cloud_of, table_of_points
@@ -43,7 +43,7 @@ def test_a_trunk_goes_down_to_the_ground() -> None:
     planted = on_lawn()
     plant = planted.scene.means[planted.plant]
     height = float(np.ptp(plant[:, 2]))
-    own = propose(planted.scene, list(planted.views)).central
+    own = propose_plant(planted.scene, list(planted.views)).central
     foot = planted.plant & (planted.scene.means[:, 2] > 0.01 * height) & (planted.scene.means[:, 2] < 0.03 * height)
     assert own[foot].mean() > 0.7
     assert own[~planted.plant & (planted.scene.means[:, 2] < 0.03 * height)].mean() < 0.001
@@ -95,7 +95,7 @@ def test_only_gaussians_that_are_seen_are_under_a_stroke() -> None:
 
 def test_far_things_and_wide_planes_are_no_proposal() -> None:
     for planted, others in ((potted(), (1, 2, 4)), (on_lawn(), (1, 3, 4))):
-        central = propose(planted.scene, list(planted.views)).central
+        central = propose_plant(planted.scene, list(planted.views)).central
         for part in others:
             assert central[planted.owner == part].mean() < 0.02, part
         assert central[planted.owner == 0].mean() > 0.97

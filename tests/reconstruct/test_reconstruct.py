@@ -186,7 +186,7 @@ def test_pairs_are_most_of_a_search_among_many_photos():
     shares: list[float] = []
     line = [sys.executable, "-c", "print('[\"matches\", 1, 1, 0.0, 1.0]')"]
     with subprocess.Popen(line, stdout=subprocess.PIPE) as child:
-        cameras._listen(child, shares.append, time.monotonic() + 60, cameras.search_seconds(36))
+        cameras._read_messages(child, shares.append, time.monotonic() + 60, cameras.search_seconds(36))
     assert shares[-1] == pytest.approx(0.86, abs=0.03)
 
 

@@ -27,7 +27,7 @@ def webp_textures(root: dict[str, Any], contents: list[bytes]) -> None:
     for name, entry in named_textures(root.get("materials", [])):
         uses.setdefault(entry["index"], set()).add(name)
     changed = False
-    for index, textures in _plain_images(root).items():
+    for index, textures in _replaceable_images(root).items():
         names = set[str]().union(*(uses.get(texture, set()) for texture in textures))
         packed = _encoded(contents[index], lossless=not names or bool(names - _COLORS))
         if packed is None or len(packed) >= len(contents[index]):
@@ -50,7 +50,7 @@ def named_textures(entry: object) -> Iterator[tuple[str, dict[str, Any]]]:
         yield from named_textures(one)
 
 
-def _plain_images(root: dict[str, Any]) -> dict[int, list[int]]:
+def _replaceable_images(root: dict[str, Any]) -> dict[int, list[int]]:
     """Return the textures of each image that is used only by textures without extensions."""
     textures: dict[int, list[int]] = {}
     other = set[int]()

@@ -69,7 +69,7 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
     rows = _corner_rows(statements, (len(table), len(places), len(directions)))  # [C, 3]
     looks = np.stack([rows[:, 1], _merge_normals(directions)[rows[:, 2]]], 1)
     original, looks, corners = _split_corners(rows[:, 0], looks, len(table))
-    faces, source_face = fans(corners, np.array(statements.face_sizes))
+    faces, source_face = fan_triangles(corners, np.array(statements.face_sizes))
     materials: tuple[Material, ...] = ()
     warnings: list[SourceWarning] = []
     if set(statements.material_names) != {""}:
@@ -234,7 +234,7 @@ def _split_corners(
     return np.concatenate([np.arange(num_vertices), keys[copies, 0]]), looks_of, vertex_of_key[inverse.ravel()]
 
 
-def fans(
+def fan_triangles(
     corners: Int32[np.ndarray, " C"], sizes: Int64[np.ndarray, " P"]
 ) -> tuple[Int32[np.ndarray, "F 3"], Int64[np.ndarray, " F"]]:
     """Split concatenated polygons into triangle fans; return the triangles and the polygon of each."""

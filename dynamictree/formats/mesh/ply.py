@@ -8,7 +8,7 @@ from jaxtyping import Float32, Shaped, UInt8
 
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.companions import find_companion
-from dynamictree.formats.mesh.obj import fans
+from dynamictree.formats.mesh.obj import fan_triangles
 from dynamictree.formats.origin import offset_warnings, shift_to_origin
 from dynamictree.formats.ply_table import read_header, read_polygons
 from dynamictree.formats.texture import texture_as_png
@@ -45,7 +45,7 @@ def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> Triangl
     rows, corners, sizes = read_polygons(stream, header, _LIST_NAMES)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(rows)):
         raise FormatError(f"a face of the PLY file names a vertex beyond its {len(rows):,}")
-    faces, _ = fans(corners, sizes)
+    faces, _ = fan_triangles(corners, sizes)
     if len(faces) > MAX_FACES:
         raise MeshError(f"the PLY file has {len(faces):,} triangles; {MAX_FACES:,} are allowed; decimate it first")
     material = _material(content, companions)

@@ -45,7 +45,7 @@ def color_from_harmonic(coefficient: Float32[np.ndarray, "G 3"]) -> Float32[np.n
     return coefficient * np.float32(SH_0) + np.float32(0.5)
 
 
-def with_largest(others: Float32[np.ndarray, "G 3"], largest: Int[np.ndarray, " G"]) -> Float32[np.ndarray, "G 4"]:
+def restore_largest(others: Float32[np.ndarray, "G 3"], largest: Int[np.ndarray, " G"]) -> Float32[np.ndarray, "G 4"]:
     """Rebuild unit quaternions from three components, in order, and the index of the largest, which is not stored."""
     quaternions = np.empty((len(others), 4), np.float32)
     np.put_along_axis(quaternions, _OTHERS[largest], others, axis=1)
@@ -54,10 +54,10 @@ def with_largest(others: Float32[np.ndarray, "G 3"], largest: Int[np.ndarray, " 
     return quaternions
 
 
-def without_largest(
+def drop_largest(
     quaternions: Float32[np.ndarray, "G 4"],
 ) -> tuple[Float32[np.ndarray, "G 3"], Int[np.ndarray, " G"]]:
-    """Invert `with_largest`; the sign of each quaternion is chosen to make its largest component positive."""
+    """Invert `restore_largest`; the sign of each quaternion is chosen to make its largest component positive."""
     largest = np.abs(quaternions).argmax(axis=1)
     sign = np.where(np.take_along_axis(quaternions, largest[:, None], axis=1) < 0, np.float32(-1), np.float32(1))
     return np.take_along_axis(quaternions * sign, _OTHERS[largest], axis=1), largest

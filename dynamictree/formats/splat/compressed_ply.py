@@ -6,7 +6,7 @@ from jaxtyping import Float32, Shaped, UInt32
 from dynamictree.errors import FormatError
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
-from dynamictree.formats.splat.activations import harmonic_from_color, scales_from_log, with_largest
+from dynamictree.formats.splat.activations import harmonic_from_color, restore_largest, scales_from_log
 from dynamictree.formats.splat.ply import rest_names
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
 from dynamictree.rotation import unit_quaternions
@@ -76,7 +76,7 @@ def _rotation(bits: UInt32[np.ndarray, " G"]) -> Float32[np.ndarray, "G 4"]:
     """Unpack quaternions: 2 bits name the largest of w, x, y, z; 10 bits store each other component, in ±1/√2."""
     others = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1).astype(np.float32)
     others = (others / np.float32(1023) - 0.5) * np.float32(np.sqrt(2))  # [G, 3]
-    return with_largest(others, (bits >> 30).astype(np.intp))
+    return restore_largest(others, (bits >> 30).astype(np.intp))
 
 
 def _color(

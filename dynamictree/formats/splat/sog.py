@@ -26,10 +26,10 @@ from dynamictree.formats.json_fields import (
 )
 from dynamictree.formats.seekable import SeekableReader, refuse_bomb, remaining_bytes
 from dynamictree.formats.splat.activations import (
+    drop_largest,
     log_from_scales,
+    restore_largest,
     scales_from_log,
-    with_largest,
-    without_largest,
 )
 from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
 from dynamictree.formats.suffixes import SOG_FOLDER_FILE
@@ -207,11 +207,11 @@ def _rotations(pixels: UInt8[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
     others = (pixels[:, :3] / np.float32(127.5) - 1) / np.float32(np.sqrt(2))
     tagged = pixels[:, 3] >= _FIRST_TAG
     largest = np.where(tagged, pixels[:, 3], _FIRST_TAG).astype(np.intp) - _FIRST_TAG
-    return with_largest(np.where(tagged[:, None], others, np.float32(0)), largest)
+    return restore_largest(np.where(tagged[:, None], others, np.float32(0)), largest)
 
 
 def _packed_rotations(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
-    others, largest = without_largest(quaternions)
+    others, largest = drop_largest(quaternions)
     packed = np.clip(np.rint((others * np.sqrt(2) + 1) * 127.5), 0, 255)
     return np.concatenate([packed, _FIRST_TAG + largest[:, None]], axis=1).astype(np.uint8)
 

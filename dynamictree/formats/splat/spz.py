@@ -15,11 +15,11 @@ from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, refuse_bomb
 from dynamictree.formats.splat.activations import (
     color_from_harmonic,
+    drop_largest,
     harmonic_from_color,
     log_from_scales,
+    restore_largest,
     scales_from_log,
-    with_largest,
-    without_largest,
 )
 from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
@@ -193,11 +193,11 @@ def _smallest_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, 
     stored = np.stack([bits >> 20 & 1023, bits >> 10 & 1023, bits & 1023], axis=1)
     magnitude = (stored & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))
     others = np.where(stored >> 9, -magnitude, magnitude).astype(np.float32)
-    return with_largest(others, (bits >> 30).astype(np.intp))[:, [3, 0, 1, 2]]
+    return restore_largest(others, (bits >> 30).astype(np.intp))[:, [3, 0, 1, 2]]
 
 
 def _packed_smallest_three(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
-    others, largest = without_largest(quaternions[:, [1, 2, 3, 0]])
+    others, largest = drop_largest(quaternions[:, [1, 2, 3, 0]])
     steps = np.minimum(np.rint(np.abs(others) * np.sqrt(2) * _SMALLEST_THREE), _SMALLEST_THREE).astype(np.uint32)
     stored = steps | (others < 0).astype(np.uint32) << 9
     bits = largest.astype(np.uint32) << 30 | stored[:, 0] << 20 | stored[:, 1] << 10 | stored[:, 2]

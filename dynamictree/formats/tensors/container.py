@@ -93,7 +93,7 @@ def file_head(tensors: Mapping[str, tuple[str, tuple[int, ...]]], metadata: Mapp
     return len(text).to_bytes(8, "little") + text
 
 
-def take_tensor(
+def checked_tensor(
     tensors: Mapping[str, Shaped[np.ndarray, "..."]],
     name: str,
     *,
@@ -134,7 +134,7 @@ def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], facts: "GridFact
     Raises:
         InputError: there are no voxels, or they are outside of the cube, not unique or not in order.
     """
-    coords = take_tensor(tensors, "coords", dtypes=("int32",), shape=(None, 3))
+    coords = checked_tensor(tensors, "coords", dtypes=("int32",), shape=(None, 3))
     return VoxelGrid(
         coords=coords, origin_m=facts.origin_m, voxel_size_m=facts.voxel_size_m, resolution=facts.resolution
     )
@@ -148,7 +148,7 @@ def tree_numbers(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: i
     """
     if "tree" not in tensors:
         return None
-    tree = take_tensor(tensors, "tree", dtypes=("int32",), shape=(num_voxels,))
+    tree = checked_tensor(tensors, "tree", dtypes=("int32",), shape=(num_voxels,))
     if tree.min() < 0 or tree.max() >= num_voxels:
         raise FormatError(f"trees are numbered from {tree.min()} to {tree.max()}; 0 to {num_voxels - 1} are allowed")
     return tree

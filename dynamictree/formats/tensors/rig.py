@@ -7,7 +7,7 @@ from pydantic import BaseModel, Field
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.tensors.container import MAX_FRAMES, facts_of, read_tensors, take_tensor, write_tensors
+from dynamictree.formats.tensors.container import MAX_FRAMES, checked_tensor, facts_of, read_tensors, write_tensors
 from dynamictree.rig.pose import Skeleton, Weights
 from dynamictree.rig.rig import BONES_PER_VOXEL, Rig
 from dynamictree.spectrum import quantise
@@ -44,14 +44,14 @@ def read_rig(stream: ByteReader) -> Rig:
         FormatError: the file is no rig of a known version, or its bones do not fit together.
     """
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
-    parent = take_tensor(tensors, "parent", dtypes=("int32",), shape=(None,))
+    parent = checked_tensor(tensors, "parent", dtypes=("int32",), shape=(None,))
     num_bones = len(parent)
-    steps = take_tensor(tensors, "turn_step_rad", dtypes=("float32",), shape=(None,))
-    parts = take_tensor(tensors, "turns", dtypes=("int16",), shape=(num_bones, len(steps), 3, 2))
-    bone = take_tensor(tensors, "vertex_bone", dtypes=("int32",), shape=(None,))
-    of_parent = take_tensor(tensors, "vertex_parent_share", dtypes=("uint8",), shape=(len(bone),)) / np.float32(255)
-    voxel_bones = take_tensor(tensors, "voxel_bones", dtypes=("int32",), shape=(None, BONES_PER_VOXEL))
-    voxel_shares = take_tensor(tensors, "voxel_shares", dtypes=("uint8",), shape=voxel_bones.shape)
+    steps = checked_tensor(tensors, "turn_step_rad", dtypes=("float32",), shape=(None,))
+    parts = checked_tensor(tensors, "turns", dtypes=("int16",), shape=(num_bones, len(steps), 3, 2))
+    bone = checked_tensor(tensors, "vertex_bone", dtypes=("int32",), shape=(None,))
+    of_parent = checked_tensor(tensors, "vertex_parent_share", dtypes=("uint8",), shape=(len(bone),)) / np.float32(255)
+    voxel_bones = checked_tensor(tensors, "voxel_bones", dtypes=("int32",), shape=(None, BONES_PER_VOXEL))
+    voxel_shares = checked_tensor(tensors, "voxel_shares", dtypes=("uint8",), shape=voxel_bones.shape)
     before = np.arange(num_bones)
     if num_bones == 0 or parent[0] != -1 or (parent[1:] < 0).any() or (parent >= before).any():
         raise FormatError("the rig's bones are not in order: the ground first, parents before children")
@@ -62,9 +62,9 @@ def read_rig(stream: ByteReader) -> Rig:
     return Rig(
         skeleton=Skeleton(
             parent=parent,
-            foot_m=take_tensor(tensors, "foot_m", dtypes=("float32",), shape=(num_bones, 3)),
-            reach_m=take_tensor(tensors, "reach_m", dtypes=("float32",), shape=(num_bones, 3)),
-            in_surface=take_tensor(tensors, "in_surface", dtypes=("uint8",), shape=(num_bones,)) > 0,
+            foot_m=checked_tensor(tensors, "foot_m", dtypes=("float32",), shape=(num_bones, 3)),
+            reach_m=checked_tensor(tensors, "reach_m", dtypes=("float32",), shape=(num_bones, 3)),
+            in_surface=checked_tensor(tensors, "in_surface", dtypes=("uint8",), shape=(num_bones,)) > 0,
         ),
         turns=(turns[..., 0] + 1j * turns[..., 1]).astype(np.complex64),
         vertices=Weights(

@@ -13,12 +13,12 @@ from dynamictree.errors import NumericsError
 from dynamictree.formats.tensors.container import (
     MAX_FRAMES,
     GridFacts,
+    checked_tensor,
     facts_of,
     grid_metadata,
     read_grid,
     read_tensors,
     source_metadata,
-    take_tensor,
     tree_numbers,
     write_tensors,
 )
@@ -95,7 +95,7 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
     facts = facts_of(metadata, _Facts)
     grid = read_grid(tensors, facts)
-    parts = take_tensor(tensors, "coefficients", dtypes=("float16", "float32"), shape=(len(grid), None, 3, 2))
+    parts = checked_tensor(tensors, "coefficients", dtypes=("float16", "float32"), shape=(len(grid), None, 3, 2))
     coefficients = np.ascontiguousarray(parts, np.float32).view(np.complex64)[..., 0]  # [V, K, 3]
     return SparseVoxelSpectrum(
         grid=grid,
@@ -125,6 +125,6 @@ def _band_tensors(bands: WindBands | None) -> dict[str, np.ndarray]:
 def _bands(tensors: Mapping[str, np.ndarray], num_frequencies: int) -> WindBands | None:
     if "band_speeds_m_s" not in tensors:
         return None
-    speeds = take_tensor(tensors, "band_speeds_m_s", dtypes=("float32",), shape=(None,))
-    gains = take_tensor(tensors, "band_gains", dtypes=("float32",), shape=(len(speeds), num_frequencies))
+    speeds = checked_tensor(tensors, "band_speeds_m_s", dtypes=("float32",), shape=(None,))
+    gains = checked_tensor(tensors, "band_gains", dtypes=("float32",), shape=(len(speeds), num_frequencies))
     return WindBands(speeds_m_s=tuple(speeds.tolist()), gains=tuple(map(tuple, gains.tolist())))

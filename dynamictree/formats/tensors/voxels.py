@@ -9,12 +9,12 @@ from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.tensors.container import (
     GridFacts,
+    checked_tensor,
     facts_of,
     grid_metadata,
     read_grid,
     read_tensors,
     source_metadata,
-    take_tensor,
     tree_numbers,
     write_tensors,
 )
@@ -43,7 +43,7 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
     facts = facts_of(metadata, GridFacts)
     grid = read_grid(tensors, facts)
-    normals = take_tensor(tensors, "normals", dtypes=("float32",), shape=(len(grid), 3))
+    normals = checked_tensor(tensors, "normals", dtypes=("float32",), shape=(len(grid), 3))
     longest = float(np.linalg.norm(normals, axis=1).max())
     if longest > longest_normal:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
@@ -55,7 +55,7 @@ def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) 
     largest_moment = 1.01  # moments except the area: offsets and spreads lie inside a voxel, normals have unit length
     if "moments" not in tensors:
         return None
-    moments = take_tensor(tensors, "moments", dtypes=("float32",), shape=(num_voxels, NUM_MOMENTS))
+    moments = checked_tensor(tensors, "moments", dtypes=("float32",), shape=(num_voxels, NUM_MOMENTS))
     if (moments[:, AREA] <= 0).any() or float(np.abs(moments[:, AREA.stop :]).max()) > largest_moment:
         raise FormatError("moments have an area above 0, and lie within a voxel; voxelise the mesh again")
     return moments

@@ -30,7 +30,7 @@ MAX_VOXELS = 2_400_000
 """Limit of the spectrum's grid, at 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
 
 
-def gusts_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
+def noise_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
     """Return the noise of a seed at a speed; it becomes independent noise within an octave of the speed.
 
     The wind carries turbulence past the tree unchanged (Taylor): frequency f is driven by eddies of wave number f / U,
@@ -78,7 +78,7 @@ class SmallModel(MotionModel):
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], float | None]:
         self._check(voxels.grid)
         prepared = self.prepare(voxels, wind)
-        start, residual = gusts_at(wind.speed_m_s, sampling.seed, partial(self._draw, prepared))
+        start, residual = noise_at(wind.speed_m_s, sampling.seed, partial(self._draw, prepared))
         whitened = self._denoise(prepared, start, sampling)
         coefficients = prepared.to_metres(prepared.assemble(whitened, residual))
         return voxels.grid, coefficients, prepared.foliage

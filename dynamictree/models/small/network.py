@@ -15,7 +15,7 @@ from dynamictree.models.small.amplitude import AmplitudeNetwork
 from dynamictree.models.small.correlated_noise import NUM_SCALES
 from dynamictree.models.small.denoiser import Denoiser, DenoiserShape
 from dynamictree.models.small.foliage import FoliageNetwork
-from dynamictree.models.small.spread import speed_terms
+from dynamictree.models.small.spread import speed_weights
 from dynamictree.models.weights_file import StorableNetwork
 
 AXES = 3
@@ -43,7 +43,7 @@ class SmallNetwork(StorableNetwork):
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     leaf_share: Tensor  # [J], ρ²
-    spread: Tensor  # [U, J, 3], at the speeds of `speed_terms`
+    spread: Tensor  # [U, J, 3], at the speeds of `speed_weights`
     log_gain: Tensor  # [U, J, 3], factor that gives samples the typical tree's energy
 
     def __init__(self, preset: SmallPreset) -> None:
@@ -58,5 +58,5 @@ class SmallNetwork(StorableNetwork):
         self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
         self.register_buffer("leaf_share", torch.zeros(moving))
-        self.register_buffer("spread", torch.zeros(*speed_terms(torch.zeros(())).shape, moving, AXES))
+        self.register_buffer("spread", torch.zeros(*speed_weights(torch.zeros(())).shape, moving, AXES))
         self.register_buffer("log_gain", torch.zeros_like(self.spread))

@@ -13,7 +13,7 @@ from torch import Tensor
 from dynamictree.models.wind import REFERENCE_SPEED
 
 
-def speed_terms(log_speed: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S U"]:
+def speed_weights(log_speed: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S U"]:
     """Return interpolation weights of a speed between stored ones, which are evenly spaced in ln from 1 to 25 m/s."""
     count = 5  # error of ln energy at k = 7 to 15 is 0.19; 0.28 with one gain for all speeds (168 held-out trees)
     place = (log_speed / (2 * math.log(REFERENCE_SPEED))).clamp(0, 1) * (count - 1)
@@ -21,8 +21,8 @@ def speed_terms(log_speed: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S U"]:
 
 
 def at_speed(stored: Float32[Tensor, "U J 3"], log_speed: Float32[Tensor, ""]) -> Float32[Tensor, "J 3"]:
-    """Interpolate values stored at the speeds of `speed_terms`."""
-    return torch.einsum("u,ujx->jx", speed_terms(log_speed), stored)
+    """Interpolate values stored at the speeds of `speed_weights`."""
+    return torch.einsum("u,ujx->jx", speed_weights(log_speed), stored)
 
 
 def log_surplus(spread: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S"]:

@@ -13,7 +13,7 @@ from dynamictree.models import MotionModel, load_model
 from dynamictree.models.motion_model import Sampling
 from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS, above_floor
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, gusts_at
+from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, noise_at
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.spread import log_surplus, with_spread
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
@@ -62,7 +62,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: Sma
 
 def test_the_gusts_of_a_seed_change_with_the_speed_and_little_with_little() -> None:
     def gusts(speed_m_s: float, seed: int = 3) -> torch.Tensor:
-        (drawn,) = gusts_at(speed_m_s, seed, lambda generator: (torch.randn(20_000, generator=generator),))
+        (drawn,) = noise_at(speed_m_s, seed, lambda generator: (torch.randn(20_000, generator=generator),))
         return drawn
 
     def alike(one: torch.Tensor, other: torch.Tensor) -> float:
