@@ -94,7 +94,7 @@ def _pulls(sample: Sample, system: ModalSystem) -> list[np.ndarray]:
     joints, rest = tree.joints, system.grid.centres_m.astype(np.float64)
     pulls = []
     for row in rng.choice(np.flatnonzero(joints.of_voxel > 0), PULLS, replace=False):
-        chain, point = joints.chain(int(row)), tree.drawn(contact_at_voxel(system.grid, int(row)))
+        chain, point = joints.chain(int(row)), tree.grip_point(contact_at_voxel(system.grid, int(row)))
         grip, light = grip_at(joints, chain, point), joints.num_carried[chain] < BRANCH_SHARE * len(rest)
         places = np.concatenate([point.point_m[None], joints.place_m[chain]])
         length = np.linalg.norm(np.diff(places, axis=0), axis=1)[light].sum()

@@ -200,7 +200,7 @@ class PauseDetector:
         self._clocks = (wall, steady)  # the steady clock of a suspended machine stops; the wall clock continues
         self._last = (wall(), steady())
 
-    def noticed(self) -> bool:
+    def detect(self) -> bool:
         """Return whether either clock moved by more than `longest_s`, or back, since the last call."""
         now = (self._clocks[0](), self._clocks[1]())
         moved = [after - before for after, before in zip(now, self._last, strict=True)]
@@ -277,7 +277,7 @@ def run(keeper: Housekeeper, stopped: threading.Event, *, works: Callable[[], bo
                 reaping.due = now + 2 * settings.heartbeat_s  # leases could not be renewed without the store
         if ours:
             for turn in turns:
-                if pauses.noticed():  # workers were paused too; they renew with their next heartbeat
+                if pauses.detect():  # workers were paused too; they renew with their next heartbeat
                     reaping.due = time.monotonic() + 2 * settings.heartbeat_s
                 turn.take(time.monotonic())
     _run_duty(lambda: maintenance.release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))

@@ -106,7 +106,7 @@ def interact(
         "groups": len(groups),
         "mass_kg": system.mass_kg,
         "reached_m": [[round(float(x), 4) for x in one.reached_m] for one in answer.reached],
-        "place_m": [round(float(x), 4) for x in (at.drawn.point_m if at.drawn else system.grid.centres_m[at.rows[0]])],
+        "place_m": [round(float(x), 4) for x in (at.grip.point_m if at.grip else system.grid.centres_m[at.rows[0]])],
     }
     show_result(facts, as_json=as_json)
 

@@ -32,7 +32,7 @@ class Contact:
 
     rows: Int32[np.ndarray, " P"]
     weights: Float64[np.ndarray, " P"]
-    drawn: CarriedPoint | None = None  # point that a drag by displacement fixes; None for the first voxel
+    grip: CarriedPoint | None = None  # point that a drag by displacement fixes; None for the first voxel
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -195,7 +195,7 @@ class InteractiveTree:
         from dynamictree.modal.pull import grip_at, pull_to
         from dynamictree.rig.pose import Weights
 
-        point, still = self.drawn(drag.at), np.zeros(system.num_modes, np.complex128)
+        point, still = self.grip_point(drag.at), np.zeros(system.num_modes, np.complex128)
         wanted = require_finite("displacement_m", drag.displacement_m or (0.0, 0.0, 0.0))
         if group.locality is not None:
             pull = pull_to(
@@ -212,11 +212,11 @@ class InteractiveTree:
         )[0].astype(np.float64)
         return Rest(bend=np.zeros((0, 3)), q=q, reached=Reached(wanted_m=wanted, reached_m=moved, beyond_m=0.0))
 
-    def drawn(self, at: Contact) -> CarriedPoint:
+    def grip_point(self, at: Contact) -> CarriedPoint:
         """Return the point that a drag by displacement fixes: the contact's, or else its first voxel."""
         row, voxels = int(at.rows[0]), self.bones.voxels
-        if at.drawn is not None:
-            return at.drawn
+        if at.grip is not None:
+            return at.grip
         return CarriedPoint(point_m=self.system.grid.centres_m[row], bones=voxels.rows[row], weights=voxels.shares[row])
 
     def contact_at_vertex(self, vertices: Float32[np.ndarray, "N 3"], vertex: int, *, radius_m: float = 0.0) -> Contact:
@@ -233,4 +233,4 @@ class InteractiveTree:
             at = contact_at_voxel(self.system.grid, int(own[away.argmin()]))
         else:
             at = contact_at_point(self.system.grid, (x, y, z), radius_m=radius_m)
-        return replace(at, drawn=CarriedPoint(point_m=vertices[vertex], bones=rows, weights=shares))
+        return replace(at, grip=CarriedPoint(point_m=vertices[vertex], bones=rows, weights=shares))

@@ -64,8 +64,8 @@ class Grips:
 
     def hold(self, drag: Drag, group: ForceGroup) -> Hold:
         """Solve a drag by displacement in the bent shape."""
-        drawn = None if drag.at.drawn is None else drag.at.drawn.point_m.tobytes()
-        key = (group.locality, drag.at.rows.tobytes(), drawn)
+        grip = None if drag.at.grip is None else drag.at.grip.point_m.tobytes()
+        key = (group.locality, drag.at.rows.tobytes(), grip)
         near = self._last[1] if self._last is not None and self._last[0] == key else None
         tree = self.tree()
         equilibrium = tree.hold(self.system, group, drag, near=near)

@@ -66,7 +66,7 @@ class Child:
         self._started_at = time.monotonic()
         logger.info("%s runs as process %s", self.plan.name, self._process.pid)
 
-    def look_after(self) -> None:
+    def ensure_running(self) -> None:
         """Check the process; restart it after its backoff if it has died."""
         now = time.monotonic()
         if self._process is not None:
@@ -119,7 +119,7 @@ class Supervisor:
                 self._await(child, stopped)
             while not stopped.wait(0.1):
                 for child in self.children:
-                    child.look_after()
+                    child.ensure_running()
                 announced = announced or announce()
         finally:
             for child in reversed(self.children):
@@ -127,7 +127,7 @@ class Supervisor:
 
     def _await(self, child: Child, stopped: threading.Event) -> None:
         while not stopped.is_set() and not child.plan.ready():
-            child.look_after()
+            child.ensure_running()
             stopped.wait(0.02)
 
 

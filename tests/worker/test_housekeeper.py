@@ -211,10 +211,10 @@ def test_a_pause_or_a_clock_step_is_noticed(wall_s: float, steady_s: float) -> N
     now = [1000.0, 50.0]
     pauses = PauseDetector(longest_s=25.0, wall=lambda: now[0], steady=lambda: now[1])
     now[0], now[1] = now[0] + 1, now[1] + 1
-    assert not pauses.noticed()
+    assert not pauses.detect()
     now[0], now[1] = now[0] + wall_s, now[1] + steady_s  # SIGSTOP, suspension, a clock set back
-    assert pauses.noticed()
-    assert not pauses.noticed()
+    assert pauses.detect()
+    assert not pauses.detect()
 
 
 def test_jobs_outlive_a_pause_of_the_whole_machine(keeper, monkeypatch, caplog) -> None:
