@@ -49,8 +49,8 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path) -> None:
 
 def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from dynamictree.files import published\n"
-        "with published(Path(sys.argv[1])) as folder:\n"
+        "import os, sys; from pathlib import Path; from dynamictree.files import atomic_folder\n"
+        "with atomic_folder(Path(sys.argv[1])) as folder:\n"
         "    (folder / 'half').write_bytes(b'x'); os.kill(os.getpid(), 9)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False)
