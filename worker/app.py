@@ -27,11 +27,12 @@ class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
         self._path = read_settings().worker_alive_file
         if self._path is not None:
             self._path.touch()
-            parent.timer.call_repeatedly(TOUCH_INTERVAL_S, self._path.touch)
+            self._touching = parent.timer.call_repeatedly(TOUCH_INTERVAL_S, self._path.touch)
 
     def stop(self, parent: WorkController) -> None:
         """Delete the file."""
         if self._path is not None:
+            self._touching.cancel()
             self._path.unlink(missing_ok=True)
 
 

@@ -139,8 +139,7 @@ def _photos(request: ParseRequest) -> ParseAnswer:
             return ParseAnswer(code="unsupported-format", message=f"{name!r} is no photo; {accepted} are accepted")
         except (OSError, SyntaxError, ValueError) as error:
             return _unusable(f"photo {name!r} is damaged: {error}; export it again")
-    largest = max(sizes)
-    return ParseAnswer(summary={"num_photos": number, "largest_pixels": [float(n) for n in largest]})
+    return ParseAnswer(summary={"num_photos": number, "largest_pixels": [float(n) for n in max(sizes)]})
 
 
 def _film(request: ParseRequest) -> ParseAnswer:
