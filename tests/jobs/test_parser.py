@@ -13,7 +13,7 @@ from jobs.storage.parser_process import ParseAnswer, ParseRequest, parse
 from service.http.problems import KINDS
 from tests.servers import wait_for
 
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+OBJ = "v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n"
 
 
 def test_a_fault_of_ours_is_reported_as_one_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

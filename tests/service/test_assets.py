@@ -18,8 +18,8 @@ from tests.service.conftest import change_services
 from tests.service.tus import whole
 
 OBJ = b"""mtllib tree.mtl
-v 0 0 0
-v 1 0 0
+v 0.45 0.5 0
+v 0.55 0.5 0
 v 0 0 2
 v 1 1 2
 usemtl bark

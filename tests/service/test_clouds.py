@@ -87,7 +87,7 @@ def test_mask_and_mesh_come_with_a_splat(client: TestClient, services: Services)
 
 
 def test_a_note_beside_a_mesh_is_no_scan(client: TestClient) -> None:
-    obj = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
+    obj = b"v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n"
     assert send(client, ("tree.obj", obj), ("license.txt", b"1 2 3\n")).json()["kind"] == "mesh"
     points = b"".join(b"%d %d %d\n" % (n, n % 7, n % 5) for n in range(100))
     assert send(client, ("tree.xyz", points)).json()["kind"] == "cloud"
@@ -163,7 +163,7 @@ def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
 
 
 def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, monkeypatch) -> None:
-    mesh_id = send(client, ("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")).json()["id"]
+    mesh_id = send(client, ("tree.obj", b"v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n")).json()["id"]
     photos_id = send(client, *((f"p{i}.jpg", photo(i)) for i in range(8))).json()["id"]
     for params in ({"still_box_m": [[0, 0, 0], [1, 1, 1]]}, {"still": ["pot"]}):
         refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": photos_id, "params": params})

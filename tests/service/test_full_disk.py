@@ -15,7 +15,7 @@ from service.app import create_app
 from tests.line import Handler, answering
 
 MIB = 1024**2
-TREE = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
+TREE = b"v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n"
 
 
 def answer(_: int, handler: Handler) -> None:
