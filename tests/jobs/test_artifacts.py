@@ -132,8 +132,8 @@ def test_a_busy_storage_is_waited_for_as_long_as_configured(s3: tuple[Server, Pa
     busy = s3[1] / "busy"
     busy.touch()
     with pytest.raises(StorageAwayError, match="object storage"):
-        open_artifacts("s3://trees/products", patience_s=0.5).put(source, digest)
-    threading.Timer(1.5, busy.unlink).start()
+        open_artifacts("s3://trees/products", patience_s=0.2).put(source, digest)
+    threading.Timer(0.6, busy.unlink).start()
     artifacts = open_artifacts("s3://trees/products", patience_s=60)
     artifacts.put(source, digest)
     assert artifacts.exists(digest)

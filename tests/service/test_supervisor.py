@@ -56,13 +56,15 @@ def test_it_announces_once() -> None:
     assert len(given) == 3
 
 
-def test_one_that_keeps_dying_is_started_ever_more_rarely(tmp_path: Path) -> None:
+def test_one_that_keeps_dying_is_started_ever_more_rarely(tmp_path: Path, monkeypatch, caplog) -> None:
+    monkeypatch.setattr("service.local.supervisor.FIRST_BACKOFF_S", 0.2)
     log = tmp_path / "pids"
     program = f"import os; open({str(log)!r}, 'a').write(f'{{os.getpid()}}\\n')"
     with running(plan(program)):
         began = time.monotonic()
         pids_in(log, 3)
-        assert time.monotonic() - began > 0.5 + 1.0
+        assert time.monotonic() - began > 0.2 + 0.4
+    assert [record.args[-1] for record in caplog.records[:2]] == [0.2, 0.4]  # announced pauses [s]
 
 
 def test_one_that_does_not_stop_is_killed_with_what_it_started(tmp_path: Path) -> None:
