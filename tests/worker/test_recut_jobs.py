@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from functools import partial
 from io import BytesIO
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import PIL.Image
@@ -31,8 +32,9 @@ from worker.runtime import Runtime
 
 
 @pytest.fixture
-def photos(runtime: Runtime, tmp_path: Path) -> AssetRecord:
-    """Eight photos of noise, of which nobody learns anything."""
+def photos(runtime: Runtime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AssetRecord:
+    """Eight photos of noise, of which nobody learns anything; surfaces are coarse."""
+    monkeypatch.setattr("dynamictree.reconstruct.coloured_mesh.CELLS", 96)
     paths = [tmp_path / f"{number}.png" for number in range(8)]
     for number, path in enumerate(paths):
         Image.effect_noise((400, 300), 10 + number).convert("RGB").save(path)
@@ -47,7 +49,9 @@ def test_a_job_decodes_no_photo_itself(runtime: Runtime, photos: AssetRecord, mo
         return open_image(path, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(PIL.Image, "open", opening)
-    with pytest.raises(ReconstructionError):  # noise has nothing in common
+    noise = Mock(side_effect=ReconstructionError("noise"))
+    monkeypatch.setattr("dynamictree.reconstruct.reconstruction.find_cameras", noise)
+    with pytest.raises(ReconstructionError, match="noise"):
         run(runtime, hold(runtime, reconstruct_job(runtime, photos)))
     assert ".png" not in opened  # the child writes JPEG
 
