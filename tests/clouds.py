@@ -12,7 +12,7 @@ def cloud_at(
     """Gaussians at these places; any other value may be the same for all."""
 
     def rows(values: object, *width: int) -> np.ndarray:
-        return np.array(np.broadcast_to(np.asarray(values, np.float32), (len(means), *width)))
+        return np.array(np.broadcast_to(np.asarray(values, np.float32), (len(means), *width)), order="C")
 
     return GaussianCloud(
         means=np.asarray(means, np.float32),

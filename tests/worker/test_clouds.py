@@ -40,7 +40,8 @@ def scene(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     return keep(runtime, capture, tmp_path / "cloud.safetensors")
 
 
-def test_a_splat_comes_out_moving_and_what_is_around_it_stays(runtime, scene, tmp_path) -> None:
+def test_a_splat_comes_out_moving_and_what_is_around_it_stays(runtime, scene, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("dynamictree.gaussian.cloud_mesh.MAX_FACES", 400)  # enough for the post
     options = {
         "num_frames": 6,
         "fps": 2.4,
