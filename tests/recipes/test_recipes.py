@@ -39,7 +39,7 @@ def planted(tmp_path_factory: pytest.TempPathFactory) -> pygltflib.GLTF2:
 def forest_of(folder: Path, seed: int) -> pygltflib.GLTF2:
     sample = make_sample(seed, "sapling")
     (folder / "tree.glb").write_bytes(written(write_glb, sample.mesh))
-    (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 64)[1]))
+    (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 32)[1]))
     output = planted_as(folder / "forest.glb")
     document = pygltflib.GLTF2().load(str(output))
     document.path = output
