@@ -40,9 +40,9 @@ def leaves(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield from leaves(command.get_command(None, word), f"{name} {word}")
 
 
-def test_animate_writes_every_product_and_says_so_in_json(tree: Path, tmp_path: Path) -> None:
+def test_animate_writes_every_product_and_says_so_in_json(triangle: Path, tmp_path: Path) -> None:
     options = ["-o", str(tmp_path / "out"), "--format", "ply,glb,motion,png", "--num-steps", "1", "--json"]
-    command = [sys.executable, "-m", "dynamictree.cli", "animate", str(tree), *options]
+    command = [sys.executable, "-m", "dynamictree.cli", "animate", str(triangle), *options]
     answer = subprocess.run(command, check=False, capture_output=True, text=True, timeout=600)
     assert answer.returncode == 0, answer.stderr
     files = {Path(name).name for name in json.loads(answer.stdout)["files"]}
@@ -59,14 +59,6 @@ def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(run, tri
         assert run("diffuse", triangle, "-o", files[name], "--seed", seed, "--num-steps", 1).returncode == 0
     assert files["a"].read_bytes() == files["b"].read_bytes()
     assert files["a"].read_bytes() != files["c"].read_bytes()
-
-
-def test_voxelize_then_info_tells_what_was_written(run: Run, tree: Path, tmp_path: Path) -> None:
-    voxels = tmp_path / "tree.voxels.safetensors"
-    result = json.loads(run("voxelize", tree, "-o", voxels, "--resolution", 64, "--json").stdout)
-    report = json.loads(run("info", voxels, "--json").stdout)
-    assert report["num_voxels"] == result["num_voxels"] > 100
-    assert report["resolution"] == 64
 
 
 @pytest.mark.parametrize(

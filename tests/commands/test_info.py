@@ -1,3 +1,4 @@
+import json
 from hashlib import sha256
 from pathlib import Path
 
@@ -8,11 +9,12 @@ from tests.commands.conftest import TRIANGLE, Run, assert_refused
 
 def test_a_file_is_described_by_its_bytes(run: Run, triangle: Path, tmp_path: Path) -> None:
     voxels, spectrum = tmp_path / "a", tmp_path / "b"
-    assert run("voxelize", triangle, "-o", voxels).returncode == 0
+    report = json.loads(run("voxelize", triangle, "-o", voxels, "--json").stdout)
     assert run("diffuse", voxels, "-o", spectrum, "--num-steps", 1).returncode == 0
     source_line = f"source_sha256: {sha256(TRIANGLE).hexdigest()}"
     for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, source_line)):
         assert line in run("info", path).stdout.splitlines()
+    assert json.loads(run("info", voxels, "--json").stdout)["num_voxels"] == report["num_voxels"] > 100
 
 
 @pytest.mark.parametrize("name", ["tree.obj", "source/tree.obj"])

@@ -20,7 +20,7 @@ from tests.formats.meshes import written
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tree")
-    sample = make_sample(4, "columnar")
+    sample = make_sample(6, "sapling")
     (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 32)[1]))
     (folder / "tree.obj").write_bytes(written(write_obj, sample.mesh))
     return folder

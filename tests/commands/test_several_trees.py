@@ -47,5 +47,3 @@ def test_one_tree_is_taken_and_a_part_of_it_stands_still(path: Path, tmp_path: P
     assert half[:, 2].max() < 3.3 < whole[:, 2].max()
     assert voxels(*still, "--moving-box", "-20,-20,3,20,20,9")[:, 2].max() < 3.3  # what is to stand still wins
     np.testing.assert_array_equal(voxels("--still-box", "-20,-20,-1,2,20,9"), whole)
-    none = run("voxelize", path, "-o", tmp_path / "x", "--tree", 2, "--still-box", "3,-9,-1,7,9,9")
-    assert_refused(none, "leave", at_once=False)
