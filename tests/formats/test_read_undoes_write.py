@@ -28,7 +28,7 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
     rng = np.random.default_rng(seed)
     num_vertices, num_faces = sizes
     return TriangleMesh(
-        vertices=(rng.normal(size=(num_vertices, 3)) * 10.0 ** rng.integers(-2, 2)).astype(np.float32),
+        vertices=(rng.normal(0, (0.05, 0.05, 1), (num_vertices, 3)) * 10.0 ** rng.integers(-2, 2)).astype(np.float32),
         faces=rng.integers(0, num_vertices, (num_faces, 3)).astype(np.int32),
         look=MeshLook(
             uv=rng.uniform(0, 1, (num_vertices, 2)).astype(np.float32) if has[0] else None,
