@@ -152,9 +152,11 @@ def running(keeper: Housekeeper) -> Iterator[None]:
     stopped = threading.Event()
     thread = threading.Thread(target=run, args=(keeper, stopped))
     thread.start()
-    yield
-    stopped.set()
-    thread.join(60)
+    try:
+        yield
+    finally:
+        stopped.set()
+        thread.join(60)
     assert not thread.is_alive()
 
 
