@@ -37,8 +37,8 @@ def test_a_killed_worker_loses_no_job(service: Service, killed: str, seed: int) 
 
 def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
     assert set(service.client.get("/readyz").json().values()) == {"ready", "ok"}
-    asset_id = service.upload("tree.obj", bumpy_sphere(20, width=0.2))
-    params = {"num_steps": 3, "formats": ["ply", "glb", "motion", "png"]}
+    asset_id = service.upload("tree.obj", bumpy_sphere(12, width=0.2))
+    params = {"num_steps": 1, "formats": ["ply", "glb", "motion", "png"]}
     url = service.create(type="animate", asset_id=asset_id, seed=3, params=params)
     job = service.finish(url)
     assert (job["state"], job["attempt"]) == ("succeeded", 1), job
@@ -55,7 +55,7 @@ def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
 
 
 def test_a_job_of_low_priority_gives_way_goes_on_and_is_canceled_within_a_step(service: Service) -> None:
-    asset_id = service.upload("tree.obj", bumpy_sphere(60, seed=4, width=0.2))
+    asset_id = service.upload("tree.obj", bumpy_sphere(20, seed=4, width=0.2))
     url = service.create(type="diffuse", asset_id=asset_id, priority="low", params={"num_steps": 1000})
 
     def reached(attempt: int) -> float:
