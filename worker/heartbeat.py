@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ class Heartbeat:
         }
         self._process = self._start()
         self._beats = False
-        self._waiting = threading.Lock()
+        self._waiting = threading.RLock()
 
     @property
     def pid(self) -> int:
@@ -80,10 +81,9 @@ class Heartbeat:
 
     def leave(self) -> None:
         """End the process; it deletes this worker's lease."""
-        try:
+        with self._waiting, suppress(BrokenPipeError):  # a thread may still read the first beat
             self._process.communicate()
-        except BrokenPipeError:
-            self._process.wait()
+        self._process.wait()
 
     def _tell(self, message: dict[str, str | int | float]) -> None:
         try:
