@@ -58,14 +58,16 @@ class _PairwiseConv(torch.autograd.Function):
         # gradients of tap i flow back through the opposite tap
         to_features = _convolve(gradient, weight.flip(0).transpose(1, 2), level) if ctx.needs_input_grad[0] else None  # type: ignore[attr-defined]
         to_weight = torch.empty_like(weight)
-        torch.mm(_flat(features).T, _flat(gradient), out=to_weight[CENTRE])
+        torch.mm(features.flatten(0, -2).T, gradient.flatten(0, -2), out=to_weight[CENTRE])
         for tap, (first, second) in enumerate(level.pairs):
             torch.mm(
-                _flat(features.index_select(0, second)).T, _flat(gradient.index_select(0, first)), out=to_weight[tap]
+                features.index_select(0, second).flatten(0, -2).T,
+                gradient.index_select(0, first).flatten(0, -2),
+                out=to_weight[tap],
             )
             torch.mm(
-                _flat(features.index_select(0, first)).T,
-                _flat(gradient.index_select(0, second)),
+                features.index_select(0, first).flatten(0, -2).T,
+                gradient.index_select(0, second).flatten(0, -2),
                 out=to_weight[26 - tap],
             )
         return to_features, to_weight, None
@@ -73,13 +75,10 @@ class _PairwiseConv(torch.autograd.Function):
 
 def _convolve(features: Tensor, weight: Tensor, level: SparseLevel) -> Tensor:
     shape = (*features.shape[1:-1], weight.shape[-1])
-    out = (_flat(features) @ weight[CENTRE]).view(-1, *shape)  # [V, *inner, D]
+    out = (features.flatten(0, -2) @ weight[CENTRE]).view(-1, *shape)  # [V, *inner, D]
     for tap, (first, second) in enumerate(level.pairs):
         if len(first):
-            out.index_add_(0, first, (_flat(features.index_select(0, second)) @ weight[tap]).view(-1, *shape))
-            out.index_add_(0, second, (_flat(features.index_select(0, first)) @ weight[26 - tap]).view(-1, *shape))
+            for target, source, at in ((first, second, tap), (second, first, 26 - tap)):
+                part = features.index_select(0, source).flatten(0, -2) @ weight[at]
+                out.index_add_(0, target, part.view(-1, *shape))
     return out
-
-
-def _flat(features: Tensor) -> Tensor:
-    return features.reshape(-1, features.shape[-1])
