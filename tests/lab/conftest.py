@@ -5,12 +5,6 @@ from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 
 
-@pytest.fixture(autouse=True, scope="session")
-def one_thread() -> None:
-    """Small tensors gain nothing from threads, and lose much where the machine is shared."""
-    torch.set_num_threads(1)
-
-
 @pytest.fixture
 def tiny_network() -> SmallNetwork:
     torch.manual_seed(0)

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from dynamictree.models.small.features import TreeFeatures, tree_features
 from dynamictree.voxel.grid import VoxelGrid
@@ -34,9 +33,3 @@ def voxels(fork: VoxelGrid) -> SurfaceVoxels:
 @pytest.fixture(scope="session")
 def tree(voxels: SurfaceVoxels) -> TreeFeatures:
     return tree_features(voxels)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def one_thread() -> None:
-    """Small tensors gain nothing from threads, and lose much where the machine is shared."""
-    torch.set_num_threads(1)

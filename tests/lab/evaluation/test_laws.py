@@ -92,7 +92,9 @@ def test_heights_of_measured_trees_have_no_band_of_models() -> None:
 
 
 def test_the_command_reports_shares_and_trees(commands: Typer, capsys) -> None:
-    result = CliRunner().invoke(commands, ["--laws", "--trees", "1", "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(
+        commands, ["--laws", "--trees", "1", "--threads", "1", "--json"], catch_exceptions=False
+    )
     report = json.loads(result.stdout)
     assert len(report["trees"]) == 1
     assert report["laws"].keys() == law_shares([]).keys()
@@ -104,9 +106,8 @@ def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands
     tree = grow_tree(replace(SPECIES["columnar"], height_m=(6.0, 6.0)), np.random.default_rng(2))
     with (tmp_path / "columnar.glb").open("wb") as stream:
         write_glb(tree.mesh, stream)
-    result = CliRunner().invoke(
-        commands, ["--laws", "--tree", str(tmp_path), "--height-m", "7", "--json"], catch_exceptions=False
-    )
+    arguments = ["--laws", "--tree", str(tmp_path), "--height-m", "7", "--threads", "1", "--json"]
+    result = CliRunner().invoke(commands, arguments, catch_exceptions=False)
     report = json.loads(result.stdout)
     assert report["tree"]["height_m"] == pytest.approx(7, rel=0.02)
     laws = {law: satisfied for law, satisfied in report["laws"].items() if law not in OF_HALF_THE_TREES}
