@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 
 from dynamictree.mesh import Surface, edges_of
-from dynamictree.parallel import single_thread
+from dynamictree.parallel import on_cores, single_thread
 from dynamictree.rig.pose import GROUND, Skeleton, Weights, by_depth, carried, poses
 from dynamictree.rig.surface_skeleton import FINENESS, surface_bones
 from dynamictree.rig.turn_fit import fit_turns
@@ -55,8 +56,8 @@ class Rig:
         result = np.empty((len(points), count, 3), np.complex64)
         for start in range(0, len(points), _POINTS_AT_ONCE):
             some = slice(start, start + _POINTS_AT_ONCE)
-            moved = [carried(self.skeleton, stance, t, points[some], weights[some]) for t in range(self.num_frames)]
-            result[some] = from_motion(np.stack(moved), count)
+            moment = partial(carried, self.skeleton, stance, points=points[some], weights=weights[some])
+            result[some] = from_motion(np.stack(on_cores(moment, range(self.num_frames))), count)
         return result
 
     def displacement(
