@@ -78,6 +78,12 @@ def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> list[
     return [textured(points, faces[~low], uv, bark), textured(points, faces[low], uv, glaze), ground]
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Extract surfaces of plants on a grid with half the cells along each side."""
+    monkeypatch.setattr("dynamictree.reconstruct.coloured_mesh.CELLS", 208)
+
+
 @pytest.fixture(scope="session")
 def orbit(tmp_path_factory) -> Orbit:
     return photographed(tmp_path_factory.mktemp("photos"))

@@ -54,7 +54,7 @@ def flat(shape: tuple[int, int]) -> Hypotheses:
 
 
 def test_stereo_finds_the_depth_that_the_renderer_has(orbit):
-    views = [stereo_view(view, SIDE) for view in views_of(orbit)[:3]]
+    views = [stereo_view(view, 150) for view in views_of(orbit)[:3]]
     shape = views[0].grey.shape
     guess, everywhere = flat(shape), np.ones(shape, bool)
     others = [[1, 2], [0, 2], [0, 1]]

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 from dynamictree.gaussian.rasterize import render_cloud
+from dynamictree.reconstruct.densify import DensityRules
 from dynamictree.reconstruct.depth import DepthMaps, outside_sky, stereo_view
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.sky import without_sky
@@ -120,7 +121,7 @@ def test_the_sky_goes_on_beyond_the_photos() -> None:
 
 def test_what_is_learned_before_a_sky_is_leaves_alone() -> None:
     views, covers = leaves_in_the_open(BLUE)
-    schedule = Schedule(num_steps=100, side_px=SIDE, sh_degree=0)
+    schedule = Schedule(num_steps=100, side_px=SIDE, sh_degree=0, rules=DensityRules(max_gaussians=4000))
     fit = fit_splat(model_of(views), None, schedule, sky=blue_sky())
     near = cloud_of(fit.table[np.linalg.norm(fit.table[:, MEAN], axis=1) < 5])
     for view, cover in zip(views, covers, strict=True):

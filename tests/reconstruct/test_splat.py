@@ -22,7 +22,10 @@ from dynamictree.reconstruct.views import SparseModel, View
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_coloured_mesh import model_of
 
-SMALL = Schedule(num_steps=160, side_px=120, check_every=40, coarser=((0.4, 2),), densify_every=40, degree_every=40)
+FEW = DensityRules(max_gaussians=3000)
+SMALL = Schedule(
+    num_steps=120, side_px=120, check_every=40, coarser=((0.4, 2),), densify_every=20, degree_every=20, rules=FEW
+)
 
 
 def small_model(orbit: Orbit, rng: np.random.Generator, *, cut: bool = False) -> SparseModel:
