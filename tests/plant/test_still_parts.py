@@ -70,7 +70,7 @@ def test_nothing_of_a_plant_is_taken_for_a_thing(species: str) -> None:
 
 
 def test_a_plant_in_a_scene_moves_as_it_does_alone_and_the_scene_stands_still() -> None:
-    plant = tree()
+    plant = tree("palm")
     scene, owner = merged(plant, plane(40 * plant.height_m, 0.01), pot(0.1 * plant.height_m, 0.8, -0.7))
     scene = replace(scene, still_faces=still_faces_of(scene))
     grid, alone = voxelize(scene, 32).grid, voxelize(plant, 32).grid
