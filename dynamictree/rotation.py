@@ -1,20 +1,21 @@
 """Rotations: unit quaternions wxyz, matrices, and the rotation nearest to a deformation gradient."""
 
 import numpy as np
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Float, Float32
-from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import InputError
 
 
 def quaternion_matrices(quaternions: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:
     """Return the rotation matrix of each unit quaternion; its columns are the turned axes."""
-    return np.asarray(Rotation.from_quat(quaternions, scalar_first=True).as_matrix(), quaternions.dtype)
+    turns = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True)
+    return np.asarray(turns.as_matrix(), quaternions.dtype)
 
 
 def matrix_quaternions(rotations: Float[np.ndarray, "G 3 3"]) -> Float[np.ndarray, "G 4"]:
     """Return the unit quaternion of each rotation matrix, with w >= 0."""
-    turns = Rotation.from_matrix(rotations, assume_valid=True)
+    turns = scipy.spatial.transform.Rotation.from_matrix(rotations, assume_valid=True)
     return np.asarray(turns.as_quat(canonical=True, scalar_first=True), rotations.dtype)
 
 
@@ -35,7 +36,7 @@ def quaternion_products(left: Float[np.ndarray, "#G 4"], right: Float[np.ndarray
 
 def about_z(angle_rad: float) -> Float32[np.ndarray, "3 3"]:
     """Return the matrix of a rotation from +X towards +Y."""
-    return np.asarray(Rotation.from_euler("z", angle_rad).as_matrix(), np.float32)
+    return np.asarray(scipy.spatial.transform.Rotation.from_euler("z", angle_rad).as_matrix(), np.float32)
 
 
 def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
@@ -58,5 +59,4 @@ def polar_rotations(gradients: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, 
     u, _, vt = np.linalg.svd(gradients)
     mirrored = np.linalg.det(u @ vt) < 0
     u[mirrored, :, 2] *= -1  # flip the least stretched axis
-    result: Float[np.ndarray, "F 3 3"] = u @ vt
-    return result
+    return np.asarray(u @ vt)
