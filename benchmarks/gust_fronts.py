@@ -24,7 +24,7 @@ WIND = Wind(speed_m_s=8.0, gust=0.3)
 WIDE_M = 4.0
 SLABS = 6  # slabs of a crown across the wind
 LAGS_S_M = np.linspace(-0.5, 0.5, 201)
-MAX_DISTANCE = 0.3  # tolerance [share of 1 / U]
+TOLERANCE = 0.3  # share of 1 / U
 
 
 def run() -> dict[str, object]:
@@ -51,7 +51,7 @@ def _summary(rows: list[tuple[float, float]]) -> dict[str, float]:
         "trees": len(rows),
         "wide": len(lags),
         "lag_s_m": float(np.median(lags)) / WIND.speed_m_s,
-        "within_30_percent": float((np.abs(lags - 1) <= MAX_DISTANCE).mean()),
+        "within_30_percent": float((np.abs(lags - 1) <= TOLERANCE).mean()),
         "kurtosis": float(np.median(kurtoses)),
     }
 

@@ -92,7 +92,7 @@ def generate(
     `on_step` receives the number of completed sampler steps and their total.
     """
     from dynamictree.models import loaded_once
-    from dynamictree.models.gust_travel import delayed_downwind
+    from dynamictree.models.gust_travel import delay_downwind
     from dynamictree.models.periods import PERIOD_S, period_by_height, with_period
     from dynamictree.models.several_trees import generate_trees, with_bands
 
@@ -108,7 +108,7 @@ def generate(
             voxels: SurfaceVoxels, *, seed: int, on_step: Callable[[int, int], None] | None = None
         ) -> SparseVoxelSpectrum:
             drawn = paced(voxels, seed=seed, on_step=on_step)
-            return delayed_downwind(drawn, blowing) if trained.adds_gust_travel else drawn
+            return delay_downwind(drawn, blowing) if trained.adds_gust_travel else drawn
 
         return generate_trees(of_tree, voxels, seed=seed, on_step=report)
 

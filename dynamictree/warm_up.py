@@ -71,9 +71,10 @@ def animate_splat() -> None:
 def pole() -> TriangleMesh:
     """Return a square pole of 1 m with a leaf at its top."""
     rings = [(x, y, z) for z in np.linspace(0, 1, 6) for x, y in ((0, 0), (0.05, 0), (0.05, 0.05), (0, 0.05))]
-    faces = [f for a in range(20) for b in [a + 1 - 4 * (a % 4 == 3)] for f in ((a, b, b + 4), (a, b + 4, a + 4))]
+    one, other = np.arange(20), np.arange(20) + [1, 1, 1, -3] * 5  # corners, and the next one of each in its ring
+    sides = np.stack([one, other, other + 4, one, other + 4, one + 4], axis=1).reshape(-1, 3)
     vertices = np.array([*rings, (0.05, 0, 0.9), (0.25, 0.02, 0.95), (0.2, 0.15, 1.0)], np.float32)
-    return TriangleMesh(vertices=vertices, faces=np.array([*faces, (24, 25, 26)], np.int32))
+    return TriangleMesh(vertices=vertices, faces=np.array([*sides, (24, 25, 26)], np.int32))
 
 
 if __name__ == "__main__":

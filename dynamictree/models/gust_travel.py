@@ -1,7 +1,7 @@
 """Gusts that travel through a crown: what moves beside the trunk is delayed by its distance downwind.
 
-Phases of the small model do not depend on the position along the wind, so that its gusts arrive everywhere at once.
-Air carries turbulence past a tree unchanged (Taylor), and each branch answers to the air at its place.
+Phases of the small model do not depend on the position along the wind, so its gusts arrive everywhere at once. Air
+carries turbulence past a tree unchanged (Taylor), and each branch answers to the air at its place.
 """
 
 import numpy as np
@@ -13,11 +13,11 @@ from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 
 
-def delayed_downwind(spectrum: SparseVoxelSpectrum, wind: Wind) -> SparseVoxelSpectrum:
+def delay_downwind(spectrum: SparseVoxelSpectrum, wind: Wind) -> SparseVoxelSpectrum:
     """Delay, in place, all but the trunk's bending by the distance downwind of the tree's middle, over the speed.
 
-    Below REFERENCE_SPEED the delay grows no further: it would distort branches, which answer as a whole. Crowns of the
-    simulator have half of the air's delay at 8 m/s, a fifth at 4 and a sixteenth at 2.
+    What is still stays so. Below REFERENCE_SPEED the delay grows no further: it would distort branches, which answer
+    as a whole. Crowns of the simulator have half of the air's delay at 8 m/s, a fifth at 4 and a sixteenth at 2.
     """
     most_rows, voxels_at_once = 5_000, 65_536  # rows to fit the trunk to
     grid, moving = spectrum.grid, spectrum.coefficients[:, 1:]
@@ -26,12 +26,11 @@ def delayed_downwind(spectrum: SparseVoxelSpectrum, wind: Wind) -> SparseVoxelSp
     shapes = _trunk_shapes(grid)
     some = slice(None, None, -(-len(grid) // most_rows))
     with single_thread():  # so that the result does not depend on the number of threads
-        bends = [
-            np.linalg.lstsq(shape[some], moving[some, :, axis], rcond=None)[0] for axis, shape in enumerate(shapes)
-        ]
+        bends = [np.linalg.lstsq(shape[some], moving[some, :, i], rcond=None)[0] for i, shape in enumerate(shapes)]
     for start in range(0, len(grid), voxels_at_once):
         rows = slice(start, start + voxels_at_once)
         turn = np.exp(-1j * np.outer(downwind_m[rows], omega).astype(np.float32)) - 1
+        turn[~moving[rows].any(axis=(1, 2))] = 0
         for axis, (shape, bend) in enumerate(zip(shapes, bends, strict=True)):
             moving[rows, :, axis] += (moving[rows, :, axis] - shape[rows] @ bend.astype(np.complex64)) * turn
     return spectrum

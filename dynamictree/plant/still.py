@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 from dynamictree.mesh import StillPart
 from dynamictree.planes import Direction, Points
 
-ThingIds = Bool[np.ndarray, " things"]
+ThingMask = Bool[np.ndarray, " things"]
 
 GROUND = StillPart(name="ground", why="level and wide, at the bottom")
 THINGS = StillPart(name="things", why="low, and apart from what rises higher")
@@ -49,11 +49,11 @@ class Scene:
     thing: Int64[np.ndarray, " P"]
     normals: Points | None = None  # unit normals
     material: Int64[np.ndarray, " things"]  # number, or -1 without material
-    soil: ThingIds  # things named as soil
+    soil: ThingMask  # things named as soil
     low: Float64[np.ndarray, "things 3"]  # corners of their bounding boxes
     high: Float64[np.ndarray, "things 3"]
 
-    def floor_and_height(self, gone: ThingIds) -> tuple[float, float]:
+    def floor_and_height(self, gone: ThingMask) -> tuple[float, float]:
         """Return the lowest z and the extent along +Z of the things that are not gone [m]."""
         floor = float(self.low[~gone, 2].min())
         return floor, float(self.high[~gone, 2].max()) - floor
@@ -65,7 +65,7 @@ def height_of(points: Points) -> float:
     return float(np.ptp(np.quantile(points[:, 2], [strays, 1 - strays])))
 
 
-def find_planes(scene: Scene, gone: ThingIds) -> ThingIds:
+def find_planes(scene: Scene, gone: ThingMask) -> ThingMask:
     """Detect planes, patches of ground and islands."""
     flatness = 0.2  # largest height over the narrower width
     wide = 0.5  # least width at the bottom [height of the rest]
@@ -82,7 +82,7 @@ def find_planes(scene: Scene, gone: ThingIds) -> ThingIds:
     return np.asarray(flat & (beneath | vast))
 
 
-def find_low_things(scene: Scene, gone: ThingIds, *, slack_m: float = 0.0) -> ThingIds:
+def find_low_things(scene: Scene, gone: ThingMask, *, slack_m: float = 0.0) -> ThingMask:
     """Detect things beside the plant; things connected with the plant, also indirectly, belong to it.
 
     `slack_m` is the excess of the distance between two things' points over that between their surfaces.
@@ -101,7 +101,7 @@ def find_low_things(scene: Scene, gone: ThingIds, *, slack_m: float = 0.0) -> Th
     return lying if (~(lying | gone)).any() else np.zeros_like(lying)
 
 
-def find_vessels(scene: Scene, gone: ThingIds) -> ThingIds:
+def find_vessels(scene: Scene, gone: ThingMask) -> ThingMask:
     """Detect pots, vases and planters, by the soil inside or the plant that rises from them."""
     vessel, with_soil = 0.5, 0.75  # share of the height: highest top of a vessel, and of one with soil
     low, high = scene.low, scene.high
@@ -125,7 +125,7 @@ def _holds_soil(scene: Scene, one: np.int64) -> bool:
     return bool((inside & lies_high & wide).any())
 
 
-def _encloses(scene: Scene, gone: ThingIds, one: np.int64, height: float) -> bool:
+def _encloses(scene: Scene, gone: ThingMask, one: np.int64, height: float) -> bool:
     """Whether the things that rise from a thing, or stand on it, are narrower there and just above."""
     wider = 1.5  # least ratio of a vessel's width to that of the enclosed foot
     on_top = 0.01  # share of the height; things that start this near to the top stand on it
@@ -163,7 +163,7 @@ def _wide_all_the_way(points: Points) -> bool:
     return bool(min(ends) > 0.4 * away.max())
 
 
-def find_boards(scene: Scene, gone: ThingIds) -> ThingIds:
+def find_boards(scene: Scene, gone: ThingMask) -> ThingMask:
     """Detect boards: long boxes with the axes of at least three others, lattices of rods, flat things on legs."""
     detected = np.zeros_like(gone)
     if scene.normals is None:
@@ -187,7 +187,7 @@ def find_boards(scene: Scene, gone: ThingIds) -> ThingIds:
     return np.asarray(detected | _on_legs(scene, gone))
 
 
-def _on_legs(scene: Scene, gone: ThingIds) -> ThingIds:
+def _on_legs(scene: Scene, gone: ThingMask) -> ThingMask:
     """Detect flat things on three or more legs of equal height, with the legs."""
     fewest, low_top, wide, flatness = 3, 0.6, 0.1, 0.2  # [legs]; [height] for the top's largest z and least width
     detected = np.zeros_like(gone)

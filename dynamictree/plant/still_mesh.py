@@ -21,7 +21,7 @@ from dynamictree.plant.still import (
     POT,
     THINGS,
     Scene,
-    ThingIds,
+    ThingMask,
     find_boards,
     find_low_things,
     find_planes,
@@ -56,7 +56,7 @@ def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Faces |
     return (tuple(parts), still) if still.any() and not still.all() else ((), None)
 
 
-def _by_shape(scene: Scene, gone: ThingIds, of_face: Int64[np.ndarray, " F"]) -> tuple[list[StillPart], ThingIds]:
+def _by_shape(scene: Scene, gone: ThingMask, of_face: Int64[np.ndarray, " F"]) -> tuple[list[StillPart], ThingMask]:
     parts = []
     for rule, part in ((find_planes, GROUND), (find_boards, BOARDS), (find_low_things, THINGS), (find_vessels, POT)):
         tried = gone | rule(scene, gone)
@@ -117,7 +117,7 @@ def _scene(mesh: TriangleMesh, of_face: Int64[np.ndarray, " F"]) -> Scene:
 
 
 def _fused_base(
-    mesh: TriangleMesh, scene: Scene, gone: ThingIds, of_face: Int64[np.ndarray, " F"]
+    mesh: TriangleMesh, scene: Scene, gone: ThingMask, of_face: Int64[np.ndarray, " F"]
 ) -> tuple[StillPart, Faces] | None:
     """Find the base of the largest part that rises from the bottom: a plate, ground or a pot; None without one."""
     points_of_base = 150_000

@@ -95,7 +95,7 @@ def evaluate(
             report = evaluate_laws(trees, seed=seed, model=of_model, on_step=on_step)
         typer.echo(json.dumps(report)) if as_json else print_laws(report)
         return
-    files, embedder = _sapling(samples), _embedder(clip)
+    files, embedder = ((), None) if classifier else (_sapling(samples), _embedder(clip))
     with bars(quiet=as_json) as on_step:
         if classifier:
             from lab.evaluation.classifier import classify

@@ -12,7 +12,7 @@ from jaxtyping import Complex64, Float64
 
 from dynamictree.method import devoxelize
 from dynamictree.models import MotionModel, load_model
-from dynamictree.models.gust_travel import delayed_downwind
+from dynamictree.models.gust_travel import delay_downwind
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sample import is_training_seed
@@ -73,7 +73,7 @@ def generate_for(
     fits = tree.voxels.grid.resolution == model.resolution
     voxels = tree.voxels if fits else voxelize(tree.mesh, model.resolution)
     spectrum = model.generate(voxels, wind=tree.wind, seed=seed, num_steps=num_steps)
-    return delayed_downwind(spectrum, tree.wind) if model.adds_gust_travel else spectrum
+    return delay_downwind(spectrum, tree.wind) if model.adds_gust_travel else spectrum
 
 
 def evaluate_model(
