@@ -23,8 +23,12 @@ def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, In
     face = np.repeat(np.arange(mesh.num_faces), counts)
     u, v = (np.arange(len(face)) * step % 1 for step in steps)
     root = np.sqrt(u)
-    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-    return np.einsum("pi,pic->pc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64)), face
+    weights = 1 - root, root * (1 - v), root * v
+    corners = mesh.vertices.T.astype(np.float64)[:, mesh.faces.T]  # [3, 3, F], axis and corner
+    points = np.empty((len(face), 3))
+    for axis, places in enumerate(corners):
+        points[:, axis] = sum(weight * np.repeat(place, counts) for weight, place in zip(weights, places, strict=True))
+    return points, face
 
 
 def face_normals(mesh: Surface) -> Float64[np.ndarray, "F 3"]:
