@@ -1,5 +1,6 @@
 """Fixtures that every package's tests may use."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -10,8 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+gc.disable()  # imports make millions of objects and next to no garbage
 settings.register_profile("any-machine", deadline=None)  # an example may be slow on a busy one
 settings.load_profile("any-machine")
+
+
+def pytest_collection_finish() -> None:
+    """Leave out of every later garbage collection what was imported."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
