@@ -9,9 +9,6 @@ from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
-from dynamictree.rig.flutter import fluttering
-from dynamictree.rig.skin import skin_of
-from dynamictree.skin import Skin, SkinSummary
 
 
 def write_ply_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -28,7 +25,7 @@ def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """Write a GLB with all bones as joints, or only the few that lose the least motion."""
     from dynamictree.formats.gltf.skin import Packing, write_skinned_glb
 
-    skin, summary = _skin(tree)
+    skin, summary = tree.skin
     packing = Packing(tree.params.glb_compression == "meshopt", tree.params.glb_textures == "webp")
     return asdict(write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps, packing=packing))
 
@@ -52,7 +49,7 @@ def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     from dynamictree.formats.motion.html import write_html
 
     glb = io.BytesIO()
-    write_skinned_glb(tree.mesh, *_skin(tree), glb, fps=tree.loop_fps, packing=Packing(False, False))
+    write_skinned_glb(tree.mesh, *tree.skin, glb, fps=tree.loop_fps, packing=Packing(False, False))
     write_html(glb.getvalue(), stream, title="A tree in the wind")
 
 
@@ -60,14 +57,9 @@ def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Fa
     """Write USD with the joints and weights of the GLB, in a USDZ package."""
     from dynamictree.formats.motion import usd_skin
 
-    skin, summary = _skin(tree)
+    skin, summary = tree.skin
     usd_skin.write_skinned_usdz(tree.mesh, skin, stream, fps=tree.loop_fps)
     return asdict(summary)
-
-
-def _skin(tree: MovingTree) -> tuple[Skin, SkinSummary]:
-    rig = fluttering(tree.rig, tree.flutter)
-    return skin_of(rig, tree.mesh.vertices, tree.params.joints or len(rig.skeleton))
 
 
 def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

@@ -13,6 +13,8 @@ from dynamictree.modal.turbulence import TurbulentWind, iter_turbulent_sums, tur
 from dynamictree.requests import ExportParams
 from dynamictree.rig.flutter import flutter_modes, fluttering
 from dynamictree.rig.rig import Rig
+from dynamictree.rig.skin import skin_of
+from dynamictree.skin import Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 Report = Callable[[float], None]
@@ -83,6 +85,12 @@ class MovingTree:
     def flutter(self) -> Complex64[np.ndarray, "B L 3"]:
         """Turns of leaves above the spectrum's frequencies [rad], which morph targets lack."""
         return flutter_modes(self.rig, self.spectrum, self.params.flutter)
+
+    @cached_property
+    def skin(self) -> tuple[Skin, SkinSummary]:
+        """All bones as joints, or only the few that lose the least motion, and their error against the rig."""
+        rig = fluttering(self.rig, self.flutter)
+        return skin_of(rig, self.mesh.vertices, self.params.joints or len(rig.skeleton))
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """Yield the displacement of the vertices, frame by frame, with flutter of leaves [m]."""

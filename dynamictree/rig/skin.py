@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
+from dynamictree.parallel import on_cores
 from dynamictree.rig.pose import Poses, Skeleton, Weights, by_depth, carried, poses
 from dynamictree.rig.rig import Rig
 from dynamictree.rotation import matrix_quaternions, quaternion_matrices
@@ -31,12 +32,15 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
         turns=_keys(skeleton, rotation),
     )
     stance, whole = joint_poses(skin), poses(rig.skeleton, np.stack(list(rig.theta(phases))))
-    total = missing = largest = 0.0
-    for frame in range(rig.num_frames):
+
+    def squares(frame: int) -> tuple[float, float, float]:
+        """Return the sum of the squared displacements, and sum and maximum of the squared errors [m²]."""
         moved = carried(rig.skeleton, whole, frame, vertices, rig.vertices)
         gap = ((carried(skeleton, stance, frame, vertices, few.vertices) - moved) ** 2).sum(axis=1)
-        total, missing = total + float((moved**2).sum()), missing + float(gap.sum())
-        largest = max(largest, float(gap.max()))
+        return float((moved**2).sum()), float(gap.sum()), float(gap.max())
+
+    totals, gaps, maxima = zip(*on_cores(squares, range(rig.num_frames)), strict=True)
+    total, missing, largest = sum(totals), sum(gaps), max(maxima)
     summary = SkinSummary(
         num_joints=len(skin.parent),
         num_keys=rig.num_frames + 1,
