@@ -47,12 +47,14 @@ def num_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -> None:
+def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object, rows_per_thread: int = 1) -> None:
     """Call `kernel(first_row, end_row, *arguments)` on bands that cover all rows, on all cores.
 
-    A kernel writes to its own rows only, so the result does not depend on the number of threads.
+    A kernel writes to its own rows only, so the result does not depend on the number of threads. `rows_per_thread` is
+    the number of rows that take as long as the start of a thread.
     """
-    if num_rows == 1 or getattr(_this_thread, "has_a_call", False):
+    max_threads = min(num_cores(), max(num_rows // rows_per_thread, 1))
+    if max_threads == 1 or getattr(_this_thread, "has_a_call", False):
         kernel(0, num_rows, *arguments)
         return
     num_bands = min(_BANDS, num_rows)
@@ -63,8 +65,8 @@ def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -
             kernel(first, end, *arguments)
 
     # The calling thread takes bands too: starting a thread costs a tenth of a fast kernel's time.
-    others = min(num_cores(), num_bands) - 1
-    with ThreadPoolExecutor(max(others, 1)) as pool:
+    others = min(max_threads, num_bands) - 1
+    with ThreadPoolExecutor(others) as pool:
         calls = [pool.submit(take_bands) for _ in range(others)]
         take_bands()
         for call in calls:

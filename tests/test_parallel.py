@@ -24,6 +24,13 @@ def test_bands_cover_every_row_once(num_rows: int) -> None:
     assert sorted(rows) == list(range(num_rows))
 
 
+def test_few_rows_start_no_thread(monkeypatch) -> None:
+    monkeypatch.setattr(parallel, "num_cores", lambda: 64)
+    calls: list[tuple[int, int]] = []
+    in_bands(lambda first, end: calls.append((first, end)), 1999, rows_per_thread=1000)
+    assert calls == [(0, 1999)]
+
+
 def test_there_are_no_more_threads_than_bands(monkeypatch) -> None:
     """On a machine of 64 cores, three rows start two threads beside the caller's."""
     monkeypatch.setattr(parallel, "num_cores", lambda: 64)

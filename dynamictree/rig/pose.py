@@ -112,7 +112,8 @@ def carried(
     shift = stance.place_m[moment] - np.einsum("bij,bj->bi", rotation, skeleton.foot_m)  # x' = Σ w (R x + shift)
     moved = np.empty((len(points), 3), np.float32)
     less_one = rotation - np.eye(3)  # (R - 1) x + shift retains the digits of small motions
-    in_bands(_carry, len(points), less_one, shift, points, weights.rows, weights.shares, moved)
+    arrays = less_one, shift, points, weights.rows, weights.shares
+    in_bands(_carry, len(points), *arrays, moved, rows_per_thread=1000)
     return moved
 
 
