@@ -56,7 +56,9 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
 
     If all samples see the same face, the light is computed once, at the pixel's centre.
     """
-    n = view.supersampling
+    n, ray, position, centre = view.supersampling, view.ray, view.position, scene.centre
+    sun, sky, radius_m, shadows, sun_rise = scene.sun, scene.sky, scene.radius_m, scene.shadows, scene.sun_direction[2]
+    has_ground = scene.ground and view.position[2] > scene.centre[2]
     for row in range(first, end):
         for column in range(picture.shape[1]):
             # neighbouring pixels use different shadow patterns, so that penumbras have noise instead of rings
@@ -64,20 +66,26 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
             top, left = row * n, column * n
             face = visible_face[top, left]
             alike = True
-            for sample in range(1, n * n):
-                alike = alike and visible_face[top + sample // n, left + sample % n] == face
-            if alike:
-                at = (left + 0.5 * n, top + 0.5 * n)
-                red, green, blue = _sample_light(at, face, triangles, scene, view, (phase, _PIXEL_SHADOW_SAMPLES))
-            else:
-                red, green, blue = 0.0, 0.0, 0.0
-                for sample in range(n * n):
-                    y, x = top + sample // n, left + sample % n
-                    at = (x + 0.5, y + 0.5)
-                    r, g, b = _sample_light(
-                        at, visible_face[y, x], triangles, scene, view, (phase + sample, _SUBSAMPLE_SHADOW_SAMPLES)
-                    )
-                    red, green, blue = red + r / (n * n), green + g / (n * n), blue + b / (n * n)
+            for y in range(top, top + n):
+                for x in range(left, left + n):
+                    alike = alike and visible_face[y, x] == face
+            samples = 1 if alike else n * n
+            red, green, blue = 0.0, 0.0, 0.0
+            for sample in range(samples):
+                if alike:
+                    x, y, looks = left + 0.5 * n, top + 0.5 * n, (phase, _PIXEL_SHADOW_SAMPLES)
+                else:
+                    x, y = left + sample % n, top + sample // n
+                    face = visible_face[y, x]
+                    x, y, looks = x + 0.5, y + 0.5, (phase + sample, _SUBSAMPLE_SHADOW_SAMPLES)
+                direction = _direction(ray, x, y)
+                if face >= 0:
+                    r, g, b = _surface_light((x, y), face, triangles, direction, scene, looks)
+                elif has_ground and direction[2] < 0:
+                    r, g, b = _ground_light(position, direction, (centre, radius_m, sun_rise, shadows), sun, sky, looks)
+                else:
+                    r, g, b = _sky_light(direction[2])
+                red, green, blue = red + r / samples, green + g / samples, blue + b / samples
             picture[row, column, 0] = _srgb_byte(red)
             picture[row, column, 1] = _srgb_byte(green)
             picture[row, column, 2] = _srgb_byte(blue)
@@ -96,43 +104,42 @@ def _srgb_byte(light):
 
 @compiled
 @no_type_check
-def _sample_light(at, face, triangles, scene, view, looks):
-    x, y = at
-    ray = view.ray
+def _direction(ray, x, y):
     dx = ray[0, 0] * x + ray[0, 1] * y + ray[0, 2]
     dy = ray[1, 0] * x + ray[1, 1] * y + ray[1, 2]
     dz = ray[2, 0] * x + ray[2, 1] * y + ray[2, 2]
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
-    dx, dy, dz = dx / length, dy / length, dz / length
-    if face >= 0:
-        m = triangles.barycentric[face]
-        a, b, c = m[0] * x + m[1] * y + m[2], m[3] * x + m[4] * y + m[5], m[6] * x + m[7] * y + m[8]
-        return _surface_light(face, triangles.level[face], (a, b, c), (dx, dy, dz), scene, looks)
-    up = max(dz, 0.0)
-    share = 1 - np.exp(-4 * up)
-    back = (
-        _HORIZON[0] + share * (_ZENITH[0] - _HORIZON[0]),
-        _HORIZON[1] + share * (_ZENITH[1] - _HORIZON[1]),
-        _HORIZON[2] + share * (_ZENITH[2] - _HORIZON[2]),
-    )
-    if not scene.ground or dz >= 0 or view.position[2] <= scene.centre[2]:
-        return back
-    distance = (scene.centre[2] - view.position[2]) / dz
-    return _ground_light(view.position[0] + distance * dx, view.position[1] + distance * dy, back, scene, looks)
+    return dx / length, dy / length, dz / length
 
 
 @compiled
 @no_type_check
-def _ground_light(x, y, back, scene, looks):
-    z = scene.centre[2]
-    away = np.sqrt((x - scene.centre[0]) ** 2 + (y - scene.centre[1]) ** 2) / scene.radius_m
+def _sky_light(rise):
+    share = 1 - np.exp(-4 * max(rise, 0.0))
+    return (
+        _HORIZON[0] + share * (_ZENITH[0] - _HORIZON[0]),
+        _HORIZON[1] + share * (_ZENITH[1] - _HORIZON[1]),
+        _HORIZON[2] + share * (_ZENITH[2] - _HORIZON[2]),
+    )
+
+
+@compiled
+@no_type_check
+def _ground_light(position, direction, ground, sun, sky, looks):
+    dx, dy, dz = direction
+    centre, radius_m, sun_rise, shadows = ground
+    back = _sky_light(dz)
+    z = centre[2]
+    distance = (z - position[2]) / dz
+    x, y = position[0] + distance * dx, position[1] + distance * dy
+    away = np.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / radius_m
     haze = min(max((away - 1.5) / 7.5, 0.0), 1.0)
     haze = haze * haze * (3 - 2 * haze)
     lit, open_sky = 1.0, 1.0
-    if scene.shadows and haze < 1:
-        lit = sun_share(scene.sun, x, y, z, looks)
-        open_sky = sky_share(scene.sky, x, y, z)
-    lit *= scene.sun_direction[2]
+    if shadows and haze < 1:
+        lit = sun_share(sun, x, y, z, looks)
+        open_sky = sky_share(sky, x, y, z)
+    lit *= sun_rise
     return (
         back[0] * haze + (1 - haze) * _GROUND[0] * (_SUN[0] * lit + _SKY[0] * open_sky),
         back[1] * haze + (1 - haze) * _GROUND[1] * (_SUN[1] * lit + _SKY[1] * open_sky),
@@ -150,15 +157,15 @@ def _blend(values, corners, weights):
 
 @compiled
 @no_type_check
-def _surface_normal(corners, weights, direction, scene):
+def _surface_normal(vertices, normals, corners, weights, direction):
     """Return the smooth normal, or the face's if they differ by more than 60 degrees, towards the viewer."""
-    p, q, r = scene.vertices[corners[0]], scene.vertices[corners[1]], scene.vertices[corners[2]]
+    p, q, r = vertices[corners[0]], vertices[corners[1]], vertices[corners[2]]
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     fx, fy, fz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     face_length = np.sqrt(fx * fx + fy * fy + fz * fz) + 1e-300
     fx, fy, fz = fx / face_length, fy / face_length, fz / face_length
-    nx, ny, nz = _blend(scene.normals, corners, weights)
+    nx, ny, nz = _blend(normals, corners, weights)
     length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-300
     nx, ny, nz = nx / length, ny / length, nz / length
     if nx * fx + ny * fy + nz * fz < 0.5:
@@ -169,14 +176,15 @@ def _surface_normal(corners, weights, direction, scene):
 
 @compiled
 @no_type_check
-def _surface_light(face, level, weights, direction, scene, looks):
-    corners = scene.faces[face]
-    a, b, c = weights
+def _surface_light(at, face, triangles, direction, scene, looks):
+    x, y = at
+    m, level, corners = triangles.barycentric[face], triangles.level[face], scene.faces[face]
+    a, b, c = m[0] * x + m[1] * y + m[2], m[3] * x + m[4] * y + m[5], m[6] * x + m[7] * y + m[8]
     total = a + b + c
     weights = (a / total, b / total, c / total)
     material = scene.appearance.face_material[face]
     red, green, blue = albedo_at(scene.appearance, corners, material, level, weights)
-    nx, ny, nz = _surface_normal(corners, weights, direction, scene)
+    nx, ny, nz = _surface_normal(scene.vertices, scene.normals, corners, weights, direction)
     x, y, z = _blend(scene.vertices, corners, weights)
     toward = scene.sun_direction
     facing = nx * toward[0] + ny * toward[1] + nz * toward[2]
