@@ -25,10 +25,8 @@ def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, In
     root = np.sqrt(u)
     weights = 1 - root, root * (1 - v), root * v
     corners = mesh.vertices.T.astype(np.float64)[:, mesh.faces.T]  # [3, 3, F], axis and corner
-    points = np.empty((len(face), 3))
-    for axis, places in enumerate(corners):
-        points[:, axis] = sum(weight * np.repeat(place, counts) for weight, place in zip(weights, places, strict=True))
-    return points, face
+    points = [sum(w * np.repeat(p, counts) for w, p in zip(weights, places, strict=True)) for places in corners]
+    return np.stack(points, axis=1), face
 
 
 def face_normals(mesh: Surface) -> Float64[np.ndarray, "F 3"]:

@@ -187,11 +187,8 @@ def albedo_at(appearance, corners, material, level, weights):
     """Sample the linear colour: vertex colours times base colour times the texture, bilinear."""
     a, b, c = weights
     total = a + b + c
-    ca, cb, cc = (
-        appearance.vertex_rgb[corners[0]],
-        appearance.vertex_rgb[corners[1]],
-        appearance.vertex_rgb[corners[2]],
-    )
+    rgb = appearance.vertex_rgb
+    ca, cb, cc = rgb[corners[0]], rgb[corners[1]], rgb[corners[2]]
     base = appearance.material_rgb[material]
     red = base[0] * (a * ca[0] + b * cb[0] + c * cc[0]) / total
     green = base[1] * (a * ca[1] + b * cb[1] + c * cc[1]) / total

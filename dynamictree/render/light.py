@@ -1,8 +1,7 @@
 """Compute the visibility of sun and sky at a point.
 
 The sun casts shadows by a depth map. The sky is dimmed as by leaves in a crown (Beer-Lambert law): the surface in a
-coarse grid is an optical density, integrated along a few directions. Both are soft and
-deterministic.
+coarse grid is an optical density, integrated along a few directions. Both are soft and deterministic.
 """
 
 from typing import NamedTuple, no_type_check
@@ -83,8 +82,7 @@ def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F
     cell_m = extent / _SKY_CELLS
     border = np.array([sky_border * extent, sky_border * extent, cell_m])
     low, high = low - border, high + border
-    size = np.ceil((high - low) / cell_m).astype(int) + 1
-    depth = np.zeros(tuple(size.tolist()), np.float32)
+    depth = np.zeros(np.ceil((high - low) / cell_m).astype(int) + 1, np.float32)
     _splat_area(vertices, faces, low, cell_m, depth)
     directions, weights = _sky_directions()
     shares = np.ones((len(directions), *depth.shape), np.float32)
@@ -95,14 +93,14 @@ def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F
 
 def _sky_directions() -> tuple[Float64[np.ndarray, "D 3"], Float32[np.ndarray, " D"]]:
     sky_directions = ((90.0, 1), (55.0, 5), (25.0, 5))  # elevation in degrees, number of azimuths
-    directions, weights = [], []
+    rows = []
     for elevation_deg, number in sky_directions:
         elevation = np.radians(elevation_deg)
         for turn in 2 * np.pi * (np.arange(number) + elevation_deg / 90) / number:
-            flat = np.cos(elevation)
-            directions.append([flat * np.cos(turn), flat * np.sin(turn), np.sin(elevation)])
-            weights.append(np.sin(elevation))  # cosine law of a level surface
-    return np.array(directions), (np.array(weights) / np.sum(weights)).astype(np.float32)
+            rows.append([np.cos(elevation) * np.cos(turn), np.cos(elevation) * np.sin(turn), np.sin(elevation)])
+    directions = np.array(rows)
+    weights = directions[:, 2]  # cosine law of a level surface
+    return directions, (weights / weights.sum()).astype(np.float32)
 
 
 @compiled
@@ -122,8 +120,7 @@ def _splat_area(vertices, faces, low, cell_m, depth):
                 # centroids of the cuts² equal triangles: upright for i + j + 1 <= cuts, else mirrored
                 s, t = (i + 1 / 3) / cuts, (j + 1 / 3) / cuts
                 if i + j >= cuts:
-                    s, t = (i + 2 / 3 - 0.0) / cuts, (j + 2 / 3 - 0.0) / cuts
-                    s, t = 1 - s, 1 - t
+                    s, t = 1 - (i + 2 / 3) / cuts, 1 - (j + 2 / 3) / cuts
                 x = int((a[0] + s * ux + t * vx - low[0]) / cell_m + 0.5)
                 y = int((a[1] + s * uy + t * vy - low[1]) / cell_m + 0.5)
                 z = int((a[2] + s * uz + t * vz - low[2]) / cell_m + 0.5)
@@ -166,8 +163,7 @@ def sun_share(sun, x, y, z, looks):
     u = ((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) - sun.low[0]) * sun.texels_per_m
     v = ((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) - sun.low[1]) * sun.texels_per_m
     near = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z + 1.5 / sun.texels_per_m
-    size = len(sun.nearness)
-    reach = _PENUMBRA + 1
+    size, reach = len(sun.nearness), _PENUMBRA + 1
     if u < -reach or v < -reach or u > size + reach or v > size + reach:
         return 1.0
     lit = num_looks

@@ -113,8 +113,7 @@ class Renderer:
             centre=self._centre,
             radius_m=self._radius_m,
         )
-        to_sample = _samples(camera, look, look.supersampling)
-        ray = camera.world_to_camera.T @ np.linalg.inv(to_sample)
+        ray = camera.world_to_camera.T @ np.linalg.inv(_samples(camera, look, look.supersampling))
         view = View(position=camera.position_m, ray=np.ascontiguousarray(ray), supersampling=look.supersampling)
         picture = np.empty((look.height, look.width, 3), np.uint8)
         in_bands(shade_rows, look.height, picture, visible.face, triangles, scene, view)

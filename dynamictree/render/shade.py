@@ -56,39 +56,33 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
 
     If all samples see the same face, the light is computed once, at the pixel's centre.
     """
-    n, ray, position, centre = view.supersampling, view.ray, view.position, scene.centre
-    sun, sky, radius_m, shadows, sun_rise = scene.sun, scene.sky, scene.radius_m, scene.shadows, scene.sun_direction[2]
+    n, ray, position, sun, sky = view.supersampling, view.ray, view.position, scene.sun, scene.sky
+    ground = scene.centre, scene.radius_m, scene.sun_direction[2], scene.shadows
     has_ground = scene.ground and view.position[2] > scene.centre[2]
     for row in range(first, end):
         for column in range(picture.shape[1]):
-            # neighbouring pixels use different shadow patterns, so that penumbras have noise instead of rings
-            phase = row * 5 + column * 7
             top, left = row * n, column * n
             face = visible_face[top, left]
             alike = True
-            for y in range(top, top + n):
-                for x in range(left, left + n):
-                    alike = alike and visible_face[y, x] == face
+            for sample in range(1, n * n):
+                alike = alike and visible_face[top + sample // n, left + sample % n] == face
             samples = 1 if alike else n * n
             red, green, blue = 0.0, 0.0, 0.0
             for sample in range(samples):
-                if alike:
-                    x, y, looks = left + 0.5 * n, top + 0.5 * n, (phase, _PIXEL_SHADOW_SAMPLES)
-                else:
-                    x, y = left + sample % n, top + sample // n
-                    face = visible_face[y, x]
-                    x, y, looks = x + 0.5, y + 0.5, (phase + sample, _SUBSAMPLE_SHADOW_SAMPLES)
-                direction = _direction(ray, x, y)
+                i, j = top + sample // n, left + sample % n
+                x, y = (left + 0.5 * n, top + 0.5 * n) if alike else (j + 0.5, i + 0.5)
+                # neighbouring pixels use different shadow patterns, so that penumbras have noise instead of rings
+                looks = row * 5 + column * 7 + sample, _PIXEL_SHADOW_SAMPLES if alike else _SUBSAMPLE_SHADOW_SAMPLES
+                direction, face = _direction(ray, x, y), visible_face[i, j]
                 if face >= 0:
                     r, g, b = _surface_light((x, y), face, triangles, direction, scene, looks)
                 elif has_ground and direction[2] < 0:
-                    r, g, b = _ground_light(position, direction, (centre, radius_m, sun_rise, shadows), sun, sky, looks)
+                    r, g, b = _ground_light(position, direction, ground, sun, sky, looks)
                 else:
                     r, g, b = _sky_light(direction[2])
                 red, green, blue = red + r / samples, green + g / samples, blue + b / samples
-            picture[row, column, 0] = _srgb_byte(red)
-            picture[row, column, 1] = _srgb_byte(green)
-            picture[row, column, 2] = _srgb_byte(blue)
+            for channel, light in enumerate((red, green, blue)):
+                picture[row, column, channel] = _srgb_byte(light)
 
 
 @compiled
@@ -128,8 +122,7 @@ def _sky_light(rise):
 def _ground_light(position, direction, ground, sun, sky, looks):
     dx, dy, dz = direction
     centre, radius_m, sun_rise, shadows = ground
-    back = _sky_light(dz)
-    z = centre[2]
+    back, z = _sky_light(dz), centre[2]
     distance = (z - position[2]) / dz
     x, y = position[0] + distance * dx, position[1] + distance * dy
     away = np.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / radius_m
@@ -180,14 +173,12 @@ def _surface_light(at, face, triangles, direction, scene, looks):
     x, y = at
     m, level, corners = triangles.barycentric[face], triangles.level[face], scene.faces[face]
     a, b, c = m[0] * x + m[1] * y + m[2], m[3] * x + m[4] * y + m[5], m[6] * x + m[7] * y + m[8]
-    total = a + b + c
-    weights = (a / total, b / total, c / total)
+    weights = (a / (a + b + c), b / (a + b + c), c / (a + b + c))
     material = scene.appearance.face_material[face]
     red, green, blue = albedo_at(scene.appearance, corners, material, level, weights)
     nx, ny, nz = _surface_normal(scene.vertices, scene.normals, corners, weights, direction)
     x, y, z = _blend(scene.vertices, corners, weights)
-    toward = scene.sun_direction
-    facing = nx * toward[0] + ny * toward[1] + nz * toward[2]
+    facing = nx * scene.sun_direction[0] + ny * scene.sun_direction[1] + nz * scene.sun_direction[2]
     lit, open_sky = 1.0, 1.0
     if scene.shadows:
         offset = (2.0 if facing > 0 else -2.0) / scene.sun.texels_per_m
