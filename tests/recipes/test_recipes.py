@@ -22,7 +22,7 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.spectrum import iter_motion
-from lab.dataset.sample import make_sample, voxel_spectrum
+from lab.dataset.sample import Sample, make_sample, voxel_spectrum
 from recipes import blender_import, forest, gallery
 from recipes.forest_glb import TravellingGusts, plant_forest
 from tests.formats.meshes import written
@@ -32,12 +32,13 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def planted(tmp_path_factory: pytest.TempPathFactory) -> pygltflib.GLTF2:
-    return forest_of(tmp_path_factory.mktemp("forest"), 3)
+def sample() -> Sample:
+    return make_sample(7, "sapling")  # no frequency of its gusts outweighs the others
 
 
-def forest_of(folder: Path, seed: int) -> pygltflib.GLTF2:
-    sample = make_sample(seed, "sapling")
+@pytest.fixture(scope="module")
+def planted(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> pygltflib.GLTF2:
+    folder = tmp_path_factory.mktemp("forest")
     (folder / "tree.glb").write_bytes(written(write_glb, sample.mesh))
     (folder / "tree.spectrum.safetensors").write_bytes(written(write_spectrum, voxel_spectrum(sample, 32)[1]))
     output = planted_as(folder / "forest.glb")
@@ -72,8 +73,7 @@ def motions(document: pygltflib.GLTF2) -> np.ndarray:
     return np.stack(moved)
 
 
-def test_no_two_trees_move_alike_at_any_shift_in_time(tmp_path: Path) -> None:
-    planted = forest_of(tmp_path, 5)  # one frequency outweighs the others in the gusts of seed 3
+def test_no_two_trees_move_alike_at_any_shift_in_time(planted: pygltflib.GLTF2) -> None:
     targets = [accessor(planted, target["POSITION"]) for target in planted.meshes[0].primitives[0].targets]
     gram = np.array([[float((a * b).sum()) for b in targets] for a in targets])
     weights = [accessor(planted, s.output).reshape(-1, len(targets))[:-1] for s in planted.animations[0].samplers]
@@ -92,11 +92,11 @@ def test_no_two_trees_move_alike_at_any_shift_in_time(tmp_path: Path) -> None:
     np.testing.assert_allclose(size, size[0], rtol=1e-4)  # all sway as strongly
 
 
-def test_every_tree_closes_its_loop_and_leans_with_the_wind(planted: pygltflib.GLTF2) -> None:
+def test_every_tree_closes_its_loop_and_leans_with_the_wind(planted: pygltflib.GLTF2, sample: Sample) -> None:
     moved = motions(planted)
     np.testing.assert_allclose(moved[:, 0], moved[:, -1], atol=1e-6)
     scale = np.array([node.scale[0] for node in planted.nodes])
-    wind = np.deg2rad(make_sample(3, "sapling").wind.direction_deg)
+    wind = np.deg2rad(sample.wind.direction_deg)
     lean = moved[:, :-1].mean(axis=(1, 2)) / scale[:, None]  # [trees, 3]
     along = lean[:, :2] @ [np.cos(wind), np.sin(wind)]
     across = np.abs(lean[:, :2] @ [-np.sin(wind), np.cos(wind)])
@@ -115,7 +115,7 @@ def test_trees_share_one_mesh_and_stand_apart(planted: pygltflib.GLTF2) -> None:
     np.testing.assert_allclose(places[:, 1], 0, atol=1e-6)
 
 
-def test_a_forest_as_usd_has_instances_of_few_motions(planted: pygltflib.GLTF2) -> None:
+def test_a_forest_as_usd_has_instances_of_few_motions(planted: pygltflib.GLTF2, sample: Sample) -> None:
     folder = planted.path.parent
     stage = Usd.Stage.Open(str(planted_as(folder / "forest.usdz", "--motions", "3")))
     instancer = UsdGeom.PointInstancer(stage.GetDefaultPrim())
@@ -124,7 +124,6 @@ def test_a_forest_as_usd_has_instances_of_few_motions(planted: pygltflib.GLTF2) 
     assert sorted(np.bincount(instancer.GetProtoIndicesAttr().Get()).tolist()) == [3, 3, 3]
     placed = np.column_stack([instancer.GetPositionsAttr().Get(), np.array(instancer.GetScalesAttr().Get())[:, 0]])
     require_same_places(placed, planted)
-    sample = make_sample(3, "sapling")
     with (folder / "tree.spectrum.safetensors").open("rb") as stream:
         coefficients = method.devoxelize(read_spectrum(stream), load_mesh(folder / "tree.glb"))
     points = [UsdGeom.Mesh(prim.GetChild("Surface")).GetPointsAttr() for prim in motions]
@@ -253,8 +252,7 @@ def test_instanced_trees_share_motions_and_stand_where_the_others_do(planted: py
     keys = [accessor(document, sampler.output) for sampler in document.animations[0].samplers]
     assert not np.allclose(keys[0], keys[1])
     mesh = read_mesh(io.BytesIO(output.read_bytes()), file_type="glb")
-    assert (
-        mesh.num_vertices == COUNT * accessor(document, document.meshes[0].primitives[0].attributes.POSITION).shape[0]
-    )
+    places = accessor(document, document.meshes[0].primitives[0].attributes.POSITION)
+    assert mesh.num_vertices == COUNT * len(places)
     with pytest.raises(InputError, match="10 motions are asked for; 1 to 9"):
         planted_as(output, "--motions", "10")
