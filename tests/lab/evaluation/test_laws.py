@@ -3,12 +3,14 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
+from dynamictree import method
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.modal.real_trees import height_law_hz
 from lab.commands.evaluate import print_laws
@@ -102,7 +104,8 @@ def test_the_command_reports_shares_and_trees(commands: Typer, capsys) -> None:
     assert "orbit" in capsys.readouterr().out
 
 
-def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands: Typer, tmp_path) -> None:
+def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands: Typer, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("dynamictree.method.generate", partial(method.generate, num_steps=1))
     tree = grow_tree(replace(SPECIES["columnar"], height_m=(6.0, 6.0)), np.random.default_rng(2))
     with (tmp_path / "columnar.glb").open("wb") as stream:
         write_glb(tree.mesh, stream)
