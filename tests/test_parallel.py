@@ -24,8 +24,7 @@ def test_bands_cover_every_row_once(num_rows: int) -> None:
     assert sorted(rows) == list(range(num_rows))
 
 
-def test_few_rows_start_no_thread(monkeypatch) -> None:
-    monkeypatch.setattr(parallel, "num_cores", lambda: 64)
+def test_few_rows_start_no_thread() -> None:
     calls: list[tuple[int, int]] = []
     in_bands(lambda first, end: calls.append((first, end)), 1999, rows_per_thread=1000)
     assert calls == [(0, 1999)]

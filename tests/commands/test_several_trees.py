@@ -1,6 +1,5 @@
-"""The command line tells how many trees a file holds, and takes one of them."""
+"""The command line takes one of the trees of a file."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.mesh import join_meshes
-from tests.commands.conftest import Run, assert_refused
+from tests.commands.conftest import Run
 from tests.formats.meshes import written
 from tests.plant.stand import tree
 
@@ -21,16 +20,6 @@ def path(tmp_path: Path) -> Path:
     scene = join_meshes([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
     (path := tmp_path / "three.ply").write_bytes(written(write_ply, scene))
     return path
-
-
-def test_the_command_line_counts_the_trees_and_takes_one(path: Path, tmp_path: Path, run: Run) -> None:
-    facts = json.loads(run("info", path, "--json").stdout)
-    assert [entry["tree"] for entry in facts["trees"]] == [1, 2, 3]
-    assert [entry["x_m"] for entry in facts["trees"]] == pytest.approx([0, 5, 10], abs=0.2)
-    second = run("voxelize", path, "-o", tmp_path / "second", "--tree", 2, "--json").stdout
-    assert json.loads(second)["voxel_size_m"] == pytest.approx(6.0 * 0.99 / 125, rel=0.05)
-    fourth = run("voxelize", path, "-o", tmp_path / "fourth", "--tree", 4)
-    assert_refused(fourth, "tree is 4, and the file holds 3 trees", at_once=False)
 
 
 def test_one_tree_is_taken_and_a_part_of_it_stands_still(path: Path, tmp_path: Path, run: Run) -> None:
