@@ -96,7 +96,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
     pairs.append(surface.near_larger(left(), np.ones_like(card), MAX_GAP_VOXELS))
     pairs.append(surface.near_any_larger(left(), np.ones_like(card), rank))  # another card
     pairs.append(surface.near_larger(left() & few, np.ones_like(card), TWIG_GAP_VOXELS))
-    pairs, carrier, goes_on = [np.concatenate(pairs)], np.arange(len(extent)), True
+    pairs, carrier, goes_on = [_without_circles(np.concatenate(pairs), owner, card)], np.arange(len(extent)), True
     while goes_on:  # stems as large as their carrier, from the trunk outward
         carrier[owner[pairs[-1][:, 0]]] = owner[pairs[-1][:, 1]]
         root = carrier
@@ -187,6 +187,19 @@ class _Surface:
         from_middle = np.linalg.norm(own - self.means(self.places)[part], axis=1) / self.voxel_size_m
         touches = np.linalg.norm(own - other, axis=1) <= TOUCHING_VOXELS * self.voxel_size_m
         return np.asarray(touches & (from_middle >= _AT_END * self.extent[part]))
+
+
+def _without_circles(
+    pairs: Int64[np.ndarray, "B 2"], owner: Int32[np.ndarray, " P"], card: Bool[np.ndarray, " parts"]
+) -> Int64[np.ndarray, "_ 2"]:
+    """Detach a part from the card that it carries itself, also indirectly: only cards are carried by smaller parts."""
+    child, above = owner[pairs].T
+    root, in_circle = np.arange(len(card)), np.zeros_like(card)
+    root[child] = above
+    for _ in range(len(card).bit_length()):  # as many steps as there are parts
+        root = root[root]
+    in_circle[root] = True
+    return np.asarray(pairs[~((in_circle & ~card)[child] & card[above])])
 
 
 def _tree(places: Float32[np.ndarray, "P 3"]) -> cKDTree:
