@@ -1,4 +1,4 @@
-"""Read glTF and GLB as one triangle mesh: parts, materials, textures, placed and instanced nodes, skins at rest, Draco.
+"""Read glTF and GLB as one mesh: parts, materials, textures, placed and instanced nodes, skins and morphs, Draco.
 
 Vertices are ordered by node, as in the file (parents before children), then by primitive of a mesh, then as in their
 accessor. Primitives of a node that share their accessors share their vertices.
@@ -18,7 +18,14 @@ from dynamictree.formats.gltf.material import gltf_materials, texture_coordinate
 from dynamictree.formats.gltf.normals import turn_normals
 from dynamictree.formats.gltf.scene import MeshInstance, mesh_instances
 from dynamictree.formats.gltf.source import keep_source
-from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
+from dynamictree.formats.json_fields import (
+    JsonObject,
+    index_field,
+    integer_field,
+    numbers_field,
+    object_field,
+    object_list,
+)
 from dynamictree.formats.mesh.parts import MeshPart, first_vertices, join_parts
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh, unit_vectors
 
@@ -115,6 +122,15 @@ def _part(
     positions = read.attributes["POSITION"].astype(np.float64)
     if positions.shape[1] != 3:
         raise FormatError(f"POSITION has {positions.shape[1]} numbers a vertex; 3 are needed")
+    targets = object_list(primitive, "targets")
+    weights = numbers_field(instance.weighs, "weights", len(targets), (0.0,) * len(targets))
+    for target, weight in zip(targets, weights, strict=True):
+        accessor = index_field(target, "POSITION", document.accessors, "accessors")
+        if weight != 0 and accessor is not None:
+            offsets = document.accessor(accessor)
+            if offsets.shape != positions.shape:
+                raise FormatError(f"a morph target has shape {offsets.shape}; {positions.shape} is needed")
+            positions += weight * offsets
     mode = integer_field(primitive, "mode", high=6, default=_TRIANGLES)
     faces = _faces(read.indices, len(positions), mode)
     turn: Float64[np.ndarray, "*n 3 3"] = instance.transform[:3, :3]

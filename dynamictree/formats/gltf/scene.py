@@ -28,6 +28,7 @@ class MeshInstance:
     node: int
     path: str  # names from the root to the node, joined by slashes
     mesh: JsonObject
+    weighs: JsonObject  # node or mesh with the weights of morph targets
     transform: Float64[np.ndarray, "4 4"]
     joints: Float64[np.ndarray, "J 4 4"] | None
 
@@ -55,6 +56,7 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
                 node=index,
                 path=paths[index],
                 mesh=meshes[mesh],
+                weighs=nodes[index] if "weights" in nodes[index] else meshes[mesh],
                 transform=transform @ placed,
                 joints=joints,
             )
