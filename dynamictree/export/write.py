@@ -66,12 +66,7 @@ def write_products(
         captured=capture is not None,
     )
     paths = {name: folder / PRODUCTS[name].file_name for name in formats}
-    _write(
-        tree,
-        paths,
-        lambda done: report(RIG_SHARE + (1 - RIG_SHARE) * done),
-        on_facts or (lambda name, facts: None),
-    )
+    _write(tree, paths, lambda done: report(RIG_SHARE + (1 - RIG_SHARE) * done), on_facts or (lambda name, facts: None))
     return paths
 
 

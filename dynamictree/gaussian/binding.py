@@ -42,12 +42,7 @@ class Binding:
         return result
 
 
-def bind(
-    cloud: GaussianCloud,
-    mesh: Surface,
-    *,
-    mask: Bool[np.ndarray, " G"] | None = None,
-) -> Binding:
+def bind(cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | None = None) -> Binding:
     """Bind each Gaussian of a capture to its nearest face.
 
     Args:

@@ -97,11 +97,7 @@ def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = N
         mesh_of_cloud(cloud.subset(tree == number), cells_along=cells_along_tree, max_faces=most) for number in numbers
     ]
     face_tree = np.repeat(np.arange(len(parts), dtype=np.int32), [part.num_faces for part in parts])
-    return replace(
-        join_meshes(parts),
-        face_tree=face_tree,
-        source=cloud.source,
-    )
+    return replace(join_meshes(parts), face_tree=face_tree, source=cloud.source)
 
 
 def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:

@@ -6,14 +6,7 @@ import scipy.integrate
 import scipy.linalg
 
 from dynamictree.errors import InputError, UnstableTimestep
-from dynamictree.modal.step import (
-    State,
-    energy,
-    exact_step,
-    explicit_euler_step,
-    run,
-    symplectic_euler_step,
-)
+from dynamictree.modal.step import State, energy, exact_step, explicit_euler_step, run, symplectic_euler_step
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.spectrum import displacement_at
 

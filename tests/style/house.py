@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_466,
+    "lines in dynamictree": 32_464,
     "lines in lab": 6_313,
     "lines in service, jobs and worker": 13_467,
     "lines in tests": 35_906,

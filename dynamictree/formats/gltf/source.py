@@ -26,11 +26,7 @@ _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
 )
 """A white pixel that replaces a missing image, so that the others keep their indices."""
-_IMAGE_MAGIC = (
-    (b"\x89PNG\r\n\x1a\n", "image/png"),
-    (b"\xff\xd8\xff", "image/jpeg"),
-    (KTX2_MAGIC, "image/ktx2"),
-)
+_IMAGE_MAGIC = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (KTX2_MAGIC, "image/ktx2"))
 
 
 def keep_source(document: GltfDocument, primitives: Int32[np.ndarray, "P 4"]) -> SourceGltf | None:

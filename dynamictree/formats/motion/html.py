@@ -49,10 +49,7 @@ _LICENCES = {
     "Spark": _SPARK.target("LICENSE"),
     "fflate": _FFLATE.target("LICENSE"),
 }
-_PLAYERS = {
-    "player_mesh.js": (_CORE | _MESH, ("three.js",)),
-    "player_splat.js": (_CORE | _SPLAT, tuple(_LICENCES)),
-}
+_PLAYERS = {"player_mesh.js": (_CORE | _MESH, ("three.js",)), "player_splat.js": (_CORE | _SPLAT, tuple(_LICENCES))}
 """By a page's script: its modules, from name in the import map to path in `web/`, and the licences to include."""
 _IMPORT = re.compile(r"""(from\s*|import\s*)(["'])(\.{1,2}/[^"']*)\2""")
 

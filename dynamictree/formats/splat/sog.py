@@ -25,12 +25,7 @@ from dynamictree.formats.json_fields import (
     text_list,
 )
 from dynamictree.formats.seekable import SeekableReader, refuse_bomb, remaining_bytes
-from dynamictree.formats.splat.activations import (
-    drop_largest,
-    log_from_scales,
-    restore_largest,
-    scales_from_log,
-)
+from dynamictree.formats.splat.activations import drop_largest, log_from_scales, restore_largest, scales_from_log
 from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
 from dynamictree.formats.suffixes import SOG_FOLDER_FILE
 from dynamictree.formats.texture import decoded_image

@@ -16,14 +16,7 @@ from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dynamictree.models.small.features import (
-    CHAIN,
-    NUM_SCALARS,
-    NUM_VECTORS,
-    NUM_WIND,
-    TreeFeatures,
-    node_features,
-)
+from dynamictree.models.small.features import CHAIN, NUM_SCALARS, NUM_VECTORS, NUM_WIND, TreeFeatures, node_features
 from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, STEM
 from dynamictree.models.small.surface_shape import NUM_SURFACE
 from dynamictree.models.threads import run_on_cores

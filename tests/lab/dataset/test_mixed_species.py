@@ -9,12 +9,7 @@ import trimesh
 from scipy.spatial.distance import pdist
 
 from lab.dataset.generate import Recipe, generate
-from lab.dataset.mixed_species import (
-    MAX_LEAVES,
-    MAX_STEMS,
-    MIXED_SPECIES,
-    mix_species,
-)
+from lab.dataset.mixed_species import MAX_LEAVES, MAX_STEMS, MIXED_SPECIES, mix_species
 from lab.dataset.sample import Sample, make_sample
 from lab.dataset.sapling import LEAF
 from lab.dataset.species import SPECIES
