@@ -47,8 +47,9 @@ def find_pot(
     slices = 60  # number in the height
     highest = 0.6  # share of the height; the soil is lower
     least_slices = 4  # number with a wall below the soil
-    least_radius = 0.04  # share of the height
+    least_radius = 0.04, 0.25  # share of the height, and of the soil's; a trunk is slenderer
     narrowest = 0.4  # share of the outline; a stem below a crown is narrower
+    goes_on_from = 0.5  # share of the outline; least radius of a trunk that goes on above what looks like soil
     few_narrow = 0.2  # share of the slices that may be narrower
     level, steep = 0.5, 0.7  # least rise of soil, and largest of walls
     low = float(np.quantile(points[:, 2], strays))
@@ -70,7 +71,7 @@ def find_pot(
         wall = _joined(below)
         radius = float(np.median(wall[1]))
         lower = float(np.quantile([np.median(outline) for _, outline in below], few_narrow))
-        if radius < least_radius * height_m or lower < narrowest * radius:
+        if radius < max(least_radius[0] * height_m, least_radius[1] * soil * side) or lower < narrowest * radius:
             continue
         if _filled(np.concatenate(layers[soil : soil + 2]), wall) < soil_seen:
             continue
@@ -78,6 +79,11 @@ def find_pot(
         if top is None or not _is_soil(layers[soil:top], wall, rng):
             continue
         walls += [_wall(row) for row in sides[soil + 1 :]]
+        goes_on = [
+            one is not None and float(np.median(one[1])) > goes_on_from * radius for one in walls[top : top + soil]
+        ]
+        if np.mean(goes_on) > _WALLED:
+            return None
         rim = top
         while rim < len(rows) and _continues(walls[rim], wall):
             rim += 1

@@ -3,7 +3,7 @@
 A scene has points in metres and +Z up, each with the thing that it belongs to: a connected part of a mesh, or a group
 of touching points of a cloud. A thing stands still if it
 
-- is flat and wide: a plane, a patch of ground or an island at the bottom, or higher if it is vast;
+- is flat and wide: a plane, ground or an island at the bottom, or higher if it is vast; or a block below all else;
 - is low and apart: in the lowest fifth of the height, and away from things that reach higher;
 - is a vessel: it stands at the bottom, is wide at all heights, and either contains named soil, or the thing that rises
   from it or stands on it is narrower there and just above; a trunk below a crown is no pot;
@@ -79,7 +79,23 @@ def find_planes(scene: Scene, gone: ThingMask) -> ThingMask:
     middle = (scene.low[:, 2] + scene.high[:, 2]) / 2 - floor
     beneath = (middle < 0.1 * height) & (narrow > wide * height)
     vast = (middle < 0.5 * height) & (narrow > vast_width * height)
-    return np.asarray(flat & (beneath | vast))
+    level = flat & (beneath | vast)
+    return np.asarray(level | _find_block(scene, gone | level))
+
+
+def _find_block(scene: Scene, gone: ThingMask) -> ThingMask:
+    """Detect a block, such as a pedestal, on which all else stands, with a narrower foot."""
+    wider, tallest, near = 1.5, 2.0, 0.01  # [width of the foot]; [its own width]; share of the height
+    one = int(np.argmin(np.where(gone, np.inf, scene.low[:, 2])))
+    rest = scene.points[~gone[scene.thing] & (scene.thing != one)]
+    low, high, within = scene.low[one], scene.high[one], near * scene.floor_and_height(gone)[1]
+    foot, sides = rest[rest[:, 2] < high[2] + within], high - low
+    if scene.normals is None or len(foot) == 0 or foot[:, 2].min() < high[2] - within:
+        return np.zeros_like(gone)
+    inside = (foot.min(axis=0) > low)[:2].all() and (foot.max(axis=0) < high)[:2].all()
+    holds = inside and sides[:2].min() > max(wider * np.ptp(foot[:, :2], axis=0).max(), sides[2] / tallest)
+    is_block = holds and _axes_of_box(scene.normals[scene.thing == one]) is not None
+    return np.asarray(np.arange(len(gone)) == (one if is_block else -1))
 
 
 def find_low_things(scene: Scene, gone: ThingMask, *, slack_m: float = 0.0) -> ThingMask:
@@ -111,6 +127,8 @@ def find_vessels(scene: Scene, gone: ThingMask) -> ThingMask:
     for one in np.flatnonzero(stands)[np.argsort(-(high - low)[stands, :2].max(axis=1))][:50]:
         if _holds_soil(scene, one) or (high[one, 2] <= floor + vessel * height and _encloses(scene, gone, one, height)):
             detected[one] = _wide_all_the_way(scene.points[scene.thing == one])
+        if detected[one]:  # its soil without a name, too
+            detected |= ~gone & (low >= low[one]).all(axis=1) & (high <= high[one]).all(axis=1)
     return detected
 
 

@@ -65,6 +65,7 @@ PLANTS: dict[str, tuple[Solid, ...]] = {
     "a thin trunk below a ball": (frustum(0.05, 0.05, 0, 0.5), ball),
     "a thick trunk below a ball": (frustum(0.2, 0.2, 0, 0.5), ball),
     "a trunk shaped like a bottle": (frustum(0.25, 0.08, 0, 0.5), ball),
+    "stems on a slender trunk": (frustum(0.08, 0.08, 0, 0.4), *(frustum(0.02, 0.02, 0, 1, at / 3) for at in STEMS[:3])),
     "roots that widen the foot": (flare, ball),
     "fifteen stems from the ground": (*(frustum(0.025, 0.02, 0, 0.6, (x, y)) for x, y in STEMS), ball),
     "a flat crown": (frustum(0.06, 0.06, 0, 0.3), frustum(0.4, 0.4, 0.3, 0.36), frustum(0.2, 0.05, 0.36, 1)),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trimesh.creation import icosphere
+from trimesh.creation import box, icosphere, revolve
 from trimesh.geometry import align_vectors
 
 from dynamictree import method
@@ -48,6 +48,7 @@ THINGS = {
     "a vast plane above a plant's foot": lambda h: plane(40 * h, 0.3 * h),
     "a patch of ground": lambda h: plane(1.5 * h, 0.0),
     "a pot": lambda h: pot(0.15 * h, 0.25 * h, -0.2 * h),
+    "a pot of soil on a block": lambda h: merged(pot(0.15 * h, 0.25 * h, -0.2 * h), plane(0.2 * h, 0), TriangleMesh.from_trimesh(box((0.8 * h, h, h)).apply_translation([0, 0, -0.7 * h])))[0],  # noqa: E501
     "a stone beside it": lambda h: replace(pot(0.03 * h, 0.05 * h, 0), vertices=pot(0.03 * h, 0.05 * h, 0).vertices + np.float32([h, 0, 0])),  # noqa: E501
     "a lattice of round rods": lambda h: merged(
         *(tube([h, side * h, 0], [h, side * h, 0.8 * h], 0.01 * h, rings=2) for side in (-0.2, 0, 0.2)),
@@ -60,8 +61,7 @@ THINGS = {
 def test_what_is_no_plant_is_found_and_nothing_else(thing: Callable[[float], TriangleMesh]) -> None:
     plant = tree()
     scene, owner = merged(plant, thing(plant.height_m))
-    result = still_faces_of(scene)
-    np.testing.assert_array_equal(result, owner[scene.faces[:, 0]] == 1)
+    np.testing.assert_array_equal(still_faces_of(scene), owner[scene.faces[:, 0]] == 1)
 
 
 @pytest.mark.parametrize("species", SPECIES)
@@ -100,12 +100,16 @@ def test_a_trunk_below_a_round_crown_is_no_pot(detail: int, radius: float, overl
     assert still_faces_of(with_materials(scene, owner[scene.faces[:, 0]], "Material.001", "Material.002")) is None
 
 
+def test_a_trunk_of_pieces_with_lids_is_no_pot() -> None:
+    outline = [place for z in np.arange(0, 6, 1.2) for place in ((0, z), (0.5, z), (0.4, z + 1.2), (0, z + 1.2))]
+    assert still_faces_of(TriangleMesh.from_trimesh(revolve(np.array(outline), sections=12))) is None
+
+
 def test_a_stem_that_stands_on_a_solid_pot_leaves_it_still() -> None:
     stem, crown = tube([0, 0, 0], [0, 0, 3], 0.1), tube([0, 0, 2.5], [0, 0, 4], 1.0)
     scene, owner = merged(stem, crown, pot(0.6, 0.8, -0.8))
     of_pot = owner[scene.faces[:, 0]] == 2
-    result = still_faces_of(with_materials(scene, of_pot, "Material", "Material.001"))
-    np.testing.assert_array_equal(result, of_pot)
+    np.testing.assert_array_equal(still_faces_of(with_materials(scene, of_pot, "Material", "Material.001")), of_pot)
 
 
 def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
@@ -118,8 +122,7 @@ def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
 
 def test_faces_without_height_beside_none_that_rise_are_no_ground() -> None:
     """Warnings of numpy are errors here: nothing is divided by a height of 0."""
-    point = TriangleMesh(vertices=np.float32([[1, 2, 3]]), faces=np.zeros((1, 3), np.int32))
-    assert still_faces_of(point) is None
+    assert still_faces_of(TriangleMesh(vertices=np.float32([[1, 2, 3]]), faces=np.zeros((1, 3), np.int32))) is None
 
 
 def test_straight_stems_beside_each_other_are_no_lattice() -> None:
