@@ -102,12 +102,13 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
 
 def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis: bool = False) -> UpAxis:
     """Return the likeliest axis; if it is a guess, the likelier of the usual ones, unless `any_axis`."""
+    usual = 3.0  # ratio of probabilities from which a guess is not the usual axis; ferns and rosettes are wide
     logits = cues @ WEIGHTS + np.array([HABIT_LOGIT * (axis == habit) for axis in AXES])
     odds = np.exp(logits - logits.max())
     chances = (odds / odds.sum()).tolist()
     best = int(np.argmax(chances))
     if chances[best] < LIKELY and not any_axis:
-        best = max((AXES.index(axis) for axis in USUAL_AXES), key=lambda row: float(chances[row]))
+        best = max((AXES.index(one) for one in USUAL_AXES), key=lambda i: chances[i] * usual ** (AXES[i] == habit))
     return UpAxis(axis=AXES[best], confidence=chances[best], upright=chances[4], lying=sum(chances[:4]))  # as in AXES
 
 

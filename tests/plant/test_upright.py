@@ -51,11 +51,11 @@ def test_names_of_materials_tell_wood_from_leaves() -> None:
 
 def test_what_is_doubtful_is_said() -> None:
     ball = np.random.default_rng(0).normal(size=(60, 3))
-    lines = [f"v {x} {y} {z}" for x, y, z in ball / np.linalg.norm(ball, axis=1, keepdims=True)]
+    lines = [f"v {x} {0.8 * y} {z}" for x, y, z in ball / np.linalg.norm(ball, axis=1, keepdims=True)]
     lines += [f"f {i} {i + 1} {i + 2}" for i in range(1, 58)]
     mesh = read("\n".join(lines).encode(), "obj")
     assert "orientation-uncertain" in [warning.code for warning in mesh.warnings]
-    assert mesh.source.up_confidence < CERTAIN
+    assert (mesh.source.up_axis, mesh.source.up_confidence < CERTAIN) == ("+Y", True)  # usual: ferns are flat, too
     stated = read("\n".join(lines).encode(), "obj", reading=Reading(up_axis="+Z", height_m=3.0))
     assert (stated.warnings, stated.source.up_confidence) == ((), 1.0)
     assert stated.height_m == pytest.approx(3.0, rel=1e-6)
@@ -96,8 +96,9 @@ def test_a_file_whose_axis_its_shape_denies_is_flagged_with_the_other(pine: Tria
     mesh = read(surface.export(file_type="glb"), "glb")
     doubts = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]
     assert [f"set up_axis to {axis} " in message for message in doubts] == ([] if axis == "+Y" else [True])
-    doubts = doubts_of_scan(surface)
-    assert [f"set up_axis to {axis} " in message for message in doubts] == ([] if axis == "+Z" else [True])
+    assert [f"set up_axis to {axis} " in message for message in doubts_of_scan(surface)] == (
+        [] if axis == "+Z" else [True]
+    )
     assert not doubts_of_scan(surface, up_axis="+X")
 
 
@@ -117,5 +118,4 @@ def test_several_trees_that_lie_in_a_gltf_are_flagged(up_axis: str, doubted: boo
     laid = trimesh.Trimesh(plot.vertices @ (up_rotation(up_axis)), plot.faces, process=False)
     mesh = read(laid.export(file_type="glb"), "glb")
     messages = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]
-    assert len(messages) == doubted
-    assert all("set up_axis to +Z" in message for message in messages)
+    assert ["set up_axis to +Z" in message for message in messages] == [True] * doubted
