@@ -103,9 +103,7 @@ def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " 
     return weights
 
 
-def quantise(
-    modes: Complex64[np.ndarray, "N M 3"],
-) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
+def quantise(modes: Complex64[np.ndarray, "N M 3"]) -> tuple[Int16[np.ndarray, "N M 3 2"], Float32[np.ndarray, " M"]]:
     """Quantise modes to 16 bits; return them and the step size of each."""
     parts = np.stack([modes.real, modes.imag], axis=-1)
     step = np.maximum(np.abs(parts).max(axis=(0, 2, 3), initial=0) / STEPS, np.finfo(np.float32).tiny)  # [M]

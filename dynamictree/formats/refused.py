@@ -58,6 +58,4 @@ def advice_for(head: bytes, ending: str) -> str | None:
             return f"{name} files are not read; {advice}"
     if start.startswith(b"{") and b'"lodLevels"' in head:
         return "splats in levels of detail (lod-meta.json) are not read; `splat-transform lod-meta.json tree.ply`"
-    if ending in _BY_ENDING:
-        return f".{ending} files are not read; {_BY_ENDING[ending]}"
-    return None
+    return f".{ending} files are not read; {_BY_ENDING[ending]}" if ending in _BY_ENDING else None

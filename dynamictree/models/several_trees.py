@@ -82,9 +82,7 @@ def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> Surface
 
 def steps_of_run(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
     """Return the callback of one of `count` runs, which counts steps over all of them."""
-    if on_step is None:
-        return None
-    return lambda done, total: on_step(index * total + done, count * total)
+    return None if on_step is None else lambda done, total: on_step(index * total + done, count * total)
 
 
 def with_bands(

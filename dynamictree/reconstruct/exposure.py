@@ -53,9 +53,7 @@ def _log_gains_of(model: SparseModel, color: Float64[np.ndarray, " M"]) -> Float
         gain = _mean(value - own[point], view, weight, number[0])
         weight = 1 / np.maximum(1, np.abs(value - own[point] - gain[view]) / outlier)
     judged = np.bincount(view, minlength=number[0]) >= fewest
-    if not judged.any():
-        return np.zeros(number[0])
-    return np.where(judged, gain - gain[judged].mean(), 0)
+    return np.zeros(number[0]) if not judged.any() else np.where(judged, gain - gain[judged].mean(), 0)
 
 
 def _mean(

@@ -84,12 +84,12 @@ def standing(document: Document, moved: Callable[[int, dict[str, Any]], np.ndarr
         node = root["nodes"][index]
         if "mesh" not in node:
             continue
-        mesh = root["meshes"][node["mesh"]]
-        for primitive in mesh["primitives"]:
+        shares = root["meshes"][node["mesh"]].get("weights", [])
+        for primitive in root["meshes"][node["mesh"]]["primitives"]:
             if primitive.get("mode", 4) != 4:
                 continue
             position = floats(document, primitive["attributes"]["POSITION"]) + moved(index, primitive)
-            for target, share in zip(primitive.get("targets", []), mesh.get("weights", []), strict=False):
+            for target, share in zip(primitive.get("targets", []), shares, strict=False):
                 position += share * floats(document, target["POSITION"])
             place = np.tile(matrix[:3], (len(position), 1, 1))
             if "skin" in node:

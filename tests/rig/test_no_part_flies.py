@@ -180,7 +180,6 @@ def test_the_foot_of_a_branch_stays_in_the_bark(rings: int, z: float) -> None:
 
 def test_parts_do_not_carry_one_another_in_a_circle() -> None:
     """Far from the trunk, a small lump on a large one, and a card near the small one: the large one is on no card."""
-    large = tube([4, 0, 5.8], [4, 0, 6.2], 0.2, rings=2)
-    small = tube([4.1, 0, 6.2], [4.1, 0, 6.45], 0.125, rings=2)
+    lumps = (tube([x, 0, z], [x, 0, z + 2 * r], r, rings=2) for x, z, r in ((4, 5.8, 0.2), (4.1, 6.2, 0.125)))
     sheet = card(np.array([4.3, 0, 6.33]), 0.5 * np.eye(3)[1:])
-    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2), large, small, sheet)) == {2: 1, 3: 2}
+    assert attached(*merged(tube([0, 0, 0], [0, 0, 10], 0.2), *lumps, sheet)) == {2: 1, 3: 2}

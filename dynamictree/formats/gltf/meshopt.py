@@ -202,9 +202,7 @@ def _stream(meshopt: ModuleType, accessor: dict[str, Any], name: str, content: b
         decoded = _unfiltered(meshopt, filtered, "EXPONENTIAL").view(np.float32)
         bounds = (("min", decoded.min(axis=0).tolist()), ("max", decoded.max(axis=0).tolist()))
         return _Stream(rows=filtered, filter="EXPONENTIAL", accessor=bounds if name == "POSITION" else ())
-    if name == "NORMAL":
-        return _octahedral(meshopt, values)
-    return _Stream(rows=values.view(np.uint8))
+    return _octahedral(meshopt, values) if name == "NORMAL" else _Stream(rows=values.view(np.uint8))
 
 
 def _octahedral(meshopt: ModuleType, normals: Float32[np.ndarray, "n 3"]) -> _Stream:

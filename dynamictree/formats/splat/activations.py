@@ -54,9 +54,7 @@ def restore_largest(others: Float32[np.ndarray, "G 3"], largest: Int[np.ndarray,
     return quaternions
 
 
-def drop_largest(
-    quaternions: Float32[np.ndarray, "G 4"],
-) -> tuple[Float32[np.ndarray, "G 3"], Int[np.ndarray, " G"]]:
+def drop_largest(quaternions: Float32[np.ndarray, "G 4"]) -> tuple[Float32[np.ndarray, "G 3"], Int[np.ndarray, " G"]]:
     """Invert `restore_largest`; the sign of each quaternion is chosen to make its largest component positive."""
     largest = np.abs(quaternions).argmax(axis=1)
     sign = np.where(np.take_along_axis(quaternions, largest[:, None], axis=1) < 0, np.float32(-1), np.float32(1))

@@ -6,9 +6,7 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 CODES = 256
 
 
-def codes_of(
-    values: Float32[np.ndarray, "G C"],
-) -> tuple[UInt8[np.ndarray, "G C"], Float64[np.ndarray, " 256"]]:
+def codes_of(values: Float32[np.ndarray, "G C"]) -> tuple[UInt8[np.ndarray, "G C"], Float64[np.ndarray, " 256"]]:
     """Return each value's code and a codebook of 256 ascending numbers; exact for at most 256 distinct values."""
     distinct = np.unique(values).astype(np.float64)
     if len(distinct) <= CODES:

@@ -78,11 +78,7 @@ class PaperModel(MotionModel):
         return *_on_output_grid(fine.grid, inputs.grids, preset.num_halvings, coefficients), None
 
     def _sample(
-        self,
-        inputs: PaperInputs,
-        bins: Int64[Tensor, " J"],
-        start: Float32[Tensor, "V J 6"],
-        sampling: Sampling,
+        self, inputs: PaperInputs, bins: Int64[Tensor, " J"], start: Float32[Tensor, "V J 6"], sampling: Sampling
     ) -> Float32[Tensor, "V J 6"]:
         """Sample spectra of unit size. Frequencies are independent, so bands of them run on all cores."""
         device = self.network.frequency_sizes.device

@@ -118,8 +118,5 @@ def _stages(levels: nn.ModuleList) -> list[nn.ModuleList]:
 
 def _resample(grids: Pyramid, start: int, end: int) -> Resample:
     return Resample(
-        before=grids.levels[start],
-        after=grids.levels[end],
-        parents=grids.parents[min(start, end)],
-        coarser=end > start,
+        before=grids.levels[start], after=grids.levels[end], parents=grids.parents[min(start, end)], coarser=end > start
     )

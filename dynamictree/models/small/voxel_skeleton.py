@@ -66,10 +66,7 @@ def skip_short(skeleton: Skeleton, rows: Int32[np.ndarray, " V"], length_m: floa
 
 
 def section_radius(
-    grid: VoxelGrid,
-    graph: csr_array,
-    distance_m: Float32[np.ndarray, " V"],
-    area_m2: Float64[np.ndarray, " V"] | None,
+    grid: VoxelGrid, graph: csr_array, distance_m: Float32[np.ndarray, " V"], area_m2: Float64[np.ndarray, " V"] | None
 ) -> Float64[np.ndarray, " V"]:
     """Return the radius of each voxel's cross-section [m].
 
