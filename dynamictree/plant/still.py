@@ -133,14 +133,15 @@ def find_vessels(scene: Scene, gone: ThingMask) -> ThingMask:
 
 
 def _holds_soil(scene: Scene, one: np.int64) -> bool:
-    """Whether a thing has soil in its upper half, about as wide as itself."""
-    soil_size = 0.5  # least width and height of soil [width and height of the vessel]
-    low, extent = scene.low[one], (scene.high - scene.low)[one]
-    inner_low, inner_high = scene.low[scene.soil], scene.high[scene.soil]
+    """Whether a thing has soil in its upper half, about as wide as itself: named so, or a disc if it is no trunk."""
+    soil_size, flatness, slenderest = 0.5, 0.1, 2.0  # [vessel]; most height of unnamed soil and its vessel [own width]
+    low, extents = scene.low[one], scene.high - scene.low
+    flat, extent = extents[:, 2] < flatness * extents[:, :2].min(axis=1), extents[one]
+    soil = scene.soil | (flat & (extent[2] < slenderest * extent[:2].min()))
+    inner_low, inner_high = scene.low[soil], scene.high[soil]
     inside = ((inner_low >= low - 0.1 * extent) & (inner_high <= low + 1.1 * extent)).all(axis=1)
-    lies_high = (inner_low + inner_high)[:, 2] / 2 > low[2] + soil_size * extent[2]
     wide = ((inner_high - inner_low)[:, :2] > soil_size * extent[:2]).all(axis=1)
-    return bool((inside & lies_high & wide).any())
+    return bool((inside & wide & ((inner_low + inner_high)[:, 2] / 2 > low[2] + soil_size * extent[2])).any())
 
 
 def _encloses(scene: Scene, gone: ThingMask, one: np.int64, height: float) -> bool:

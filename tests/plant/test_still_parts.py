@@ -112,11 +112,12 @@ def test_a_stem_that_stands_on_a_solid_pot_leaves_it_still() -> None:
     np.testing.assert_array_equal(still_faces_of(with_materials(scene, of_pot, "Material", "Material.001")), of_pot)
 
 
-def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
+@pytest.mark.parametrize("soil", ["dirt", "phong8"])
+def test_a_pot_higher_than_its_plant_stands_still_with_its_soil(soil: str) -> None:
     rosette = tube([0, 0, 0.62], [0, 0, 1.1], 0.5)
     scene, owner = merged(rosette, pot(0.4, 0.65, 0), tube([0, 0, 0.55], [0, 0, 0.6], 0.36))
     of_face = owner[scene.faces[:, 0]]
-    result = still_faces_of(with_materials(scene, of_face, "green_1", "phong7", "dirt"))
+    result = still_faces_of(with_materials(scene, of_face, "green_1", "phong7", soil))
     np.testing.assert_array_equal(result, of_face > 0)
 
 
