@@ -35,7 +35,7 @@ def runtime(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.
     beats = "beats" in request.fixturenames
     if not beats:
         monkeypatch.setattr("worker.runtime.Heartbeat", NoHeartbeat)
-    times = {"lease_s": 2 if beats else 120, "heartbeat_s": 0.2, "progress_interval_s": 0}
+    times = {"lease_s": 2 if beats else 120, "heartbeat_s": 0.2}
     opened = open_runtime(Settings(state_dir=tmp_path / "state", **times))
     yield opened
     close_runtime(opened)
