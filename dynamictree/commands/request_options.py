@@ -142,11 +142,7 @@ def _option_name(field: str) -> str:
 
 
 def _checked(model: type[Request], values: dict[Place, tuple[Any, Schema]]) -> Request:
-    """Build and validate a request model from option values.
-
-    Raises:
-        InputError: a value is not allowed.
-    """
+    """Build and validate a request model from option values."""
     filled: Schema = {}
     for (*above, name), (value, schema) in values.items():
         if value is None or value == []:

@@ -115,11 +115,7 @@ class MotionModel(ABC):
 
 
 def _check_request(wind: Wind, num_steps: int | None) -> None:
-    """Refuse winds and numbers of steps that no model accepts.
-
-    Raises:
-        InputError: a value is out of range.
-    """
+    """Refuse winds and numbers of steps that no model accepts."""
     for name, value, (low, high) in (("speed", wind.speed_m_s, SPEEDS_M_S), ("gust", wind.gust, GUSTS)):
         if not low <= value <= high:
             raise InputError(f"the wind's {name} is {value}; {low:g} to {high:g} is allowed")

@@ -105,10 +105,7 @@ def spread_bins(
 
 
 def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) -> Complex64[np.ndarray, "V K 3"]:
-    """Multiply each voxel's spectrum by the matrix; sums of bins get the total power of their parts.
-
-    A square matrix overwrites the spectrum, which may be large.
-    """
+    """Multiply each voxel's spectrum by the matrix, in place if square; sums of bins get their parts' total power."""
     voxels_at_once = 65_536
     own: Complex64[np.ndarray, "V J 3"] = spectrum.coefficients
     parts = mode_sizes(own) ** 2 @ (np.abs(matrix) ** 2).T

@@ -166,12 +166,8 @@ def _map(search: _Search) -> pycolmap.Reconstruction | None:
     pose_inliers = ((30, 0.25), (15, 0.1))
     best = None
     for attempt, (min_inliers, min_ratio) in enumerate(pose_inliers):
-        models = _map_once(search, attempt, min_inliers, min_ratio)
-        for model in models.values():
-            leave_out_unreliable(model)
-        best = max(
-            [*models.values(), *([best] if best else [])], key=pycolmap.Reconstruction.num_reg_images, default=None
-        )
+        models = _map_once(search, attempt, min_inliers, min_ratio), best
+        best = max(filter(None, models), key=pycolmap.Reconstruction.num_reg_images, default=None)
         if best is not None and best.num_reg_images() >= _GOOD_SHARE * len(search.photos):
             break
     return best
@@ -221,7 +217,32 @@ def leave_out_unreliable(model: pycolmap.Reconstruction) -> None:
             model.deregister_frame(image.frame_id)
 
 
-def _map_once(search: _Search, attempt: int, min_inliers: int, min_ratio: float) -> dict[int, pycolmap.Reconstruction]:
+def disagreeing_photos(model: pycolmap.Reconstruction, path: Path) -> set[int]:
+    """Return the ids of images in pairs whose verified matches, in the database, contradict the poses."""
+    # COLMAP's error of a match; right pairs have at least 0.97 of such matches, wrong ones 0 to 0.94
+    min_matches, max_error_px, min_share = 100, 4.0, 0.95
+    wrong: set[int] = set()
+    with pycolmap.Database.open(path) as database:
+        geometries = zip(*database.read_two_view_geometries(), strict=True)
+        keypoints = {one: database.read_keypoints(one)[:, :2].astype(np.float64) for one in model.reg_image_ids()}
+    for number, geometry in geometries:
+        matches, ids = geometry.inlier_matches, pycolmap.pair_id_to_image_pair(number)
+        if len(matches) < min_matches or not keypoints.keys() >= set(ids):
+            continue
+        pair = [model.images[one] for one in ids]
+        places = [
+            model.cameras[image.camera_id].cam_from_img(keypoints[image.image_id][rows])
+            for image, rows in zip(pair, matches.T, strict=True)
+        ]
+        essential = pycolmap.essential_matrix_from_pose(pair[1].cam_from_world() * pair[0].cam_from_world().inverse())
+        error_px = np.sqrt(pycolmap.compute_squared_sampson_error(places[0], places[1], essential))
+        error_px *= model.cameras[pair[0].camera_id].mean_focal_length()
+        if (error_px < max_error_px).mean() < min_share:
+            wrong.update(ids)
+    return wrong
+
+
+def _map_once(search: _Search, attempt: int, min_inliers: int, min_ratio: float) -> pycolmap.Reconstruction | None:
     number = len(search.photos)
     options = pycolmap.IncrementalPipelineOptions()
     options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = min_inliers, min_ratio
@@ -234,12 +255,27 @@ def _map_once(search: _Search, attempt: int, min_inliers: int, min_ratio: float)
         registered[0] += 1
         search.tell("cameras", attempt * number + min(registered[0], number), 2 * number)
 
-    sparse = search.folder / "sparse"
-    sparse.mkdir(exist_ok=True)
-    models: dict[int, pycolmap.Reconstruction] = pycolmap.incremental_mapping(
-        search.database, search.images, sparse, options, next_image_callback=count
-    )
-    return models
+    sparse, begun = search.folder / "sparse", search.folder / "begun"
+    for folder in (sparse, begun):
+        folder.mkdir(exist_ok=True)
+
+    def mapped(start: str = "") -> pycolmap.Reconstruction | None:
+        models = pycolmap.incremental_mapping(
+            search.database, search.images, sparse, options, start, next_image_callback=count
+        )
+        for model in models.values():
+            leave_out_unreliable(model)
+        return max(models.values(), key=pycolmap.Reconstruction.num_reg_images, default=None)
+
+    first = mapped()
+    if first is None or not (wrong := disagreeing_photos(first, search.database)):
+        return first
+    rest = pycolmap.Reconstruction(first)
+    for number in wrong:
+        rest.deregister_frame(rest.images[number].frame_id)
+    rest.write(begun)
+    second = mapped(str(begun))
+    return second if second and len(disagreeing_photos(second, search.database)) < len(wrong) else first
 
 
 def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[str]) -> None:

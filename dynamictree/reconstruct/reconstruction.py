@@ -170,10 +170,7 @@ def _find_cameras(
     *,
     part: tuple[float, float],
 ) -> SparseModel:
-    """Read cameras given with the photos or saved by an earlier call, or run structure from motion.
-
-    `part` is the interval of the stage's progress that this search covers, in [0, 1].
-    """
+    """Read given or saved cameras, or run structure from motion, whose progress fills the interval `part` of [0, 1]."""
     first, last = part
     with clock.stage("photos") as report:
         given, prepared = read_photos(photos, root, work / PHOTOS, lambda done, total: report(done / total))

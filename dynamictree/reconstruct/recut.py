@@ -57,11 +57,7 @@ def recut(
 
 
 def _judge_plant(finished: Reconstruction, quality: PlantQuality | None, choice: CutParams) -> None:
-    """Add the plant's PSNR in held-out photos to the report, or reject a plant that they do not show.
-
-    Raises:
-        InputError: the plant was found automatically, and held-out photos are rendered about as well without it.
-    """
+    """Add the plant's PSNR in held-out photos to the report; reject a found plant without which they are as good."""
     if quality is None:
         return
     with_db, without_db, one_color_db = (round(value, 2) for value in quality)
@@ -110,11 +106,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
 
 
 def _scale(finished: Reconstruction, choice: CutParams) -> tuple[float, str]:
-    """Return the factor by which the result is scaled, and its source: `given`, `marker`, or as before.
-
-    Raises:
-        InputError: the photos show no marker.
-    """
+    """Return the factor by which the result is scaled, and its source: `given`, `marker`, or as before."""
     if choice.height_m is not None:
         return choice.height_m / _plant_height(finished.splat, finished.mesh), "given"
     if choice.marker_m is None:

@@ -77,11 +77,7 @@ def read_las(stream: SeekableReader, *, unit_m: float | None = None) -> Scan:
 
 
 def _units(records: dict[int, bytes]) -> _Units:
-    """Return the units of the coordinate system; metres where it states none.
-
-    Raises:
-        InputError: the units are degrees.
-    """
+    """Return the units of the coordinate system, metres where it states none; refuse degrees."""
     wkt_record, keys_record = 2112, 34735
     model_key, unit_key, vertical_unit_key = 1024, 3076, 4099  # GeoTIFF 1.1, section 7
     code_keys, vertical_code_key = (3072, 2048), 4096  # EPSG codes of projected, geographic and vertical systems
@@ -102,11 +98,7 @@ def _units(records: dict[int, bytes]) -> _Units:
 
 
 def _unit_of_system(code: int) -> float | None:
-    """Return metres per unit of the coordinate system with an EPSG code; None if it or pyproj is not available.
-
-    Raises:
-        InputError: its unit is an angle.
-    """
+    """Return metres per unit of the coordinate system with an EPSG code; None if it or pyproj is missing."""
     try:
         from pyproj import CRS  # type: ignore[import-not-found,unused-ignore]
         from pyproj.exceptions import CRSError  # type: ignore[import-not-found,unused-ignore]

@@ -76,11 +76,7 @@ def _is_empty(points: Float64[np.ndarray, "G 3"]) -> Bool[np.ndarray, " G"]:
 
 
 def _columns(table: Float64[np.ndarray, "G columns"], head: list[bytes]) -> tuple[list[int], list[int] | None]:
-    """Find the columns of positions and of colours.
-
-    Raises:
-        FormatError: the columns have names, but not x, y and z; or the rows are Gaussians.
-    """
+    """Find the columns of positions and of colours; refuse Gaussians, and names without x, y and z."""
     labels = 16.0  # integers up to this value are classes or returns, not colours
     for line in reversed(head):
         names = _column_names(line)
