@@ -73,7 +73,7 @@ def plant_of_cloud(
     capture = with_still_parts(Capture(cloud=cloud, mask=mask, warnings=sizes + turned))
     doubts = doubt_cloud(cloud.subset(moving_part(capture)))
     capture = _with_trees(capture, is_scan=file.origin == "scan") if tell_trees else capture
-    doubts += () if reading.up_axis else _doubt_axis(capture)
+    doubts += _doubt_axis(capture) if not reading.up_axis and all(one.code == "levelled" for one in turned) else ()
     return replace(capture, warnings=capture.warnings + doubts)
 
 

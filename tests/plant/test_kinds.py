@@ -2,13 +2,13 @@
 
 import pytest
 
-from tests.plant.kinds import KINDS, verdict
+from tests.plant.kinds import KINDS, Kind, verdict
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_its_verdict_is_right(name: str, tmp_path) -> None:
-    kind = KINDS[name]
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_its_verdict_is_right(kind: Kind, tmp_path) -> None:
     path = tmp_path / f"source.{kind.file_type}"
     path.write_bytes(kind.content())
     stated = verdict(path)
+    assert len(set(stated["warnings"])) == len(stated["warnings"])
     assert kind.is_right(stated), stated
