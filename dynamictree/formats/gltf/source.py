@@ -152,7 +152,7 @@ def _warn_of_motion(document: GltfDocument) -> None:
         return
     names = ", ".join(repr(str(entry.get("name", "unnamed"))[:40]) for entry in animations[:5])
     message = (
-        f"the file comes with animations ({len(animations)}: {names}), which are not part of the motion; glb "
-        "leaves them in the file after 'sway', other formats drop them"
+        f"the file comes with animations ({len(animations)}: {names}), which are not part of the motion; glb has them "
+        "after 'sway', unless the file has a skin, Draco, instances or levels of detail; other formats drop them"
     )
     document.warnings.append(SourceWarning(code="animations-ignored", message=message))
