@@ -81,7 +81,7 @@ def reconstruct(
 
 
 def _input_files(source: Path) -> list[Path]:
-    """Return the photos in a folder and below it, or the film."""
+    """Return the photos in a folder and below it, or the film; refuse all else."""
     if source.is_dir():
         files = sorted(path for path in source.rglob("*") if path.is_file())
         files = [path for path in files if not is_system_file(path.relative_to(source).as_posix())]

@@ -73,8 +73,9 @@ def plant_of_cloud(
     capture = with_still_parts(Capture(cloud=cloud, mask=mask, warnings=sizes + turned))
     doubts = doubt_cloud(cloud.subset(moving_part(capture)))
     capture = _with_trees(capture, is_scan=file.origin == "scan") if tell_trees else capture
-    doubts += _doubt_axis(capture) if not reading.up_axis and all(one.code == "levelled" for one in turned) else ()
-    return replace(capture, warnings=capture.warnings + doubts)
+    axis = () if reading.up_axis else _doubt_axis(capture)
+    general = turned if axis and turned and turned[0].code == axis[0].code else ()  # replaced by `axis`
+    return replace(capture, warnings=tuple(one for one in capture.warnings if one not in general) + doubts + axis)
 
 
 def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
@@ -87,8 +88,7 @@ def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tu
     level = up_of_standing(cloud.means[seen].astype(np.float64) @ way.T)
     if level is None and not shape:
         message = f"points made from photos do not say which way is up; {usual} was taken; set up_axis if it is another"
-        unsure = by_shape and not sure
-        return cloud, (SourceWarning(code="orientation-uncertain", message=message),) if unsure else ()
+        return cloud, (SourceWarning(code="orientation-uncertain", message=message),) if by_shape and not sure else ()
     up = way.T @ (np.array([0.0, 0.0, 1.0]) if level is None else level)
     name = name_of((up_rotation(usual).T @ up).tolist())
     tilt_deg = np.degrees(np.arccos(np.clip(up[2], -1, 1)))

@@ -50,7 +50,7 @@ def test_gltf_is_in_metres_and_y_up_unless_said_otherwise(reading: Reading, corn
     assert (mesh.source.up_axis, mesh.source.scale) == source
 
 
-@pytest.mark.parametrize("model", MODELS[:5])
+@pytest.mark.parametrize("model", MODELS[:5])  # the others are instanced and compressed
 def test_vertices_stand_where_nodes_joints_and_morph_weights_put_them(model: Callable[[], Artist]) -> None:
     glb = model().glb()
     np.testing.assert_allclose(read(glb, "glb").vertices, standing(document_of(glb), lambda *_: 0.0), atol=1e-5)

@@ -59,7 +59,7 @@ def move_one_camera(model: pycolmap.Reconstruction, away: float) -> pycolmap.Ima
 
 
 def test_a_wrong_camera_is_found_by_its_matches_and_sought_again(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a walk along three quarters of a circle, two photos had the cameras of others at the circle's far side."""
+    """Of a walk along three quarters of a circle, two photos had cameras 45° from their place."""
     photos = 6 * [Photo(source="a", name="a", width=1, height=1, focal_px=None)]
     (tmp_path / "photos").mkdir()
     search = mapping._Search(folder=tmp_path, photos=photos, given=None, part=(0.0, 1.0), threads=1)

@@ -98,7 +98,7 @@ def _units(records: dict[int, bytes]) -> _Units:
 
 
 def _unit_of_system(code: int) -> float | None:
-    """Return metres per unit of the coordinate system with an EPSG code; None if it or pyproj is missing."""
+    """Return metres per unit of the system with an EPSG code, None if it or pyproj is missing; refuse angles."""
     try:
         from pyproj import CRS  # type: ignore[import-not-found,unused-ignore]
         from pyproj.exceptions import CRSError  # type: ignore[import-not-found,unused-ignore]
