@@ -32,8 +32,7 @@ def animate(
     generation: SpectrumParams,
     reading: Reading,
     mask: Annotated[
-        Path | None,
-        typer.Option(help="For a splat or scan: .npy with one bool per Gaussian, true if it may move."),
+        Path | None, typer.Option(help="For a splat or scan: .npy with one bool per Gaussian, true if it may move.")
     ] = None,
     mesh: Annotated[
         Path | None, typer.Option("--mesh", help="For a splat or scan: a mesh at the same place that moves it.")

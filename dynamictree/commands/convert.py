@@ -38,8 +38,7 @@ def convert(
     output: Annotated[
         Path,
         typer.Argument(
-            dir_okay=False,
-            help="File to write. Meshes: .glb, .obj, .ply. Clouds: .ply, .splat, .spz, .sog, .glb.",
+            dir_okay=False, help="File to write. Meshes: .glb, .obj, .ply. Clouds: .ply, .splat, .spz, .sog, .glb."
         ),
     ],
     reading: Reading,

@@ -113,11 +113,7 @@ def load_mesh(path: Path, reading: Reading | None = None) -> TriangleMesh:
 
 
 def load_capture(
-    path: Path,
-    reading: Reading | None = None,
-    *,
-    mask: Path | None = None,
-    mesh: Path | None = None,
+    path: Path, reading: Reading | None = None, *, mask: Path | None = None, mesh: Path | None = None
 ) -> Capture:
     """Read a splat or scan, a mask of what may move, and a mesh in the same place.
 

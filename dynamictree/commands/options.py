@@ -7,13 +7,7 @@ import typer
 
 from dynamictree.errors import InputError
 from dynamictree.formats.companions import is_system_file
-from dynamictree.formats.suffixes import (
-    CLOUD_SUFFIXES,
-    MESH_SUFFIXES,
-    PHOTO_SUFFIXES,
-    POINT_SUFFIXES,
-    SOG_FOLDER_FILE,
-)
+from dynamictree.formats.suffixes import CLOUD_SUFFIXES, MESH_SUFFIXES, PHOTO_SUFFIXES, POINT_SUFFIXES, SOG_FOLDER_FILE
 
 _SHAPE_SUFFIXES = tuple(
     suffix for suffix in dict.fromkeys((*MESH_SUFFIXES, *CLOUD_SUFFIXES)) if suffix not in POINT_SUFFIXES

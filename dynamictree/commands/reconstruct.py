@@ -50,11 +50,7 @@ def reconstruct(
     if fresh:
         shutil.rmtree(work, ignore_errors=True)
     try:
-        with (
-            stopping_on_signals() as check,
-            stage_progress(as_json=as_json) as report,
-            atomic_folder(output) as folder,
-        ):
+        with stopping_on_signals() as check, stage_progress(as_json=as_json) as report, atomic_folder(output) as folder:
 
             def on_progress(progress: Progress) -> None:
                 report(progress)

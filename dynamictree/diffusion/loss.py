@@ -10,9 +10,7 @@ from torch import Tensor
 
 
 def denoising_loss(
-    denoised: Float32[Tensor, "W J C"],
-    clean: Float32[Tensor, "W J C"],
-    sigma: Float32[Tensor, "W J 1"],
+    denoised: Float32[Tensor, "W J C"], clean: Float32[Tensor, "W J C"], sigma: Float32[Tensor, "W J 1"]
 ) -> Float32[Tensor, " J"]:
     """EDM's squared error, weighted by λ = (1 + σ²) / σ², equal for all noise levels. Karras et al. 2022, eq. 2."""
     weight = (1 + sigma.square()) / sigma.square()

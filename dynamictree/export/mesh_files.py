@@ -33,12 +33,7 @@ def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 def write_morph_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """Write a GLB with two morph targets per frequency of the loop; storms have more frequencies."""
     summary = write_motion_glb(
-        tree.mesh,
-        tree.loop,
-        stream,
-        num_frames=tree.spectrum.num_frames,
-        fps=tree.loop_fps,
-        truth=tree.loop_frames,
+        tree.mesh, tree.loop, stream, num_frames=tree.spectrum.num_frames, fps=tree.loop_fps, truth=tree.loop_frames
     )
     return asdict(summary)
 

@@ -42,8 +42,5 @@ def write_splat_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None
 def _animated(tree: MovingTree) -> AnimatedSplat:
     assert tree.binding is not None
     return AnimatedSplat(
-        binding=tree.binding,
-        coefficients=tree.coefficients,
-        num_frames=tree.spectrum.num_frames,
-        fps=tree.loop_fps,
+        binding=tree.binding, coefficients=tree.coefficients, num_frames=tree.spectrum.num_frames, fps=tree.loop_fps
     )

@@ -55,11 +55,7 @@ _POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE\"]+([ \t,;|]+[-+0-9.eE\"]+){2,}[ \t
 
 
 def read_mesh(
-    stream: ByteReader,
-    *,
-    file_type: str,
-    reading: Reading | None = None,
-    companions: Mapping[str, bytes] | None = None,
+    stream: ByteReader, *, file_type: str, reading: Reading | None = None, companions: Mapping[str, bytes] | None = None
 ) -> TriangleMesh:
     """Read a mesh that the method can work on, in metres and +Z up.
 

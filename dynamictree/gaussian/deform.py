@@ -114,11 +114,7 @@ def apply_pose(cloud: GaussianCloud, pose: Pose) -> GaussianCloud:
     """Apply a pose to a cloud, with colours rotated like their Gaussians, for export to a file."""
     turns = quaternion_products(pose.quaternions, cloud.quaternions * np.array([1, -1, -1, -1], np.float32))
     return replace(
-        cloud,
-        means=pose.means,
-        quaternions=pose.quaternions,
-        scales=pose.scales,
-        sh=turn_sh_fast(cloud.sh, turns),
+        cloud, means=pose.means, quaternions=pose.quaternions, scales=pose.scales, sh=turn_sh_fast(cloud.sh, turns)
     )
 
 

@@ -69,8 +69,7 @@ class Joints:
         own, joint = frame[self.of_bone], self.of_bone
         arm = stance.place_m[0] - self.place_m[joint]
         return Poses(
-            rotation=(own @ stance.rotation[0])[None],
-            place_m=(place[joint] + np.einsum("bij,bj->bi", own, arm))[None],
+            rotation=(own @ stance.rotation[0])[None], place_m=(place[joint] + np.einsum("bij,bj->bi", own, arm))[None]
         )
 
 

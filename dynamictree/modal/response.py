@@ -7,15 +7,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.modal.force import (
-    Drag,
-    Force,
-    WindField,
-    davis_state,
-    equilibrium,
-    generalised_force,
-    share_of_steps,
-)
+from dynamictree.modal.force import Drag, Force, WindField, davis_state, equilibrium, generalised_force, share_of_steps
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality, Reached
 from dynamictree.modal.local_bend import Bend, drive, joints_step
 from dynamictree.modal.step import STEPS, State, run

@@ -100,8 +100,6 @@ def read_weights(path: Path) -> WeightsFile:
         preset=json.loads(metadata.get("preset", "{}")),
         tensors=tensors,
         provenance=Provenance(
-            step=None if step is None else int(step),
-            data_sha256=metadata.get("data_sha256"),
-            card=metadata.get("card"),
+            step=None if step is None else int(step), data_sha256=metadata.get("data_sha256"), card=metadata.get("card")
         ),
     )

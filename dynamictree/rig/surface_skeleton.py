@@ -99,8 +99,7 @@ def surface_bones(mesh: Surface, grid: VoxelGrid) -> SurfaceBones:
     return SurfaceBones(
         skeleton=skeleton,
         vertices=Weights(
-            rows=np.stack([own, skeleton.above[own]], axis=1),
-            shares=np.stack([1 - of_parent, of_parent], axis=1),
+            rows=np.stack([own, skeleton.above[own]], axis=1), shares=np.stack([1 - of_parent, of_parent], axis=1)
         ),
         in_card=parts.is_card[parts.of][vertex] & ~still,
     )

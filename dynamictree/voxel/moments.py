@@ -59,10 +59,7 @@ def moments_of_normals(normals: Float32[np.ndarray, "V 3"]) -> Float32[np.ndarra
 
 
 def coarse_moments(
-    moments: Float32[np.ndarray, "V 16"],
-    fine: VoxelGrid,
-    coarse: VoxelGrid,
-    owner: Int32[np.ndarray, " V"],
+    moments: Float32[np.ndarray, "V 16"], fine: VoxelGrid, coarse: VoxelGrid, owner: Int32[np.ndarray, " V"]
 ) -> Float32[np.ndarray, "W 16"]:
     """Compute the moments in larger voxels; `owner` is the coarse row of each fine voxel."""
     factor = fine.resolution // coarse.resolution

@@ -217,12 +217,7 @@ def forgive_loss(store: Store, job_id: str) -> None:
 
 
 def begin_next_attempt(
-    connection: sa.Connection,
-    job_id: str,
-    attempt: int,
-    *,
-    now: float,
-    lost_stages: Sequence[str | None] | None = None,
+    connection: sa.Connection, job_id: str, attempt: int, *, now: float, lost_stages: Sequence[str | None] | None = None
 ) -> None:
     """Increment the attempt, which fences off the old one, and put the message for the next into the outbox.
 

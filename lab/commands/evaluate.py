@@ -55,8 +55,7 @@ def evaluate(
         ),
     ] = None,
     height_m: Annotated[
-        float | None,
-        typer.Option(min=0.01, max=999.0, help="Height of that tree \\[m]; by default the file's."),
+        float | None, typer.Option(min=0.01, max=999.0, help="Height of that tree \\[m]; by default the file's.")
     ] = None,
     classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Trees per class.")] = 200,
     max_voxels: Annotated[

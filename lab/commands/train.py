@@ -26,8 +26,7 @@ MAX = 10_000_000
 def train(
     folder: Annotated[Path, typer.Argument(help="Folder for checkpoints and weights; a stopped run continues.")],
     dataset: Annotated[
-        list[Path],
-        typer.Option(help="Folder of shards from `dynamictree dataset generate`; several are interleaved."),
+        list[Path], typer.Option(help="Folder of shards from `dynamictree dataset generate`; several are interleaved.")
     ],
     preset: Annotated[str, typer.Option(help=f"Network: {', '.join(PRESETS)}.")] = "small",
     foliage_trees: Annotated[int, typer.Option(min=0, max=MAX, help="Small: trees for the foliage network.")] = 800,
@@ -120,12 +119,7 @@ def _interleave(folders: list[list[str]]) -> list[str]:
 
 
 def _small_training(
-    steps: tuple[int, int, int],
-    trees: tuple[int, int, int],
-    start_from: str | None,
-    *,
-    bf16: bool,
-    accumulate: int,
+    steps: tuple[int, int, int], trees: tuple[int, int, int], start_from: str | None, *, bf16: bool, accumulate: int
 ) -> "SmallTraining":
     from lab.small.train import SmallTraining
 

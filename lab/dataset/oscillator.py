@@ -197,9 +197,7 @@ def bin_transfer(
 
 
 def driven_response(
-    series: Float[np.ndarray, "C T"],
-    omega: Float64[np.ndarray, " C"],
-    damping: Float64[np.ndarray, " C"] | float,
+    series: Float[np.ndarray, "C T"], omega: Float64[np.ndarray, " C"], damping: Float64[np.ndarray, " C"] | float
 ) -> Float[np.ndarray, "C T"]:
     """Return the response of oscillators with a fixed base."""
     transfer = bin_transfer(frequencies(series.shape[1]), omega, np.broadcast_to(damping, omega.shape))

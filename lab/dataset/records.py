@@ -37,8 +37,5 @@ def iter_measured(folder: Path) -> Iterator[MeasuredTree]:
 
 def _measured(seed: int, tree: Mapping[str, Any]) -> MeasuredTree:
     return MeasuredTree(
-        seed=seed,
-        species=tree["species"],
-        violated=tuple(tree.get("rules", ())),
-        measures=Measures(**tree["measures"]),
+        seed=seed, species=tree["species"], violated=tuple(tree.get("rules", ())), measures=Measures(**tree["measures"])
     )

@@ -99,12 +99,7 @@ def stored_tree(sample: Sample, *, resolutions: tuple[int, ...]) -> StoredTree:
         tensors[f"r{resolution}.spectrum"] = to_half(spectrum.coefficients)
         grids[resolution] = (voxels.grid.origin_m, voxels.grid.voxel_size_m)
     return StoredTree(
-        seed=sample.seed,
-        species=sample.species,
-        split=sample.split,
-        wind=sample.wind,
-        tensors=tensors,
-        grids=grids,
+        seed=sample.seed, species=sample.species, split=sample.split, wind=sample.wind, tensors=tensors, grids=grids
     )
 
 

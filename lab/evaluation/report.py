@@ -16,12 +16,7 @@ from dynamictree.models.gust_travel import delay_downwind
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sample import is_training_seed
-from lab.evaluation.baselines import (
-    ByHeight,
-    TrainingTree,
-    fit_by_height,
-    training_tree,
-)
+from lab.evaluation.baselines import ByHeight, TrainingTree, fit_by_height, training_tree
 from lab.evaluation.clip import ClipEmbedder
 from lab.evaluation.figures import TreeReference, figures_of
 from lab.evaluation.frame_distances import distance_error, motion_distances

@@ -45,8 +45,4 @@ def read_sapling(path: Path) -> SaplingTree:
         if missing:
             raise FormatError(f"{path} lacks {', '.join(missing)}; a tree has the arrays {', '.join(ARRAYS)}")
         moved, rest, faces = (baked[name] for name in ARRAYS)
-    return SaplingTree(
-        name=path.stem,
-        mesh=TriangleMesh(vertices=rest, faces=faces),
-        displacement=moved - rest,
-    )
+    return SaplingTree(name=path.stem, mesh=TriangleMesh(vertices=rest, faces=faces), displacement=moved - rest)

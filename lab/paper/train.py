@@ -64,10 +64,7 @@ class PaperTraining:
         per_pass = self.micro_trees * self.frequencies_per_tree * num_processes()
         return TrainerOptions(
             schedule=LearningRateSchedule(
-                num_steps=self.num_steps,
-                learning_rate=self.learning_rate,
-                halve_every=self.halve_every,
-                warmup_steps=1,
+                num_steps=self.num_steps, learning_rate=self.learning_rate, halve_every=self.halve_every, warmup_steps=1
             ),
             weight_decay=1e-2,
             gradient_clip=0.5,

@@ -44,9 +44,7 @@ _BODY = {
 }
 _BYTES_BODY: dict[str, Any] = {"response_class": Response, "openapi_extra": {"requestBody": _BODY}}
 _OFFSET_HEADERS = headers(
-    Upload_Offset="bytes received",
-    Upload_Expires="time of deletion if no more bytes arrive",
-    Tus_Resumable="1.0.0",
+    Upload_Offset="bytes received", Upload_Expires="time of deletion if no more bytes arrive", Tus_Resumable="1.0.0"
 )
 _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mismatch", "request-timeout", "disk-full")
 

@@ -51,9 +51,7 @@ class SmallNetwork(StorableNetwork):
         moving = preset.num_frequencies - 1
         self.foliage = FoliageNetwork(widths=preset.foliage_widths)
         self.amplitude = AmplitudeNetwork(
-            num_frequencies=preset.num_frequencies,
-            width=preset.amplitude_width,
-            depth=preset.amplitude_depth,
+            num_frequencies=preset.num_frequencies, width=preset.amplitude_width, depth=preset.amplitude_depth
         )
         self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
