@@ -16,11 +16,6 @@ from jobs.store import Store
 MAX_ENDPOINTS = 20
 
 
-def new_secret() -> str:
-    """Return a random signing secret in the format of Standard Webhooks."""
-    return "whsec_" + base64.b64encode(secrets.token_bytes(24)).decode()
-
-
 # -- endpoints
 
 
@@ -35,7 +30,7 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
         owner=store.owner or "",
         url=url,
         events=tuple(events),
-        secret=new_secret(),
+        secret="whsec_" + base64.b64encode(secrets.token_bytes(24)).decode(),  # format of Standard Webhooks
         created_at=store.clock(),
     )
     with store.writing() as connection:

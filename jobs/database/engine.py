@@ -1,6 +1,7 @@
 """Engines for the job store: SQLite in WAL mode on one machine, PostgreSQL on many."""
 
 import os
+import re
 import sqlite3
 import time
 from collections.abc import Mapping
@@ -20,7 +21,8 @@ def open_engine(url: str) -> sa.Engine:
     if make_url(url).get_backend_name() != "sqlite":
         from jobs.database.postgres_connection import connect  # imports psycopg, which SQLite does not need
 
-        engine = sa.create_engine(_with_psycopg(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
+        url = re.sub("^postgresql://", "postgresql+psycopg://", url)
+        engine = sa.create_engine(url, pool_pre_ping=True, pool_size=10, max_overflow=30)
         event.listen(engine, "do_connect", connect)
         return engine
     database = make_url(url).database
@@ -34,10 +36,6 @@ def open_engine(url: str) -> sa.Engine:
     event.listen(engine, "connect", _configure_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
-
-
-def _with_psycopg(url: str) -> str:
-    return url.replace("postgresql://", "postgresql+psycopg://", 1) if url.startswith("postgresql://") else url
 
 
 def _configure_sqlite(connection: sqlite3.Connection, _record: object) -> None:

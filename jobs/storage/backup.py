@@ -58,7 +58,7 @@ def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
         copied, total, damaged = 0, 0, []
         for digest in digests:
             hold_lease(store, BACKUP_LEASE, owner=owner, lease_s=LEASE_S)
-            target = _blob(folder, digest)
+            target = folder / BLOBS / digest[:2] / digest
             if not target.exists():
                 if not _save_blob(artifacts, digest, target):
                     damaged.append(digest)
@@ -149,10 +149,6 @@ def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
         return stored == digest
     finally:
         part.unlink(missing_ok=True)
-
-
-def _blob(folder: Path, digest: str) -> Path:
-    return folder / BLOBS / digest[:2] / digest
 
 
 @dataclass(frozen=True, kw_only=True)
