@@ -44,7 +44,7 @@ def run() -> dict[str, object]:
 def _figures(mesh: TriangleMesh) -> dict[str, object]:
     voxels = method.voxelize(mesh)
     spectrum = method.generate(voxels, seed=0, wind=WIND)
-    frames = np.stack(list(method.animate(mesh, wind=WIND, num_frames=10)))  # [T, N, 3]
+    frames = np.stack(list(method.animate(mesh, wind=WIND, num_frames=10, flutter=0.0)))  # [T, N, 3]
     edges = edges_of(mesh.faces)
     length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
     edges, length = edges[length > SHORTEST_EDGE_M], length[length > SHORTEST_EDGE_M]

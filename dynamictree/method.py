@@ -23,7 +23,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import AnyMesh, triangle_mesh
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
-from dynamictree.rig.flutter import flutter_modes, fluttering
+from dynamictree.rig.flutter import fluttering
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -40,7 +40,7 @@ def animate(
     seed: int = 0,
     model: str = "small",
     num_frames: int | None = None,
-    flutter: float = 0.0,
+    flutter: float = 1.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Yield the positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
@@ -140,7 +140,7 @@ def move(
     mesh: AnyMesh,
     *,
     num_frames: int | None = None,
-    flutter: float = 0.0,
+    flutter: float = 1.0,
     devoxelization: Devoxelization = "rig",
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Yield the displacement of each vertex, frame by frame over one loop [m], the same as in every written file.
@@ -154,7 +154,6 @@ def move(
     if devoxelization == "paper":
         yield from iter_motion(devoxelize(spectrum, mesh, "paper"), phases, spectrum.num_frames)
         return
-    still = rig_of(mesh, spectrum)
-    rig = fluttering(still, flutter_modes(still, spectrum, flutter))
+    rig = fluttering(rig_of(mesh, spectrum), spectrum, flutter)
     for theta in rig.theta(phases):
         yield rig.displacement(theta, mesh.vertices, rig.vertices)

@@ -249,12 +249,11 @@ class ExportParams(Request):
         default=True, description="Refuse frames that are not a whole number of periods, except in turbulent wind"
     )
     flutter: Finite = Field(
-        default=0.0,
+        default=1.0,
         ge=0,
         le=2,
         description="Flutter of leaves at frequencies above the spectrum's, up to 8 Hz: 0 is none, 1 as in nature at "
-        "this wind speed. It is in files with frames and in skins. Morph targets, the page and pushes "
-        "have none, so by default all show one motion",
+        "this wind speed. Morph targets, `rig` and `splat` have none",
     )
     formats: (
         tuple[Annotated[Format, BeforeValidator(lambda name: "glb" if name == "glb-skinned" else name)], ...] | None

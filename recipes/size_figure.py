@@ -17,6 +17,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.render.picture import Renderer, RenderSettings
 from dynamictree.requests import Wind
+from dynamictree.rig.flutter import flutter_of
 from dynamictree.rig.rig import rig_of
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -39,7 +40,7 @@ def main() -> None:
         rig = rig_of(mesh, spectrum)
         times_s = np.arange(FPS * DURATION_S) / FPS
         wind = turbulent_wind(spectrum, seed=SEED)
-        turns = iter_turbulent_turns(rig, wind, times_s)
+        turns = iter_turbulent_turns(rig, wind, times_s, flutter_of(rig, spectrum))
         frames = (rig.displacement(theta, mesh.vertices, rig.vertices) for theta in turns)
         top = np.argsort(mesh.vertices[:, 2])[-max(round(TOP_SHARE * mesh.num_vertices), 1) :]
         highest: list[np.ndarray] = []

@@ -25,7 +25,8 @@ LONGEST_S = 600.0
 EVERY_VOXEL = 8
 COARSER = 8
 """Factor on the step of a bone's turn; the error of positions is 0.03 % of the height, a fifth of a pixel."""
-PLACES = {"vertices": 2**-9, "turn_foot_m": 2**-9, "turn_direction": 2**-9, "joint_place_m": 2**-9}
+PLACES = dict.fromkeys(("vertices", "turn_foot_m", "turn_direction", "joint_place_m"), 2 ** (-9))
+PLACES |= {"flutter_axis": 2**-5, "flutter_critical_m_s": 2**-5}
 """Steps of positions [m] and directions; their float32 values then end with zero bits, which compress well."""
 BINS = 16
 """Number of bins retained, 0 to 1.8 Hz: the tree is 600 pixels high, and the other bins move no point by a pixel."""

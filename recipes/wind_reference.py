@@ -34,16 +34,37 @@ def coordinates(wind: dict[str, Any], seconds: float, speed_m_s: float | None = 
     return gains(wind["bands"], speed) * np.concatenate([[wave_at(wind["lean"], seconds)], sway])
 
 
-def half_turns(theta: np.ndarray, direction: np.ndarray, wind_turn: float) -> np.ndarray:
+def flutter(
+    constants: dict[str, float],
+    tones: np.ndarray,
+    size: np.ndarray,
+    axis: np.ndarray,
+    direction: np.ndarray,
+    seconds: float,
+    air_speed_m_s: float,
+) -> np.ndarray:
+    """Return the flutter of leaves and twig ends as rotations θ of all bones [B, 3].
+
+    `constants` are `flutter` of `wind.json`; `tones` [J, B, 3] and `size` [B, 2], critical speed and share, are parts
+    of `bones.exr`. The speed of the air is the mean speed times strength^(1 / 1.4).
+    """
+    angle = 2 * np.pi * (tones[..., :1] * (seconds / constants["period_s"] % 1) + tones[..., 1:])  # [J, B, 2]
+    flap, twist = (np.sqrt(0.5) * np.cos(angle) * (tones[..., :1] > 0)).sum(axis=0).T[..., None]
+    over = np.maximum(air_speed_m_s / size[:, :1] - 1, 0)
+    turn = constants["flap_rad"] * flap * axis + constants["twist_rad"] * twist * direction
+    return np.asarray(size[:, 1:] * over**2 / (1 + over**2) * turn)
+
+
+def half_turns(theta: np.ndarray, direction: np.ndarray, wind_turn: float, leaf: np.ndarray) -> np.ndarray:
     """Return turns of bones as axis times sine of half the angle [B, 3], +Z up, from Re Σ_k θ_k q_k [B, 3].
 
     `direction` are the bones' unit vectors. The end of a bone swings in the direction of the wind, which is
-    rotated by `wind_turn`.
+    rotated by `wind_turn`; `leaf` is the result of `flutter`.
     """
     cosine, sine = np.cos(wind_turn), np.sin(wind_turn)
     around = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
     along = (theta * direction).sum(axis=1, keepdims=True) * direction
-    theta = np.cross(direction, np.cross(theta, direction) @ around) + along
+    theta = np.cross(direction, np.cross(theta, direction) @ around) + along + leaf
     c = 1 / np.sqrt(1 + (theta**2).sum(axis=1, keepdims=True))  # cosine of the angle, atan |θ|
     return theta * c / np.sqrt(2 + 2 * c)
 

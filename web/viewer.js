@@ -5,6 +5,7 @@
 import { Stage } from "./draw/stage.js";
 import { readSurface } from "./draw/surface.js";
 import { Tree } from "./draw/tree.js";
+import { gustyAir } from "./motion/flutter.js";
 import { Modes, windCoordinates } from "./motion/modes.js";
 
 export { Client } from "./client.js";
@@ -21,7 +22,8 @@ export async function viewTree(canvas, { surface, modes, theme = "light" }) {
   const { K, frequencies_hz: hz } = tree.modes;
   stage.renderer.setAnimationLoop((now) => {
     stage.controls.update();
-    tree.swing(windCoordinates(K, ((now / 1000) * hz[1]) % 1), 0);
+    const phase = ((now / 1000) * hz[1]) % 1;
+    tree.swing({ q: windCoordinates(K, phase), turn: 0, air: gustyAir(tree.surface.wind, phase) });
     tree.bend([]);
     stage.draw(now);
   });

@@ -930,9 +930,8 @@ class AnimateParams(DiffuseParams):
     # Refuse frames that are not a whole number of periods, except in turbulent wind
     loop: bool = True
     # Flutter of leaves at frequencies above the spectrum's, up to 8 Hz: 0 is none, 1 as in nature at this wind
-    # speed. It is in files with frames and in skins. Morph targets, the page and pushes have none, so by default
-    # all show one motion
-    flutter: float = 0.0
+    # speed. Morph targets, `rig` and `splat` have none
+    flutter: float = 1.0
     # Files to write; by default ply, glb, png of a mesh or photos, splat, png of a splat or scan
     formats: (
         list[

@@ -79,9 +79,11 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
     """
     from dynamictree.export.engine_wind import engine_wind_files
     from dynamictree.modal.turbulence import turbulent_wind
+    from dynamictree.rig.flutter import flutter_of
 
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
-    write_stored_zip(stream, engine_wind_files(tree.mesh, wind, tree.rig))
+    flutter = flutter_of(tree.rig, tree.spectrum, tree.params.flutter)
+    write_stored_zip(stream, engine_wind_files(tree.mesh, wind, tree.rig, flutter))
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:

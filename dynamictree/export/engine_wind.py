@@ -1,8 +1,8 @@
 """Wind that engines evaluate: turn modes of bones in a texture, coordinates as cosines, shaders.
 
 A ZIP of `tree-bones.glb` (at rest; TEXCOORD_1 names the bone of each vertex), `bones.exr` (per bone Re θ_0, then
-w_k Re θ_k and w_k Im θ_k of each further bin, its foot, direction and parent), `wind.json`, and shaders per engine with
-the wind's numbers as constants.
+w_k Re θ_k and w_k Im θ_k of each further bin, its flutter, foot, direction and parent), `wind.json`, and shaders per
+engine with the wind's numbers as constants.
 """
 
 import json
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from importlib.resources import files
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32
 
 from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import rest_glb
@@ -20,12 +20,13 @@ from dynamictree.formats.motion.exr import exr_of
 from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind
-from dynamictree.rig.pose import Skeleton
+from dynamictree.rig.flutter import Flutter
 from dynamictree.rig.rig import Rig
 from dynamictree.up_axis import up_rotation
-from dynamictree.wind_bands import drag_at
+from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD
+from dynamictree.wind_bands import DRAG_EXPONENT, drag_at
 
-VERSION = 5
+VERSION = 6
 SHADERS = (
     "wind-three.js",
     "wind-godot.gd",
@@ -60,17 +61,18 @@ class BoneTexture:
         }
 
 
-def engine_wind_files(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> list[tuple[str, list[bytes]]]:
+def engine_wind_files(
+    mesh: TriangleMesh, wind: TurbulentWind, rig: Rig, flutter: Flutter
+) -> list[tuple[str, list[bytes]]]:
     """Return name and content of the archive's files.
 
     Raises:
         InputError: the bones do not fit into a texture.
     """
-    fixed_parts = 3  # foot, direction, parent
     skeleton, turns = rig.skeleton, rig.turns
-    parts = loop_parts(turns, rig.num_frames).reshape(-1, len(turns), 3)
+    parts = _parts(rig, flutter)
     texture = BoneTexture(
-        layout=texture_layout(len(turns), len(parts) + fixed_parts),
+        layout=texture_layout(len(turns), len(parts) + 1),  # one more for the parent
         num_bones=len(turns),
         most_ancestors=int(skeleton.depths.max()),
         farthest_m=2 * float(np.linalg.norm(mesh.vertices, axis=1).max()),
@@ -83,7 +85,9 @@ def engine_wind_files(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> list
         "mesh": "tree-bones.glb",
         "texture": "bones.exr",
         **texture.facts,
-        "parts": "Re theta_0, then w_k Re theta_k and w_k Im theta_k of bins 1 to K - 1; foot; direction; parent",
+        "flutter": {"period_s": flutter.period_s, "flap_rad": FLAP_RAD, "twist_rad": TWIST_RAD},
+        "parts": "Re theta_0, then w_k Re theta_k and w_k Im theta_k of bins 1 to K - 1; tones of flutter; its "
+        "critical speed and share; its axis; foot; direction; parent",
         "unit": "m",
         "axes": "+Y up, right-handed, as in glTF",
         "wind": _described(wind),
@@ -91,27 +95,33 @@ def engine_wind_files(mesh: TriangleMesh, wind: TurbulentWind, rig: Rig) -> list
     return [
         ("wind.json", [json.dumps(facts, indent=1).encode()]),
         ("tree-bones.glb", [rest_glb(mesh, lookup)]),
-        ("bones.exr", [_picture(skeleton, parts, texture.layout)]),
-        *((name, [shader(name, wind, texture).encode()]) for name in SHADERS),
+        ("bones.exr", [_picture(parts, skeleton.parent, texture.layout)]),
+        *((name, [shader(name, wind, flutter.period_s, texture).encode()]) for name in SHADERS),
     ]
 
 
-def _picture(skeleton: Skeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:
-    """Encode all parts in glTF's axes; a parent is stored as its place within a part, in [0, 1], or -1 for none."""
+def _parts(rig: Rig, flutter: Flutter) -> Float32[np.ndarray, "M B 3"]:
+    """Return the texture's parts but for the last, in glTF's axes."""
     y_up = up_rotation("+Y").astype(np.float32)  # multiplied from the right, it turns +Z up into +Y up
-    column, row = skeleton.parent % layout.width, skeleton.parent // layout.width
-    parent = np.stack(
-        [(column + 0.5) / layout.width, (row + 0.5) / layout.rows_per_frame, np.zeros(len(column))], axis=1
-    )
-    parent[skeleton.parent < 0] = -1
+    skeleton = rig.skeleton
+    turns = loop_parts(rig.turns, rig.num_frames).reshape(-1, len(skeleton), 3)
+    tones = flutter.tones.swapaxes(0, 1) / np.array([1, 256, 256], np.float32)
+    size = np.stack([flutter.critical_m_s, flutter.share, np.zeros_like(flutter.share)], axis=1)
+    last = np.stack([flutter.axis, skeleton.foot_m, skeleton.directions])
+    return np.concatenate([turns @ y_up, tones, size[None], last @ y_up]).astype(np.float32)
+
+
+def _picture(parts: Float32[np.ndarray, "M B 3"], parent: Int32[np.ndarray, " B"], layout: TextureLayout) -> bytes:
+    """Encode all parts, the last of which is where in a part the parent is, in [0, 1], or -1 for none."""
+    column, row = parent % layout.width, parent // layout.width
+    place = np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.rows_per_frame, 0 * column], axis=1)
+    place[parent < 0] = -1
     texels = np.full((layout.num_frames, layout.rows_per_frame * layout.width, 3), -1, np.float16)
-    texels[:, : len(parent)] = np.concatenate(
-        [parts @ y_up, [skeleton.foot_m @ y_up, skeleton.directions @ y_up, parent]]
-    )
+    texels[:, : len(parent)] = np.concatenate([parts, place[None]])
     return exr_of(texels.reshape(layout.height, layout.width, 3))
 
 
-def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
+def shader(name: str, wind: TurbulentWind, period_s: float, texture: BoneTexture) -> str:
     """Return the shader code for one engine, with the wind's numbers and the texture's layout as constants."""
     # parts of the texture that a shader computes per frame: displacements of feet, turns, feet, parents' turns
     pose_parts = 4
@@ -135,6 +145,13 @@ def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
         "LEAN_MEAN": wind.lean.mean,
         "LEAN_LIMIT": wind.lean.limit,
         "TURN_LIMIT": wind.turn_rad.limit,
+        "TONES": num_parts - 9,
+        "FLAP": FLAP_RAD / np.sqrt(2),
+        "TWIST": TWIST_RAD / np.sqrt(2),
+        "PERIOD": period_s,
+        "DRAG_ROOT": 1 / DRAG_EXPONENT,
+        "ONSET": num_parts - 5,
+        "AXIS": num_parts - 4,
         "FOOT": num_parts - 3,
         "DIRECTION": num_parts - 2,
         "PARENT": num_parts - 1,

@@ -11,7 +11,7 @@ from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind, iter_turbulent_sums, turbulent_wind
 from dynamictree.requests import ExportParams
-from dynamictree.rig.flutter import flutter_modes, fluttering
+from dynamictree.rig.flutter import Flutter, flutter_of, fluttering
 from dynamictree.rig.rig import Rig
 from dynamictree.rig.skin import skin_of
 from dynamictree.skin import Skin, SkinSummary
@@ -25,11 +25,14 @@ Facts = dict[str, int | float]
 
 
 def iter_turbulent_turns(
-    rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"]
+    rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"], flutter: Flutter
 ) -> Iterator[Float32[np.ndarray, "B 3"]]:
-    """Yield the turns of the bones in turbulent wind at each time [rad]."""
-    for theta, turn in iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames):
-        yield rig.in_wind(theta, turn)
+    """Yield the turns of the bones in turbulent wind at each time [rad]; gusts make leaves flutter more."""
+    modes = flutter.modes(rig.skeleton.directions, rig.turns.shape[1])
+    leaves = iter_motion(modes, times_s / flutter.period_s, rig.num_frames)
+    sums = iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames)
+    for (theta, turn), more, speed in zip(sums, leaves, wind.speeds_m_s(times_s), strict=True):
+        yield rig.in_wind(theta, turn) + flutter.sizes(np.array([speed]))[:, None] * more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,19 +81,18 @@ class MovingTree:
     def loop_frames(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """Yield the displacement of the vertices at each frame of the loop, with flutter of leaves [m]."""
         phases = np.arange(self.spectrum.num_frames) / self.spectrum.num_frames
-        for theta in fluttering(self.rig, self.flutter).theta(phases):
+        for theta in self.fluttering.theta(phases):
             yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
 
     @cached_property
-    def flutter(self) -> Complex64[np.ndarray, "B L 3"]:
-        """Turns of leaves above the spectrum's frequencies [rad], which morph targets lack."""
-        return flutter_modes(self.rig, self.spectrum, self.params.flutter)
+    def fluttering(self) -> Rig:
+        """The rig with flutter of leaves above the spectrum's frequencies, which morph targets lack."""
+        return fluttering(self.rig, self.spectrum, self.params.flutter)
 
     @cached_property
     def skin(self) -> tuple[Skin, SkinSummary]:
         """All bones as joints, or only the few that lose the least motion, and their error against the rig."""
-        rig = fluttering(self.rig, self.flutter)
-        return skin_of(rig, self.mesh.vertices, self.params.joints or len(rig.skeleton))
+        return skin_of(self.fluttering, self.mesh.vertices, self.params.joints or len(self.rig.skeleton))
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """Yield the displacement of the vertices, frame by frame, with flutter of leaves [m]."""
@@ -100,10 +102,11 @@ class MovingTree:
 
     def _turns(self) -> Iterator[Float32[np.ndarray, "B 3"]]:
         if self.params.wind_mode == "loop":
-            yield from fluttering(self.rig, self.flutter).theta(self.phases)
+            yield from self.fluttering.theta(self.phases)
             return
-        wind = turbulent_wind(self.spectrum, seed=self.spectrum.seed)
-        turns = iter_turbulent_turns(self.rig, wind, self.phases * self.spectrum.period_s)
-        leaves = iter_motion(self.flutter, self.phases, self.spectrum.num_frames)
-        for theta, more in zip(turns, leaves, strict=True):
-            yield theta + more
+        yield from iter_turbulent_turns(
+            self.rig,
+            turbulent_wind(self.spectrum, seed=self.spectrum.seed),
+            self.phases * self.spectrum.period_s,
+            flutter_of(self.rig, self.spectrum, self.params.flutter),
+        )

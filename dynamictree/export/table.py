@@ -83,7 +83,7 @@ PRODUCTS: dict[Format, Product] = {
     "glb-morph": Product("GLB with morph targets", "tree-morph.glb", "mesh", MORPHS, write=write_morph_glb),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
-    "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),
+    "wind": Product("Wind for engines", "tree.wind.zip", "mesh", FLUTTER, write=write_engine_wind),
     "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | FLUTTER, write=write_page),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "usd-skinned": Product(

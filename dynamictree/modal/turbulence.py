@@ -74,6 +74,10 @@ class TurbulentWind:
         """Half-width of each bin's line at half of its power [Hz]."""
         return np.asarray(self.damping_ratio * self.frequencies_hz)
 
+    def speeds_m_s(self, times_s: Float64[np.ndarray, " T"]) -> Float64[np.ndarray, " T"]:
+        """Compute the speed of the air at each time, which has the gusts' strength as the effect of its drag."""
+        return np.asarray(self.wind.speed_m_s * np.maximum(self.strength.at(times_s), 0) ** (1 / DRAG_EXPONENT))
+
     def coordinates(self, times_s: Float64[np.ndarray, " T"]) -> Complex128[np.ndarray, "T K"]:
         """Compute q_k at each time, for the mean speed of `wind`."""
         q = np.empty((len(times_s), len(self.frequencies_hz)), np.complex128)

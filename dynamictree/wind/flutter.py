@@ -8,7 +8,7 @@ leaves of a twig share TWIG_SHARE of their flutter.
 """
 
 import numpy as np
-from jaxtyping import Complex64, Float, Float32, Float64, Int
+from jaxtyping import Float, Float32, Float64
 from scipy.special import ndtri
 
 from dynamictree.requests import Wind
@@ -30,12 +30,10 @@ GUSTS = 16  # number of speeds that represent a gusty wind
 
 def critical_speeds(count: int, rng: np.random.Generator) -> Float64[np.ndarray, " M"]:
     """Sample the speed at which each leaf begins to flutter [m/s]."""
-    drawn = MEDIAN_CRITICAL_M_S * np.exp(CRITICAL_SPREAD * rng.standard_normal(count))
-    speeds: Float64[np.ndarray, " M"] = np.maximum(drawn, STILL_M_S)
-    return speeds
+    return np.asarray(np.maximum(MEDIAN_CRITICAL_M_S * np.exp(CRITICAL_SPREAD * rng.standard_normal(count)), STILL_M_S))
 
 
-def onset(speed_m_s: Float[np.ndarray, "*M T"], critical_m_s: Float64[np.ndarray, " M"]) -> Float32[np.ndarray, "*M T"]:
+def onset(speed_m_s: Float[np.ndarray, "*M T"], critical_m_s: Float[np.ndarray, " M"]) -> Float32[np.ndarray, "*M T"]:
     """Return the relative amplitude of each leaf's flutter, 0 to 1, at an air speed."""
     above = np.maximum(speed_m_s / critical_m_s[:, None] - 1, 0)
     return np.asarray(above**2 / (1 + above**2), np.float32)
@@ -43,59 +41,18 @@ def onset(speed_m_s: Float[np.ndarray, "*M T"], critical_m_s: Float64[np.ndarray
 
 def leaf_frequencies(count: int, rng: np.random.Generator) -> Float64[np.ndarray, " M"]:
     """Sample the natural frequency of each leaf [Hz]."""
-    drawn: Float64[np.ndarray, " M"] = np.exp(rng.uniform(np.log(SLOWEST_HZ), np.log(FASTEST_HZ), count))
-    return drawn
+    return np.asarray(np.exp(rng.uniform(np.log(SLOWEST_HZ), np.log(FASTEST_HZ), count)))
 
 
-def resonance(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, "M J"]:
-    """Return the amplitude of each leaf at each frequency of a loop; the squares sum to 1."""
-    offset = (frequency_hz - own_hz[:, None]) / (LINE_WIDTH * own_hz[:, None])
-    amplitude = np.sqrt(1 / (1 + offset**2)) * (frequency_hz >= SLOWEST_HZ)
-    normalised: Float64[np.ndarray, "M J"] = amplitude / np.sqrt((amplitude**2).sum(axis=1, keepdims=True))
-    return normalised
-
-
-def unit_turns(
-    twig: Int[np.ndarray, " M"], frequency_hz: Float64[np.ndarray, " J"], rng: np.random.Generator
-) -> Complex64[np.ndarray, "M 2 J"]:
-    """Sample spectra of each leaf's rotations across its axis and about it, of unit variance; `twig` numbers twigs."""
-    twigs, own = np.unique(twig, return_inverse=True)
-    own_hz = leaf_frequencies(len(twigs), rng)[own]
-    of_twig, of_leaf = (
-        rng.standard_normal((rows, 2, len(frequency_hz), 2), np.float32) @ np.array([1, 1j], np.complex64)
-        for rows in (len(twigs), len(twig))
-    )
-    together = np.sqrt(TWIG_SHARE) * of_twig[own] + np.sqrt(1 - TWIG_SHARE) * of_leaf
-    return np.asarray(0.5 * together * resonance(frequency_hz, own_hz)[:, None], np.complex64)
-
-
-def turn_modes(
-    along: Float32[np.ndarray, "M 3"],
-    across: Float32[np.ndarray, "M 3"],
-    twig: Int[np.ndarray, " M"],
-    wind: Wind,
-    frequency_hz: Float64[np.ndarray, " J"],
-    rng: np.random.Generator,
-) -> Complex64[np.ndarray, "M J 3"]:
-    """Sample rotations of leaves in a wind at the frequencies of a loop [rad], in the convention of a spectrum.
-
-    Args:
-        along: unit vectors from a leaf's base to its tip.
-        across: unit vectors about which it flaps.
-        twig: number of each leaf's twig, see `unit_turns`.
-        wind: wind of the loop.
-        frequency_hz: frequencies of the loop up to FASTEST_HZ; those below SLOWEST_HZ stay 0.
-        rng: source of frequencies, phases and critical speeds.
-    """
-    unit = unit_turns(twig, frequency_hz, rng)
-    size = mean_onset(wind, critical_speeds(len(twig), rng))[:, None]
-    flap, twist = size * FLAP_RAD * unit[:, 0], size * TWIST_RAD * unit[:, 1]  # [M, J]
-    return np.asarray(flap[:, :, None] * across[:, None] + twist[:, :, None] * along[:, None], np.complex64)
-
-
-def mean_onset(wind: Wind, critical_m_s: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, " M"]:
-    """Compute the root mean square of `onset` over the gusts of a wind."""
+def gust_speeds(wind: Wind) -> Float64[np.ndarray, " G"]:
+    """Return speeds that are equally probable in a gusty wind [m/s]."""
     quantile = (np.arange(GUSTS) + 0.5) / GUSTS
-    speeds = np.maximum(wind.speed_m_s * (1 + wind.gust * ndtri(quantile)), 0)
-    sizes = onset(np.broadcast_to(speeds, (len(critical_m_s), GUSTS)), critical_m_s)
-    return np.asarray(np.sqrt((sizes.astype(np.float64) ** 2).mean(axis=1)))
+    return np.asarray(np.maximum(wind.speed_m_s * (1 + wind.gust * ndtri(quantile)), 0))
+
+
+def mean_onset(
+    speeds_m_s: Float64[np.ndarray, " G"], critical_m_s: Float[np.ndarray, " M"]
+) -> Float32[np.ndarray, " M"]:
+    """Compute the root mean square of `onset` over equally probable speeds."""
+    sizes = onset(np.broadcast_to(speeds_m_s, (len(critical_m_s), len(speeds_m_s))), critical_m_s)
+    return np.asarray(np.sqrt((sizes**2).mean(axis=1)))

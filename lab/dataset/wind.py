@@ -14,8 +14,9 @@ from scipy.fft import irfft, rfft
 from dynamictree.parallel import single_thread
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
 from dynamictree.wind.air import Air, single_gust, turbulent_air
-from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD, critical_speeds, onset, unit_turns
+from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD, critical_speeds, onset
 from lab.dataset.branching import Stems
+from lab.dataset.flutter import unit_turns
 from lab.dataset.leaves import Leaves
 from lab.dataset.load import base_radius, loads_of
 from lab.dataset.motion import Sway

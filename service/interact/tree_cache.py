@@ -27,6 +27,7 @@ from service.services import Owned
 
 if TYPE_CHECKING:
     from dynamictree.modal.frames import VertexFrames
+    from dynamictree.rig.flutter import Flutter
     from dynamictree.rig.rig import Rig
 
 
@@ -65,6 +66,12 @@ class ServedTree:
             return self.with_rig().contact_at_vertex(mesh.vertices, vertex, radius_m=radius_m)
         x, y, z = mesh.vertices[vertex].tolist()
         return contact_at_point(self.ready.tree.system.grid, (x, y, z), radius_m=radius_m)
+
+    def flutter(self) -> "Flutter":
+        """Return the flutter of the rig's bones."""
+        from dynamictree.rig.flutter import flutter_of  # imports numba
+
+        return flutter_of(self.rig(), load_spectrum(self.owned, self.id))
 
     def rig(self) -> "Rig":
         """Return the rig: that of the job's products, or computed if no job has needed one yet."""

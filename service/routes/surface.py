@@ -1,6 +1,7 @@
 """Routes for viewers and engines: meshes, points of clouds, bones, mode shapes, reach of a force."""
 
 import json
+from dataclasses import asdict
 from typing import Annotated
 
 import numpy as np
@@ -45,14 +46,15 @@ _OF_ASSET = file_route(SAFETENSORS, _SEEN, "not-found", "conflict", "expired")
 @router.get("/assets/{id}/surface", tags=["assets"], **_OF_ASSET)
 def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     """Return a mesh as it was read, in metres and +Z up, to display while its job runs."""
-    return _response(load_asset_mesh(owned, id), {})
+    return _response(load_asset_mesh(owned, id), {}, None)
 
 
 @router.get("/spectra/{id}/surface", **file_route(SAFETENSORS, _SEEN, "not-found", "expired"))
 def get_surface(id: Id, owned: OwnedDep) -> Response:
     """Return the source mesh, and the bones that move it in wind and under forces."""
     tree = served_tree(owned, id)
-    return _response(tree.mesh(), _motion(tree))
+    wind = load_spectrum(owned, id).wind
+    return _response(tree.mesh(), _motion(tree), None if wind is None else asdict(wind))
 
 
 @router.get(
@@ -123,7 +125,7 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
 
 
 def _motion(tree: ServedTree) -> dict[str, np.ndarray]:
-    rig, mesh = tree.rig(), tree.mesh()
+    rig, mesh, flutter = tree.rig(), tree.mesh(), tree.flutter()
     weights = bin_weights(rig.turns.shape[1], rig.num_frames)[:, None]  # bin 0 is the lean, the others φ_k = 2 c_k
     parts = np.stack([(rig.turns * weights).real, (rig.turns * weights).imag], axis=-1)
     levers_m = np.maximum(rig.levers_m(mesh.vertices), 0.001 * mesh.height_m)
@@ -137,12 +139,16 @@ def _motion(tree: ServedTree) -> dict[str, np.ndarray]:
         "turn_direction": rig.skeleton.directions,
         "turn_bone": rig.vertices.rows[:, 0],
         "turn_share": rig.vertices.shares[:, 1],
+        "flutter_axis": flutter.axis,
+        "flutter_tones": flutter.tones,
+        "flutter_critical_m_s": flutter.critical_m_s,
+        "flutter_share": flutter.share,
     }
 
 
-def _response(mesh: TriangleMesh, motion: dict[str, np.ndarray]) -> Response:
+def _response(mesh: TriangleMesh, motion: dict[str, np.ndarray], wind: dict[str, float] | None) -> Response:
     fields = ("name", "base_color", "alpha_cutoff", "double_sided")
     materials = [{name: getattr(material, name) for name in fields} for material in mesh.look.materials]
-    metadata = {"format": "tree-surface", "version": "2", "unit": "m", "up_axis": "+Z"}
+    metadata = {"format": "tree-surface", "version": "3", "unit": "m", "up_axis": "+Z", "wind": json.dumps(wind)}
     metadata |= {"materials": json.dumps(materials), "planes": json.dumps({"turn_shapes": ZERO} if motion else {})}
     return packed_tensors(mesh_tensors(mesh) | motion, metadata)

@@ -360,16 +360,18 @@ test("a forest: nine copies whose gust travels with the wind, each turned back b
   for (const [i, { x, y }] of places.entries()) {
     for (const other of [{ x: 0, y: 0 }, ...places.slice(0, i)]) assert.ok(Math.hypot(x - other.x, y - other.y) > 4);
   }
-  const wind = { K: 3, phase: 0.2, period: 4, gains: [1, 1, 1], turn: 0.5, direction_rad: 0, speed_m_s: 5 };
+  const now = { K: 3, phase: 0.2, period: 4, direction_rad: 0, made: { gust: 0.3 } };
+  const wind = { speed: 5, gains: [1, 1, 1], turn: 0.5 };
   const [near, far] = forestMotions(
     [
       { x: 0, y: 7, yaw: 0 },
       { x: 10, y: 0, yaw: 2 },
     ],
+    now,
     wind,
   ); // prettier-ignore
-  const later = forestMotions([{ x: 0, y: 0, yaw: 0 }], { ...wind, phase: 0.2 - 10 / 5 / 4 })[0];
-  assert.deepEqual(far.q, later.q, "10 m downwind it comes 2 s later");
+  const later = forestMotions([{ x: 0, y: 0, yaw: 0 }], { ...now, phase: 0.2 - 10 / 5 / 4 }, wind)[0];
+  assert.deepEqual([far.q, far.air], [later.q, later.air], "10 m downwind it comes 2 s later");
   assert.ok(near.q[2] !== far.q[2]);
   assert.ok(Math.abs(far.turn - (0.5 - 2)) < 1e-12);
   const mean = Array.from({ length: 64 }, (_, i) => gustAt(i / 64)).reduce((sum, gust) => sum + gust / 64, 0);
@@ -536,7 +538,7 @@ test("the size of a bin is how far small turns of the bones move a vertex", () =
   const surface = bent();
   const swings = new Float32Array(8 * surface.turn_parent.length);
   const moved = (...q) => {
-    swingBones(surface, q, 0, swings);
+    swingBones(surface, { q, turn: 0 }, swings);
     return [0, 1, 2].map((v) => Math.hypot(...displaced(surface, v, swings)));
   };
   const [real, imaginary] = [moved(0, 0, 1, 0), moved(0, 0, 0, 1)];

@@ -48,7 +48,7 @@ def test_the_page_bends_as_the_library_does(view: Open, url: str, job_id: str) -
     steps = np.tensordot([1, 256], tensors["turn_shapes"], 1) - ZERO
     modes = steps * tensors["turn_step_rad"][:, None, None, None].astype(np.float64)
     theta = np.einsum("bkc,k->bc", modes[..., 0] + 1j * modes[..., 1], q).real
-    half = half_turns(theta, tensors["turn_direction"].astype(np.float64), TURN_RAD)
+    half = half_turns(theta, tensors["turn_direction"].astype(np.float64), TURN_RAD, np.zeros_like(theta))
     parent, foot = tensors["turn_parent"], tensors["turn_foot_m"].astype(np.float64)
     bone, share = tensors["turn_bone"], tensors["turn_share"][:, None]
     arm = tensors["vertices"] - foot[bone]

@@ -29,7 +29,7 @@ DISPLACEMENTS = """async (spectrum) => {
     const tree = new Tree(stage);
     tree.setSurface(surface);
     tree.setModes(modes);
-    tree.swing(windCoordinates(modes.K, 0.3), 0.4);
+    tree.swing({ q: windCoordinates(modes.K, 0.3), turn: 0.4 });
     tree.bend([]);
     tree.prepare(stage.renderer);
     const { target, rows } = tree.field;

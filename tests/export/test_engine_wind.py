@@ -17,6 +17,7 @@ from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.requests import ExportParams
+from dynamictree.rig.flutter import flutter_of
 from dynamictree.rig.rig import rig_of
 from dynamictree.rig.surface_skeleton import surface_bones
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, bin_weights
@@ -71,7 +72,7 @@ def test_the_reference_moves_vertices_as_the_modes_in_the_motions_own_wind(
     mesh, spectrum = tree
     own = turbulent_wind(spectrum, seed=spectrum.seed)
     rig = rig_of(mesh, spectrum)
-    theta = next(iter_turbulent_turns(rig, own, np.array([seconds])))
+    theta = next(iter_turbulent_turns(rig, own, np.array([seconds]), flutter_of(rig, spectrum)))
     expected = rig.displacement(theta, mesh.vertices, rig.vertices)
     apart = np.linalg.norm(read_engine_wind(archive).displacement(seconds) - expected, axis=1)
     size = np.sqrt((expected**2).sum(axis=1).mean())

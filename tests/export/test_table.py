@@ -22,7 +22,8 @@ from dynamictree.requests import TURBULENT_FRAMES, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import voxelize
 from tests.clouds import cloud_at
-from tests.devoxelize.test_interpolation import tube
+from tests.devoxelize.test_interpolation import merged, tube
+from tests.rig.test_no_part_flies import card
 
 START = ExportParams(num_frames=4, fps=4.0, shot=Shot(side_px=64))
 CHANGED = {
@@ -32,7 +33,7 @@ CHANGED = {
     "fps": {"fps": 2.0, "num_frames": 2},
     "speed": {"speed": 2.0, "num_frames": 2},
     "loop": {"loop": False},
-    "flutter": {"flutter": 1.0},
+    "flutter": {"flutter": 0.0},
     "share": {"share": 0.5},
     "sh_degree": {"sh_degree": 0},
     "shot": {"shot": Shot(side_px=64, azimuth_deg=120.0)},
@@ -43,7 +44,7 @@ CHANGED = {
 }
 
 SLOW = ("lod", "rig", "wind", "usd", "usd-skinned", "usd-splat", "html-splat", "mp4", "png")
-SAME_AT_THIS_SIZE = {("glb", "joints"), ("usd-skinned", "joints")}  # 48 vertices need fewer than the least allowed
+SAME_AT_THIS_SIZE = {("glb", "joints"), ("usd-skinned", "joints")}  # 52 vertices need fewer than the least allowed
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +52,12 @@ def capture() -> Capture:
     rng = np.random.default_rng(1)
     angle, height = rng.random(400) * 2 * np.pi, rng.random(400)
     means = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), height], axis=1).astype(np.float32)
+    means[:40] = np.stack([0.15 + 0.1 * rng.random(40), 0.04 * rng.random(40), np.full(40, 0.8)], axis=1)  # on the card
     cloud = cloud_at(means, scale=0.03, sh=rng.normal(size=(400, 4, 3)))
-    post = tube([0, 0, 0], [0, 0, 1], 0.1, rings=6, sides=8)
+    post, _ = merged(
+        tube([0, 0, 0], [0, 0, 1], 0.1, rings=6, sides=8),
+        card(np.array([0.2, 0, 0.8]), np.array([[0.1, 0, 0], [0, 0.1, 0]])),
+    )
     bark = io.BytesIO()
     Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(bark, "PNG", compress_level=1)
     look = MeshLook(uv=post.vertices[:, 1:].copy(), materials=(Material(texture_png=bark.getvalue()),))
@@ -139,7 +144,7 @@ def test_files_of_a_turbulent_motion_have_a_largest_size(
     monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 10_000)
     for name in ("ply", "usd", "alembic", "motion"):
         params = ExportParams(wind_mode="turbulent", num_frames=600, formats=(name,))
-        with pytest.raises(InputError, match=f"600 frames of 48 vertices as {name}"):
+        with pytest.raises(InputError, match=f"600 frames of 52 vertices as {name}"):
             write_products(capture.mesh, spectrum, params, tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from jaxtyping import Complex64
 
-from dynamictree.rig.flutter import flutter_modes, fluttering
+from dynamictree.rig.flutter import fluttering
 from dynamictree.rig.rig import Rig, rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from lab.dataset.sample import Sample, make_sample, voxel_spectrum
@@ -24,6 +25,10 @@ def spectrum(sample: Sample) -> SparseVoxelSpectrum:
 @pytest.fixture(scope="module")
 def rig(sample: Sample, spectrum: SparseVoxelSpectrum) -> Rig:
     return rig_of(sample.mesh, spectrum)
+
+
+def flutter_modes(rig: Rig, spectrum: SparseVoxelSpectrum, size: float) -> Complex64[np.ndarray, "B L 3"]:
+    return fluttering(replace(rig, turns=0 * rig.turns), spectrum, size).turns
 
 
 def test_only_ends_turn_and_only_above_the_spectrum(rig: Rig, spectrum: SparseVoxelSpectrum) -> None:
@@ -59,7 +64,7 @@ def test_the_wind_makes_leaves_flutter_more(rig: Rig, spectrum: SparseVoxelSpect
 def test_leaves_move_on_their_twigs_and_the_trunk_stands_as_before(
     rig: Rig, spectrum: SparseVoxelSpectrum, sample: Sample
 ) -> None:
-    moving = fluttering(rig, flutter_modes(rig, spectrum, 1.0))
+    moving = fluttering(rig, spectrum, 1.0)
     places = sample.mesh.vertices
     for phase in (0.0, 0.37):
         own, more = (

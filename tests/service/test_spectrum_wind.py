@@ -24,12 +24,10 @@ TIMES_S = [0.0, 0.37, 59.9, 3600.25]
 SPEED_M_S = 16.0
 MODULE = Path(__file__).parents[2] / "web" / "motion" / "turbulence.js"
 DRIVER = f"""
-import {{ turbulentCoordinates }} from "{MODULE.as_uri()}";
-import {{ bandGains }} from "{MODULE.with_name("bands.js").as_uri()}";
+import {{ turbulentMotion }} from "{MODULE.as_uri()}";
 const SPEED = {SPEED_M_S};
 const wind = JSON.parse(process.argv[1]);
-const gains = bandGains(wind.bands, SPEED);
-const at = (t) => turbulentCoordinates(wind, t, gains);
+const at = (t) => turbulentMotion(wind, t, {{ speed: SPEED }});
 const plain = ({{ q, turn }}) => ({{ q: Array.from(q), turn }});
 console.log(JSON.stringify({TIMES_S}.map((t) => plain(at(t)))));
 """

@@ -1,34 +1,54 @@
 """Laws of flutter: when it sets in, how fast it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from jaxtyping import Complex64
 
 from dynamictree.requests import Wind
-from dynamictree.spectrum import to_motion
+from dynamictree.rig.flutter import flutter_of
+from dynamictree.rig.pose import Skeleton, Weights
+from dynamictree.rig.rig import Rig
+from dynamictree.spectrum import SparseVoxelSpectrum, to_motion
+from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.wind.flutter import (
     FASTEST_HZ,
     FLAP_RAD,
     SLOWEST_HZ,
     TWIG_SHARE,
     TWIST_RAD,
+    gust_speeds,
     leaf_frequencies,
-    resonance,
-    turn_modes,
 )
+from lab.dataset.flutter import resonance, unit_turns
 
-ALONG, ACROSS = np.float32([1, 0, 0]), np.float32([0, 0, 1])
 NUM_FRAMES, FRAME_S = 200, 1 / 24
 NUM_TWIGS, LEAVES_PER_TWIG = 300, 2
+TWIG = np.repeat(np.arange(NUM_TWIGS), LEAVES_PER_TWIG)
 
 
 def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np.ndarray, "M J 3"]:
-    """Turns of many leaves that lie along x, two on each twig."""
-    twig = np.repeat(np.arange(NUM_TWIGS), LEAVES_PER_TWIG)
-    along, across = (np.tile(one, (len(twig), 1)) for one in (ALONG, ACROSS))
-    frequency_hz = np.fft.rfftfreq(NUM_FRAMES, FRAME_S)[:-1]
-    wind = Wind(speed_m_s=speed_m_s, gust=gust)
-    return turn_modes(along, across, twig, wind, frequency_hz, np.random.default_rng(seed))
+    """Turns of many leaves that lie along x, two on each twig of one stem."""
+    parent = np.concatenate([[-1, 0], np.ones(NUM_TWIGS), 2 + TWIG]).astype(np.int32)
+    places = np.tile(np.float32([0.3, 0, 0]), (len(parent), 1))
+    skeleton = Skeleton(parent=parent, foot_m=0 * places, reach_m=places, in_surface=np.zeros(len(parent), np.bool_))
+    vertices = Weights(rows=np.zeros((1, 2), np.int32), shares=np.float32([[1, 0]]))
+    turns = np.zeros((len(parent), 1, 3), np.complex64)
+    rig = Rig(skeleton=skeleton, turns=turns, vertices=vertices, voxels=vertices, num_frames=NUM_FRAMES)
+    spectrum = SparseVoxelSpectrum(
+        grid=VoxelGrid(coords=np.zeros((1, 3), np.int32), resolution=8, origin_m=(0.0, 0.0, 0.0), voxel_size_m=1.0),
+        coefficients=np.zeros((1, 1, 3), np.complex64),
+        num_frames=NUM_FRAMES,
+        seed=seed,
+        foliage=1.0,
+    )
+    flutter = flutter_of(rig, spectrum)
+    sizes = flutter.sizes(gust_speeds(Wind(speed_m_s=speed_m_s, gust=gust)))
+    assert not sizes[: -len(TWIG)].any()
+    long = flutter_of(replace(rig, skeleton=replace(skeleton, reach_m=4 * places)), spectrum)
+    np.testing.assert_allclose(long.share, flutter.share / 4, err_msg="a card of many leaves turns less")
+    return (sizes[:, None, None] * flutter.modes(skeleton.directions, 1))[-len(TWIG) :]
 
 
 def test_leaves_have_frequencies_of_their_own_in_the_measured_range(rng) -> None:
@@ -58,15 +78,16 @@ def test_turns_are_those_of_the_seed_and_lie_in_the_measured_band() -> None:
 def test_turns_of_a_loop_grow_from_nothing_to_their_full_size(speed_m_s: float, least: float, most: float) -> None:
     modes = turns(speed_m_s, gust=0.0)
     motion = to_motion(modes, NUM_FRAMES)
-    size = motion.std(axis=0)  # [M, 3]
-    assert np.abs(size[:, 1]).max() == 0  # neither along the leaf nor about its stalk
-    for axis, full in ((0, TWIST_RAD), (2, FLAP_RAD)):
-        share = np.sqrt((size[:, axis] ** 2).mean()) / full
+    twist, flap = np.sqrt((motion[..., 0] ** 2).mean()), np.sqrt((motion[..., 1:] ** 2).sum(axis=2).mean())
+    for share in (twist / TWIST_RAD, flap / FLAP_RAD):
         assert least <= share <= 1.05 * most
 
 
-def test_leaves_of_a_twig_do_half_of_their_flutter_together() -> None:
-    modes = turns(40.0)[:, :, 2].reshape(NUM_TWIGS, LEAVES_PER_TWIG, -1)
+@pytest.mark.parametrize("of", ["rig", "simulator"])
+def test_leaves_of_a_twig_do_half_of_their_flutter_together(of: str, rng) -> None:
+    frequency_hz = np.fft.rfftfreq(NUM_FRAMES, FRAME_S)
+    twist = turns(40.0)[:, :, 0] if of == "rig" else unit_turns(TWIG, frequency_hz, rng)[:, 1]
+    modes = twist.reshape(NUM_TWIGS, LEAVES_PER_TWIG, -1)
     together = (modes[:, 0] * modes[:, 1].conj()).real.sum(axis=1)
     sizes = (np.abs(modes) ** 2).sum(axis=2).mean(axis=1)
     assert together.sum() / sizes.sum() == pytest.approx(TWIG_SHARE, abs=0.06)

@@ -37,7 +37,7 @@ export class Copies {
     return all;
   }
 
-  /** `motions` are `{ q, turn }`, one a copy. */
+  /** One motion a copy: see `swingBones`. */
   move(motions) {
     this.field.swing(motions);
   }

@@ -77,11 +77,9 @@ export class Field {
     uniforms.gustCalm.value = calm;
   }
 
-  /** Take coordinates `q` [2K] and the wind's `turn` [rad] of each copy. */
+  /** Take the motion of each copy, see `swingBones`. */
   swing(motions) {
-    motions.forEach(({ q, turn }, copy) => {
-      swingBones(this.surface, q, turn, this.ofCopy[copy]);
-    });
+    for (const [copy, motion] of motions.entries()) swingBones(this.surface, motion, this.ofCopy[copy]);
     this.swings.needsUpdate = true;
   }
 

@@ -13,7 +13,8 @@ export async function readSurface(buffer) {
   const { tensors, shape, metadata } = readTensors(buffer);
   const materials = JSON.parse(metadata.materials);
   const textures = await Promise.all(materials.map((_, index) => readTexture(tensors[`texture_${index}`])));
-  const surface = { ...tensors, N: shape.vertices[0], F: shape.faces[0], materials, textures };
+  const wind = JSON.parse(metadata.wind ?? "null") ?? { speed_m_s: 5, direction_deg: 0 };
+  const surface = { ...tensors, N: shape.vertices[0], F: shape.faces[0], materials, textures, wind };
   return Object.assign(surface, { geometry: buildGeometry(surface) });
 }
 

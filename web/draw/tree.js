@@ -174,10 +174,10 @@ export class Tree {
 
   // ---- motion
 
-  /** Take the wind's coordinates [2K], turned by `turn` [rad]. */
-  swing(q, turn) {
-    Object.assign(this, { q, turn });
-    this.field.swing([{ q, turn }]);
+  /** Take a motion: see `swingBones`. */
+  swing(motion) {
+    Object.assign(this, motion);
+    this.field.swing([motion]);
   }
 
   /** Take groups of pushes, under the wind that it swings in. */

@@ -1,7 +1,8 @@
 // Trees beside the one that is pulled: where they stand, and what the wind does to each. Numbers only.
 
+import { gustyAir } from "./flutter.js";
 import { windCoordinates } from "./modes.js";
-import { turbulentCoordinates } from "./turbulence.js";
+import { turbulentMotion } from "./turbulence.js";
 
 /** The other nine of a forest, in widths of the tree: +X is to the right and +Y away from the first view. */
 const FOREST = [
@@ -44,17 +45,19 @@ export const delayAt = ({ x, y }, direction_rad, speed_m_s) =>
 export const gustAt = (phase) => 0.625 + ((1 + Math.cos(2 * Math.PI * phase)) / 2) ** 2;
 
 /**
- * Coordinates [2K] and turn [rad] in each copy's own axes. `wind` is `{ K, phase, period, seconds, turbulent, gains,
- * turn, direction_rad, speed_m_s }`: of the loop, or of endless wind where `turbulent` is its table.
+ * The motion in a mean wind of `speed` [m/s], `delay` seconds late: of the loop, or of endless wind where `turbulent` is
+ * its table; `gusty` with the forest's gust. `made` is the wind of the loop itself.
  */
-export function forestMotions(places, wind) {
-  return places.map((place) => {
-    const delay = delayAt(place, wind.direction_rad, wind.speed_m_s);
-    if (wind.turbulent) {
-      const { q, turn } = turbulentCoordinates(wind.turbulent, wind.seconds - delay, wind.gains);
-      return { q, turn: wind.turn + turn - place.yaw };
-    }
-    const phase = wind.phase - delay / wind.period;
-    return { q: windCoordinates(wind.K, phase, wind.gains, gustAt(phase)), turn: wind.turn - place.yaw };
-  });
+export function windMotion({ K, phase, period, seconds, turbulent, made }, { speed, gains, turn, delay = 0, gusty }) {
+  if (turbulent) return turbulentMotion(turbulent, seconds - delay, { speed, gains, turn });
+  const then = phase - delay / period;
+  const q = windCoordinates(K, then, gains, gusty ? gustAt(then) : 1);
+  return { q, turn, air: gustyAir({ ...made, speed_m_s: speed }, then) };
 }
+
+/** `windMotion` of each copy in its own axes. */
+export const forestMotions = (places, now, wind) =>
+  places.map((place) => {
+    const delay = delayAt(place, now.direction_rad, wind.speed);
+    return windMotion(now, { ...wind, turn: wind.turn - place.yaw, delay, gusty: true });
+  });

@@ -1,16 +1,18 @@
 // How the bones of a surface swing in the wind, as numbers. docs/engines.md has the equations.
 
+import { flutterOf } from "./flutter.js";
 import { cross, dot, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
 
 /**
  * Of each bone its half turn and how far its foot moves [m], each with a fourth number that is not used, into `swings` [B, 2, 4].
- * `q` are the wind's coordinates, `turn` is its direction against its motion's [rad]. Parents come before children.
+ * `q` are the wind's coordinates, `turn` is its direction against its motion's [rad], `air` see `gustyAir`. Parents come
+ * before children.
  */
-export function swingBones(surface, q, turn, swings) {
+export function swingBones(surface, { q, turn, air }, swings) {
   const { turn_parent: parent, turn_foot_m: feet } = surface;
   const vectorAt = (i) => [swings[i], swings[i + 1], swings[i + 2]];
   for (let b = 0; b < parent.length; b++) {
-    swings.set(halfTurnOf(surface, b, q, turn), 8 * b);
+    swings.set(halfTurnOf(surface, b, q, turn, air ? flutterOf(surface, b, air) : [0, 0, 0]), 8 * b);
     const above = parent[b];
     if (above < 0) continue;
     const arm = minus(rowOf(feet, b), rowOf(feet, above));
@@ -57,11 +59,11 @@ export function binSizes(surface, k, vertices) {
 }
 
 /** A bone's turn: its axis times the sine of half the angle. */
-function halfTurnOf({ turn_shapes, turn_step_rad, turn_direction }, b, q, turn) {
+function halfTurnOf({ turn_shapes, turn_step_rad, turn_direction }, b, q, turn, leaf) {
   const direction = rowOf(turn_direction, b);
   const own = scaled(modeSum(turn_shapes, b, q), turn_step_rad[b]);
   const across = cross(direction, turnedUpright(cross(own, direction), turn));
-  const theta = plus(across, scaled(direction, dot(own, direction)));
+  const theta = plus(plus(across, scaled(direction, dot(own, direction))), leaf);
   const c = 1 / Math.sqrt(1 + dot(theta, theta)); // cosine of the angle, atan |theta|
   return scaled(theta, c / Math.sqrt(2 + 2 * c));
 }

@@ -7,14 +7,12 @@ const waveAt = ({ mean, limit, frequency_hz: hz, amplitude, phase_rad: phase }, 
   mean +
   limit * Math.tanh(hz.reduce((sum, f, m) => sum + amplitude[m] * Math.cos(2 * Math.PI * f * t + phase[m]), 0) / limit);
 
-/**
- * Coordinates of all bins, real and imaginary part, and the turn of the whole displacement [rad] at `t` seconds; `gains`
- * are those of `bandGains` for the mean speed now.
- */
-export function turbulentCoordinates(wind, t, gains = bandGains(wind.bands, wind.wind.speed_m_s)) {
+/** The motion at `t` seconds, see `swingBones`, in a mean wind of `speed` [m/s]; the air is as fast as the gusts say. */
+export function turbulentMotion(wind, t, { speed, gains = bandGains(wind.bands, speed), turn = 0 }) {
   const q = new Float32Array(2 * wind.frequencies_hz.length);
   q[0] = gains[0] * waveAt(wind.lean, t);
-  const strength = waveAt(wind.strength, t) / Math.sqrt(wind.partial_hz[0].length);
+  const gust = waveAt(wind.strength, t);
+  const strength = gust / Math.sqrt(wind.partial_hz[0].length);
   wind.partial_hz.forEach((hz, row) => {
     hz.forEach((f, j) => {
       const angle = 2 * Math.PI * f * t + wind.partial_phase_rad[row][j];
@@ -22,5 +20,6 @@ export function turbulentCoordinates(wind, t, gains = bandGains(wind.bands, wind
       q[2 * row + 3] += gains[row + 1] * strength * Math.sin(angle);
     });
   });
-  return { q, turn: waveAt(wind.turn_rad, t) };
+  const air = { speeds: [speed * Math.max(gust, 0) ** (1 / 1.4)], phase: t * wind.frequencies_hz[1] };
+  return { q, turn: turn + waveAt(wind.turn_rad, t), air };
 }

@@ -2,9 +2,7 @@
 
 import { Gust } from "../draw/gust.js";
 import { bandGains, powerLaw } from "../motion/bands.js";
-import { forestMotions, forestPlaces, gustAt, pairPlaces } from "../motion/company.js";
-import { windCoordinates } from "../motion/modes.js";
-import { turbulentCoordinates } from "../motion/turbulence.js";
+import { forestMotions, forestPlaces, pairPlaces, windMotion } from "../motion/company.js";
 import { $, describe } from "./dom.js";
 import { number, text } from "./texts.js";
 
@@ -19,7 +17,7 @@ export class Player {
     hand.onFling = (angle) => this.blow({ angle });
     this.onStart = () => {}; // a tree's motion begins
     this.playing = true;
-    this.phase = 0;
+    this.phase = this.K = 0;
     this.seconds = 0; // of endless wind
     this.gust = null;
     this.turbulent = null; // its table of cosines; null plays the loop
@@ -36,9 +34,9 @@ export class Player {
 
   /** Begin with a tree's motion; `wind` is the one that it was made for. `atRest` begins where the tree stands still. */
   start(tree, { period_s: period, wind = null, wind_bands: bands = null }, { atRest = true } = {}) {
-    const made = wind ?? { speed_m_s: 5, direction_deg: 0 };
+    const made = wind ?? tree.surface.wind;
     const windSpeed = atRest ? 0 : made.speed_m_s;
-    Object.assign(this, { tree, period, made, windSpeed, speed: made.speed_m_s, phase: 0 });
+    Object.assign(this, { tree, K: tree.modes.K, period, made, windSpeed, speed: made.speed_m_s, phase: 0 });
     this.direction_rad = (made.direction_deg * Math.PI) / 180;
     this.bands = bands ?? powerLaw(tree.modes.K, made.speed_m_s);
     this.hasBands = Boolean(bands);
@@ -136,8 +134,7 @@ export class Player {
     const blown = this._gustNow(seconds);
     const changed = now !== this.drawn || blown;
     if (changed || hand.moving || tree.groups.length) {
-      const { q, turn } = this._coordinates();
-      tree.swing(q, turn);
+      tree.swing(this._motion());
       tree.bend(hand.groupsNow(seconds));
     }
     if (changed && tree.copies) tree.copies.move(this._companyMotions(tree.copies.places));
@@ -146,32 +143,22 @@ export class Player {
     this.drawn = now;
   }
 
-  _coordinates() {
-    const { K } = this.tree.modes;
-    if (!this.alone && this.turbulent) {
-      const { q, turn } = turbulentCoordinates(this.turbulent, this.seconds, this.gains);
-      return { q, turn: this.turn + turn };
-    }
-    const gust = this.company === "forest" ? gustAt(this.phase) : 1;
-    if (!this.alone) return { q: windCoordinates(K, this.phase, this.gains, gust), turn: this.turn };
-    const { k, times } = this.alone;
-    const q = new Float32Array(2 * K);
+  _motion() {
+    const { windSpeed: speed, gains, turn, alone } = this;
+    if (!alone) return windMotion(this, { speed, gains, turn, gusty: this.company === "forest" });
+    const q = new Float32Array(2 * this.K);
     const phase = this.turbulent ? (this.seconds / this.period) % 1 : this.phase;
-    const angle = 2 * Math.PI * Math.min(k, MOST_TURNS) * phase;
-    q[2 * k] = times * Math.cos(angle);
-    q[2 * k + 1] = times * Math.sin(angle);
-    return { q, turn: this.turn };
+    const angle = 2 * Math.PI * Math.min(alone.k, MOST_TURNS) * phase;
+    q[2 * alone.k] = alone.times * Math.cos(angle);
+    q[2 * alone.k + 1] = alone.times * Math.sin(angle);
+    return { q, turn };
   }
 
   _companyMotions(places) {
-    const { K } = this.tree.modes;
-    const { phase, period, seconds, turbulent, gains, turn, direction_rad, speed: speed_m_s } = this;
-    if (this.company === "forest")
-      return forestMotions(places, { K, phase, period, seconds, turbulent, gains, turn, direction_rad, speed_m_s });
-    const others = bandGains(this.bands, this.otherSpeed);
-    if (!turbulent) return places.map(() => ({ q: windCoordinates(K, phase, others), turn }));
-    const now = turbulentCoordinates(turbulent, seconds, others);
-    return places.map(() => ({ q: now.q, turn: turn + now.turn }));
+    const { speed, gains, turn, otherSpeed } = this;
+    if (this.company === "forest") return forestMotions(places, this, { speed, gains, turn });
+    const other = { speed: otherSpeed, gains: bandGains(this.bands, otherSpeed), turn, gusty: false };
+    return places.map(() => windMotion(this, other));
   }
 
   _showTime() {

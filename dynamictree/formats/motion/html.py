@@ -36,6 +36,7 @@ _SPLAT = {
     "tensors": "motion/tensors.js",
     "vectors": "motion/vectors.js",
     "modes": "motion/modes.js",
+    "flutter": "motion/flutter.js",
     "swing": "motion/swing.js",
     "pass": "draw/pass.js",
     "bands": "motion/bands.js",
