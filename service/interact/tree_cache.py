@@ -12,7 +12,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, contact_at_point
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import ModalSystem, modal_system, with_physics
-from dynamictree.requests import SwingParams
+from dynamictree.requests import ExportParams, SwingParams
 from service.http.problems import ProblemError
 from service.interact.ready_tree import BoundGaussians, ReadyTree
 from service.interact.stored_trees import (
@@ -68,10 +68,11 @@ class ServedTree:
         return contact_at_point(self.ready.tree.system.grid, (x, y, z), radius_m=radius_m)
 
     def flutter(self) -> "Flutter":
-        """Return the flutter of the rig's bones."""
+        """Return the flutter of the rig's bones, of the size that the job's files have."""
         from dynamictree.rig.flutter import flutter_of  # imports numba
 
-        return flutter_of(self.rig(), load_spectrum(self.owned, self.id))
+        size = ExportParams.part_of(source_of(self.owned, self.id)[0].params).flutter
+        return flutter_of(self.rig(), load_spectrum(self.owned, self.id), size)
 
     def rig(self) -> "Rig":
         """Return the rig: that of the job's products, or computed if no job has needed one yet."""

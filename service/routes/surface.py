@@ -14,6 +14,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.interactive_tree import ForceGroup, Locality
 from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
+from dynamictree.requests import Wind
 from dynamictree.spectrum import bin_weights
 from service.http.packing import packed_tensors
 from service.http.request_headers import SAFETENSORS
@@ -53,8 +54,7 @@ def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
 def get_surface(id: Id, owned: OwnedDep) -> Response:
     """Return the source mesh, and the bones that move it in wind and under forces."""
     tree = served_tree(owned, id)
-    wind = load_spectrum(owned, id).wind
-    return _response(tree.mesh(), _motion(tree), None if wind is None else asdict(wind))
+    return _response(tree.mesh(), _motion(tree), load_spectrum(owned, id).wind)
 
 
 @router.get(
@@ -146,9 +146,11 @@ def _motion(tree: ServedTree) -> dict[str, np.ndarray]:
     }
 
 
-def _response(mesh: TriangleMesh, motion: dict[str, np.ndarray], wind: dict[str, float] | None) -> Response:
+def _response(mesh: TriangleMesh, motion: dict[str, np.ndarray], wind: Wind | None) -> Response:
     fields = ("name", "base_color", "alpha_cutoff", "double_sided")
     materials = [{name: getattr(material, name) for name in fields} for material in mesh.look.materials]
-    metadata = {"format": "tree-surface", "version": "3", "unit": "m", "up_axis": "+Z", "wind": json.dumps(wind)}
-    metadata |= {"materials": json.dumps(materials), "planes": json.dumps({"turn_shapes": ZERO} if motion else {})}
+    planes = {"turn_shapes": ZERO} if motion else {}
+    objects = {"materials": materials, "planes": planes, "wind": wind and asdict(wind)}
+    metadata = {"format": "tree-surface", "version": "3", "unit": "m", "up_axis": "+Z"}
+    metadata |= {name: json.dumps(value) for name, value in objects.items()}
     return packed_tensors(mesh_tensors(mesh) | motion, metadata)

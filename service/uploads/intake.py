@@ -118,7 +118,8 @@ def _film(files: list[ReceivedFile]) -> tuple[ReceivedFile]:
 
 
 def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
-    photos = [file for file in files if not _is_camera_file(file) and not _is_mask(file)]
+    no_masks = [file for file in files if PurePosixPath(_beside(file.name)).parent.name != MASKS]
+    photos = [file for file in no_masks if not _is_camera_file(file)]
     if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
         raise ProblemError("invalid-input", f"there are {len(photos)} photos; {MIN_PHOTOS} to {MAX_PHOTOS} are allowed")
     different = len({file.sha256 for file in photos})
@@ -251,10 +252,6 @@ def _beside(name: str) -> str:
 
 def _is_camera_file(file: ReceivedFile) -> bool:
     return PurePosixPath(_beside(file.name)).name in CAMERA_FILES
-
-
-def _is_mask(file: ReceivedFile) -> bool:
-    return PurePosixPath(_beside(file.name)).parent.name == MASKS
 
 
 def _suffix(file: ReceivedFile) -> str:

@@ -54,10 +54,8 @@ def capture() -> Capture:
     means = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), height], axis=1).astype(np.float32)
     means[:40] = np.stack([0.15 + 0.1 * rng.random(40), 0.04 * rng.random(40), np.full(40, 0.8)], axis=1)  # on the card
     cloud = cloud_at(means, scale=0.03, sh=rng.normal(size=(400, 4, 3)))
-    post, _ = merged(
-        tube([0, 0, 0], [0, 0, 1], 0.1, rings=6, sides=8),
-        card(np.array([0.2, 0, 0.8]), np.array([[0.1, 0, 0], [0, 0.1, 0]])),
-    )
+    leaf = card(np.array([0.2, 0, 0.8]), np.array([[0.1, 0, 0], [0, 0.1, 0]]))
+    post, _ = merged(tube([0, 0, 0], [0, 0, 1], 0.1, rings=6, sides=8), leaf)
     bark = io.BytesIO()
     Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(bark, "PNG", compress_level=1)
     look = MeshLook(uv=post.vertices[:, 1:].copy(), materials=(Material(texture_png=bark.getvalue()),))

@@ -25,11 +25,9 @@ SPEED_M_S = 16.0
 MODULE = Path(__file__).parents[2] / "web" / "motion" / "turbulence.js"
 DRIVER = f"""
 import {{ turbulentMotion }} from "{MODULE.as_uri()}";
-const SPEED = {SPEED_M_S};
 const wind = JSON.parse(process.argv[1]);
-const at = (t) => turbulentMotion(wind, t, {{ speed: SPEED }});
-const plain = ({{ q, turn }}) => ({{ q: Array.from(q), turn }});
-console.log(JSON.stringify({TIMES_S}.map((t) => plain(at(t)))));
+const at = (t) => turbulentMotion(wind, t, {{ speed: {SPEED_M_S} }});
+console.log(JSON.stringify({TIMES_S}.map(at).map(({{ q, turn }}) => ({{ q: Array.from(q), turn }}))));
 """
 
 

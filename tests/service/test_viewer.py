@@ -22,12 +22,13 @@ from dynamictree.formats.motion import html
 from dynamictree.rig.rig import rig_of
 from jobs.records import AssetRecord
 from jobs.settings import Settings
+from jobs.store import new_id
 from service.app import create_app
 from service.interact import stored_trees
 from service.local.serve import print_when_ready
 from service.routes import pages, surface
 from tests.line import answering
-from tests.service.pushed import ASSET_ID, client, grown, spectrum, spectrum_id  # noqa: F401
+from tests.service.pushed import ASSET_ID, client, grown, served_id, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
 WEB = Path(web.__file__).parent
@@ -210,7 +211,7 @@ def test_the_rig_of_a_job_that_runs_is_awaited(client: TestClient, services, spe
     assert place.acquire(blocking=False), "it keeps its place"
 
 
-def test_a_surface_has_the_bones_that_turn_in_the_wind(client, spectrum_id, grown, spectrum) -> None:
+def test_a_surface_has_the_bones_that_turn_in_the_wind(client, spectrum_id, grown, spectrum, tmp_path) -> None:
     tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
     rig = rig_of(grown.mesh, spectrum)
     skeleton, turns = rig.skeleton, rig.turns.copy()
@@ -230,6 +231,9 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(client, spectrum_id, grow
     assert modes["bone_of_voxel"].max() < len(tensors["turn_parent"])
     again = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
     np.testing.assert_array_equal(again["turn_shapes"], tensors["turn_shapes"])
+    less = served_id(client, grown.mesh, spectrum, tmp_path, new_id(), flutter=0.5)
+    again = load(client.get(f"/v1/spectra/{less}/surface").content)
+    assert again["flutter_share"].max() == tensors["flutter_share"].max() / 2 > 0
 
 
 def test_mode_shapes_of_voxels_are_left_out_where_they_are_not_wanted(client, spectrum_id: str, spectrum) -> None:
