@@ -3,6 +3,7 @@
 import logging
 import shutil
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from hashlib import sha256
@@ -206,14 +207,13 @@ class Attempt:
             used = [self.sources[source] for source in RESULT_SOURCES[name]]
         choice = (LearningParams if learned else CloudParams).part_of(self.job.params).model_dump(mode="json")
         key = result_key(name, self.job, [file.sha256 for file in used], choice)
-        file = self._remembered(key, path)
-        if file is None and learned:  # one job at a time learns a scene; those that waited reuse its result
+        alone: AbstractContextManager[None] = nullcontext()
+        if learned and not find_stored(self.runtime.store, self.runtime.artifacts, key):
             working_on = half_done_folder(self.runtime.settings, self.job)
-            with locked_folder(working_on, partial(self.watch.report, stage, 0.0)) as waited:
-                file = self._remembered(key, path) if waited else None
-                file = file or self._computed(name, path, make)
-        file = file or self._computed(name, path, make)
-        remember_intermediate(self.runtime.store, key, name, file, used, owner=self.job.owner)
+            alone = locked_folder(working_on, partial(self.watch.report, stage, 0.0))
+        with alone:  # one job at a time learns a scene; those that waited reuse its result
+            file = self._remembered(key, path) or self._computed(name, path, make)
+            remember_intermediate(self.runtime.store, key, name, file, used, owner=self.job.owner)
         return path
 
     def _remembered(self, key: str, path: Path) -> OutputFile | None:

@@ -30,8 +30,8 @@ def half_done_folder(settings: Settings, job: JobRecord) -> Path:
 
 
 @contextmanager
-def locked_folder(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
-    """Context manager to lock a folder; yields whether another job used it meanwhile and may have stored its result.
+def locked_folder(folder: Path, wait: Callable[[], None]) -> Iterator[None]:
+    """Context manager to lock a folder.
 
     The folder is deleted at the end, unless an error occurs. After an error it stays, except if the photos caused the
     error before cameras were found.
@@ -41,15 +41,13 @@ def locked_folder(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
         wait: called repeatedly while another job uses the folder; its exceptions pass through.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    waited = False
     while (lock := _acquire(folder)) is None:
-        waited = True
         wait()
         time.sleep(_POLL_S)
     with lock:
         folder.mkdir(exist_ok=True)
         try:
-            yield waited
+            yield
         except (InputError, ReconstructionError):
             if not (folder / _CAMERAS).exists():
                 _delete(folder)

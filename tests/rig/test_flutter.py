@@ -53,14 +53,6 @@ def test_nothing_flutters_in_light_air_on_bare_trees_or_where_it_is_turned_off(
     assert not flutter_modes(rig, replace(spectrum, **change), size).any()
 
 
-def test_the_wind_makes_leaves_flutter_more(rig: Rig, spectrum: SparseVoxelSpectrum) -> None:
-    sizes = [
-        float(np.square(np.abs(flutter_modes(rig, replace(spectrum, wind=Wind(speed_m_s=speed)), 1.0))).sum())
-        for speed in (2.0, 5.0, 12.0)
-    ]
-    assert 0 < 10 * sizes[0] < sizes[1] < sizes[2]
-
-
 def test_leaves_move_on_their_twigs_and_the_trunk_stands_as_before(
     rig: Rig, spectrum: SparseVoxelSpectrum, sample: Sample
 ) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 BOUNDS = {
     "lines in dynamictree": 32_440,
     "lines in lab": 6_313,
-    "lines in service, jobs and worker": 13_462,
+    "lines in service, jobs and worker": 13_460,
     "lines in tests": 35_881,
     "names bound to numbers in dynamictree": 560,
     "functions of dynamictree with more than 6 arguments": 4,

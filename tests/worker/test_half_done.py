@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from celery.exceptions import SoftTimeLimitExceeded
@@ -16,6 +17,7 @@ from dynamictree.reconstruct.photos import read_photos
 from jobs.records import AssetRecord, JobRecord
 from jobs.states import JobState, JobType, stages_of
 from jobs.storage.assets import add_asset
+from jobs.storage.intermediates import remember_intermediate
 from tests.formats.films import write_film
 from tests.reconstruct.conftest import Orbit, orbit  # noqa: F401
 from tests.rows import asset_row, job_row, stored_part
@@ -87,7 +89,9 @@ def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRec
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
 
 
-def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, unread: AssetRecord, tmp_path: Path) -> None:
+def test_who_waits_takes_what_the_first_job_learned(
+    runtime: Runtime, unread: AssetRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     first, second = (reconstruct_job(runtime, unread, **FILM) for _ in range(2))
     began, release = threading.Event(), threading.Event()
     learned = []
@@ -108,6 +112,12 @@ def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, unread: As
         assert path.read_bytes() == b"learned"
         done.append(job.id)
 
+    def remember(*args: Any, **options: Any) -> None:
+        time.sleep(0.3)
+        remember_intermediate(*args, **options)
+
+    monkeypatch.setattr("worker.attempt.remember_intermediate", remember)
+    monkeypatch.setattr("worker.half_done._POLL_S", 0.01)
     done: list[str] = []
     threads = [threading.Thread(target=recall, args=(job,)) for job in (first, second)]
     threads[0].start()
