@@ -89,9 +89,7 @@ def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRec
     assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
 
 
-def test_who_waits_takes_what_the_first_job_learned(
-    runtime: Runtime, unread: AssetRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, unread, tmp_path: Path, monkeypatch) -> None:
     first, second = (reconstruct_job(runtime, unread, **FILM) for _ in range(2))
     began, release = threading.Event(), threading.Event()
     learned = []
