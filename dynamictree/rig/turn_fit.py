@@ -244,10 +244,7 @@ class _Problem:
                     self.skeleton, np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
                 )
                 theirs = Poses(rotation=now.rotation[:, self.stretches], place_m=now.place_m[:, self.stretches])
-                vectors = self.their_vectors @ matrices.stack_poses(theirs).reshape(-1, 3 * len(some))
-                vectors = vectors.reshape(-1, 3, len(some))
-                length = np.sqrt(np.einsum("ecf,ecf->ef", vectors, vectors)) - self.length[:, None]
-                growth += (length * self.scale[:, None]).astype(np.float32) @ wave[some]
+                growth += matrices.edge_growth(self.their_vectors, theirs, self.length, self.scale) @ wave[some]
                 off[row, :, 0] = now.place_m - self.skeleton.foot_m
                 off[row, :, 1:] = now.rotation.swapaxes(2, 3) - np.eye(3)
             moved += (wave[group].T @ off.reshape(len(group), -1)).reshape(moved.shape)
@@ -319,8 +316,8 @@ def _times(
 
 
 def _weighted_product(one: np.ndarray, other: np.ndarray, num_frames: int) -> float:
-    """Weighted scalar product of spectra, summed in float32 within chunks and in float64 over chunks."""
-    often = bin_weights(one.shape[-1], num_frames)
-    pair = [values.reshape(-1, len(often)).view(np.float32) for values in (one, other)]
-    parts = np.add.reduceat(pair[0] * pair[1], np.arange(0, len(pair[0]), 512), axis=0)
-    return float(parts.sum(axis=0, dtype=np.float64) @ np.repeat(often, 2))
+    """Weighted scalar product of spectra, summed in float64."""
+    often = np.repeat(bin_weights(one.shape[-1], num_frames), 2)
+    total = np.zeros(len(often))
+    matrices.add_products(*(values.reshape(-1, one.shape[-1]).view(np.float32) for values in (one, other)), total)
+    return float(total @ often)

@@ -1,11 +1,13 @@
 """Matrices for the fit of rotations: skinning of points, growth of edges, and coupling of neighbours."""
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int, Int32
 
+from dynamictree.parallel import compiled, in_bands
 from dynamictree.rig.pose import Poses, Skeleton, Weights
 
 TURN_COST = 0.2
@@ -148,3 +150,39 @@ def skew(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
     x, y, z = vectors.T
     zero = np.zeros(len(vectors))
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def edge_growth(
+    vectors: scipy.sparse.csr_array, pose: Poses, length: Float64[np.ndarray, " E"], scale: Float64[np.ndarray, " E"]
+) -> Float32[np.ndarray, "E T"]:
+    """Compute the weighted growth of edges at T poses; `vectors` times the stacked poses are the edges' vectors [m]."""
+    growth = np.empty((len(length), len(pose.place_m)), np.float32)
+    places = stack_poses(pose).reshape(-1, 3 * len(pose.place_m))
+    arrays = vectors.indptr, vectors.indices, vectors.data, places, length, scale, growth
+    in_bands(_grow, len(length), *arrays, rows_per_thread=1000)
+    return growth
+
+
+@compiled
+@no_type_check
+def _grow(first, end, starts, columns, shares, places, length, scale, growth):
+    frames = growth.shape[1]
+    vector = np.empty(3 * frames)
+    for edge in range(first, end):
+        vector[:] = 0
+        for place in range(starts[edge], starts[edge + 1]):
+            share, column = shares[place], columns[place]
+            for i in range(3 * frames):
+                vector[i] += share * places[column, i]
+        for t in range(frames):
+            x, y, z = vector[t], vector[frames + t], vector[2 * frames + t]
+            growth[edge, t] = (np.sqrt(x * x + y * y + z * z) - length[edge]) * scale[edge]
+
+
+@compiled
+@no_type_check
+def add_products(one, other, total):
+    """Add the scalar product of each pair of columns of two arrays [n, C] to a total [C], in its precision."""
+    for row in range(len(one)):
+        for i in range(len(total)):
+            total[i] += np.float64(one[row, i]) * other[row, i]
