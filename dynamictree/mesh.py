@@ -280,9 +280,11 @@ def weld(mesh: Surface) -> tuple[Surface, Int32[np.ndarray, " N"]]:
     Returns:
         The bare surface, sorted by position, and the new index of each vertex of the mesh.
     """
-    places, vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    vertex = vertex.ravel().astype(np.int32)
-    return Surface(vertices=places, faces=vertex[mesh.faces]), vertex
+    order = np.lexsort(mesh.vertices.T[::-1])
+    places, vertex = mesh.vertices[order], np.zeros(mesh.num_vertices, np.int32)
+    first = np.append(True, (places[1:] != places[:-1]).any(axis=1))
+    vertex[order] = np.cumsum(first) - 1
+    return Surface(vertices=places[first], faces=vertex[mesh.faces]), vertex
 
 
 def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32[np.ndarray, " N"]:
@@ -290,8 +292,8 @@ def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    edges = edges_of(faces)
-    joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(num_vertices, num_vertices))
+    pairs = np.repeat(faces[:, 0], 2), faces[:, 1:].ravel()
+    joined = coo_array((np.ones(len(pairs[0])), pairs), shape=(num_vertices, num_vertices))
     return np.asarray(connected_components(joined, directed=False)[1], np.int32)
 
 
@@ -299,9 +301,10 @@ def part_bounds(
     part: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
     """Return the low and high corner of the points of each part [m]."""
+    order = np.argsort(part, kind="stable")
+    present, start = np.unique(part[order], return_index=True)
     low, high = np.full((int(part.max()) + 1, 3), np.inf), np.full((int(part.max()) + 1, 3), -np.inf)
-    np.minimum.at(low, part, points)
-    np.maximum.at(high, part, points)
+    low[present], high[present] = (each.reduceat(points[order], start) for each in (np.minimum, np.maximum))
     return low, high
 
 

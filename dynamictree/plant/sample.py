@@ -21,7 +21,7 @@ def on_faces(mesh: Surface, counts: Int64[np.ndarray, " F"]) -> tuple[Points, In
     """Sample a number of points on each face; return them with their faces."""
     steps = 0.7548776662466927, 0.5698402909980532  # plastic number's R2 sequence: fills a square evenly (Roberts 2018)
     face = np.repeat(np.arange(mesh.num_faces), counts)
-    u, v = (np.arange(len(face)) * step % 1 for step in steps)
+    u, v = (along - np.floor(along) for along in (np.arange(len(face)) * step for step in steps))
     root = np.sqrt(u)
     weights = 1 - root, root * (1 - v), root * v
     corners = mesh.vertices.T.astype(np.float64)[:, mesh.faces.T]  # [3, 3, F], axis and corner

@@ -105,10 +105,13 @@ def find_low_things(scene: Scene, gone: ThingMask, *, slack_m: float = 0.0) -> T
     """
     floor, height = scene.floor_and_height(gone)
     lying = ~gone & (scene.high[:, 2] < floor + LOW_HEIGHT * height)
-    rising = scene.points[~(lying | gone)[scene.thing]]
+    reach = APART * height + slack_m
+    rising = scene.points[
+        ~(lying | gone)[scene.thing] & (scene.points[:, 2] < floor + LOW_HEIGHT * height + 1.01 * reach)
+    ]
     while lying.any() and len(rising):
         rows = np.flatnonzero(lying[scene.thing])
-        near = scipy.spatial.cKDTree(rising).query(scene.points[rows], distance_upper_bound=APART * height + slack_m)[0]
+        near = scipy.spatial.cKDTree(rising).query(scene.points[rows], distance_upper_bound=reach)[0]
         hangs = np.unique(scene.thing[rows[np.isfinite(near)]])
         if len(hangs) == 0:
             break

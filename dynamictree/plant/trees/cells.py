@@ -110,8 +110,9 @@ def _above(
     ground_share = 0.02  # share of the height; lower cells are ground, if there is ground
     above = coords[:, 2] - ground[tile]
     low = above < ground_share * (coords[:, 2].max() + 1)
-    numbers = tile[0] * ground.shape[1] + tile[1]
-    return above, low, len(np.unique(numbers[low])) / len(np.unique(numbers))
+    occupied, covered = np.zeros((2, *ground.shape), np.bool_)
+    occupied[tile], covered[tile[0][low], tile[1][low]] = True, True
+    return above, low, covered.sum() / occupied.sum()
 
 
 def cell_graph(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
