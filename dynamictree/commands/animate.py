@@ -72,7 +72,12 @@ def animate(
         names = sorted(path.name for path in folder.iterdir())
     result: dict[str, Any] = {"files": [str(output / name) for name in names], "num_voxels": len(spectrum.grid)}
     if inexact:
-        result["inexact"] = inexact if as_json else [_error_line(name, facts) for name, facts in inexact.items()]
+        lines = [
+            f"{name} is off by {1e3 * facts['rms_error_m']:.3g} mm rms ({facts['relative_error']:.2%} of the motion), "
+            f"{1e3 * facts['max_error_m']:.3g} mm at most"
+            for name, facts in inexact.items()
+        ]
+        result["inexact"] = inexact if as_json else lines
     show_result(result, as_json=as_json)
 
 
@@ -84,10 +89,3 @@ def _print_sequence_size(cloud: GaussianCloud, export: ExportParams, period_s: f
     sizes = min_sequence_bytes(splats, num_frames, export, cloud=(cloud.num_gaussians, cloud.sh_degree))
     for name, size in sizes.items():
         typer.echo(f"{name}: {num_frames} frames: {size / 1e6:,.1f} MB", err=True)
-
-
-def _error_line(name: str, facts: Facts) -> str:
-    return (
-        f"{name} is off by {1e3 * facts['rms_error_m']:.3g} mm rms ({facts['relative_error']:.2%} of the motion), "
-        f"{1e3 * facts['max_error_m']:.3g} mm at most"
-    )

@@ -42,7 +42,8 @@ class SplatScene:
         """Return the sky and floor behind the splat, for one camera."""
         strays = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
         floor = float(np.quantile(self.bounds[:, 2], strays)) if self.ground else -np.inf
-        centre, radius = _footprint(self.bounds)
+        low, high = self.bounds.min(axis=0), self.bounds.max(axis=0)
+        centre, radius = (low[:2] + high[:2]) / np.float32(2), max(float(np.linalg.norm(high - low)) / 2, 1e-6)
         return Backdrop(camera, size_px=size_px, ground_m=floor, centre_m=centre, radius_m=radius)
 
     def picture(
@@ -70,9 +71,3 @@ def _bounding_points(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:
     sigma = cloud.scales.max(axis=1, keepdims=True)
     reach = np.minimum(sigma, np.quantile(sigma, most).astype(np.float32))
     return np.concatenate([cloud.means - reach, cloud.means + reach])
-
-
-def _footprint(points: Float32[np.ndarray, "G 3"]) -> tuple[Float32[np.ndarray, "2"], float]:
-    """Return the centre of points seen from above, and the radius of a ball around them [m]."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (low[:2] + high[:2]) / np.float32(2), max(float(np.linalg.norm(high - low)) / 2, 1e-6)

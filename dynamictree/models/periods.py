@@ -60,7 +60,8 @@ def with_period(generate: GenerateFromBin, period_s: float, *, quick_when_small:
         highest = min(round(MAX_FREQUENCIES * quicker), max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
         magnified = max(LEARNED_FROM_M / height_m, 1.0) if quick_when_small else 1.0
         flutter_bins = spread_bins(longer, highest, rng, quicker=quicker * np.sqrt(magnified)) / magnified
-        enlarged = _enlargement(height_m, times)
+        shorter_m = (learned_law_hz(1.0) / (times * height_law_hz(height_m))) ** 2  # the tree h of the docstring
+        enlarged = max(height_m / float(shorter_m), 1.0)
         sway_bins = enlarged * spread_bins(longer / times, highest, rng)
         own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
         lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
@@ -119,12 +120,6 @@ def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) 
     scale = np.sqrt(np.divide(parts, power, out=np.ones_like(parts), where=power > 0))
     mixed *= scale[:, None].astype(np.float32)
     return mixed
-
-
-def _enlargement(height_m: float, times: float) -> float:
-    """Return H / h, where the model moves a tree of height h `times` as fast as a real tree of height H sways."""
-    shorter_m = (learned_law_hz(1.0) / (times * height_law_hz(height_m))) ** 2
-    return max(height_m / float(shorter_m), 1.0)
 
 
 def _scaled_down(voxels: SurfaceVoxels, times: float) -> SurfaceVoxels:

@@ -76,7 +76,11 @@ def find_pot(
         if _filled(np.concatenate(layers[soil : soil + 2]), wall) < soil_seen:
             continue
         top = _top_of_soil(rows, soil, wall)
-        if top is None or not _is_soil(layers[soil:top], wall, rng):
+        if top is None:
+            continue
+        layer = np.concatenate(layers[soil:top])
+        away, sector = _polar(layer, wall[0])
+        if not is_level(layer[away < _INSIDE * wall[1][sector]], radius / 4, rng):
             continue
         walls += [_wall(row) for row in sides[soil + 1 :]]
         goes_on = [
@@ -201,9 +205,3 @@ def _filled(points: Points, wall: Wall) -> float:
     hold = np.zeros((2 * num_cells, 2 * num_cells), np.bool_)
     hold[cells[:, 0], cells[:, 1]] = True
     return float(hold.ravel()[inside].mean())
-
-
-def _is_soil(rows: Sequence[Points], wall: Wall, rng: np.random.Generator) -> bool:
-    layer = np.concatenate(rows)
-    away, sector = _polar(layer, wall[0])
-    return is_level(layer[away < _INSIDE * wall[1][sector]], float(np.median(wall[1])) / 4, rng)

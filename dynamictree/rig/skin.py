@@ -69,7 +69,10 @@ def _keys(skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"]) -> Float
     for level in skeleton.levels:
         above = stored[:, skeleton.above[level]]
         wanted = matrix_quaternions((above.swapaxes(-1, -2) @ rotation[:, level]).reshape(-1, 3, 3))
-        turns[:, level] = np.rint(STEPS * _with_continuous_signs(wanted.reshape(len(turns), -1, 4))) / STEPS
+        wanted = wanted.reshape(len(turns), -1, 4)
+        flips = np.cumsum((wanted[1:] * wanted[:-1]).sum(axis=2) < 0, axis=0)  # signs follow those of the frame before
+        wanted[1:] *= np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None]
+        turns[:, level] = np.rint(STEPS * wanted) / STEPS
         stored[:, level] = above @ _matrices(turns[:, level])
     return turns.astype(np.float32)
 
@@ -77,13 +80,6 @@ def _keys(skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"]) -> Float
 def _matrices(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 3 3"]:
     unit = turns / np.linalg.norm(turns, axis=2, keepdims=True)
     return quaternion_matrices(unit.reshape(-1, 4)).reshape(*turns.shape[:2], 3, 3)
-
-
-def _with_continuous_signs(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 4"]:
-    """Choose each quaternion's sign nearer to the previous frame."""
-    flips = np.cumsum((turns[1:] * turns[:-1]).sum(axis=2) < 0, axis=0)
-    turns[1:] *= np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None]
-    return turns
 
 
 def reduce_rig(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -> Rig:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError, MeshError
 from dynamictree.mesh import Surface
@@ -137,7 +137,8 @@ def surface_pieces(
     in_voxels = (mesh.vertices.astype(np.float64) - origin_m) / voxel_size_m  # [N, 3]
     corners = in_voxels[mesh.faces]  # [F, 3, 3]
     inside = ((corners >= 0) & (corners < resolution)).all(axis=(1, 2))
-    solid = np.flatnonzero(inside & _has_area(corners, resolution))
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    solid = np.flatnonzero(inside & (doubled > 2 * _MIN_AREA * resolution**2))
     if len(solid) == 0:
         raise MeshError("no face of the mesh has an area inside the grid; they are lines or points")
     corners = corners[solid]
@@ -153,12 +154,6 @@ def surface_pieces(
         areas=np.concatenate([pieces.areas[large], np.full(len(corner_keys), least)]),
         centroids=np.concatenate([pieces.centroids[large], np.tile(np.eye(3, dtype=np.float32), (len(solid), 1))]),
     )
-
-
-def _has_area(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Bool[np.ndarray, " F"]:
-    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    enough: Bool[np.ndarray, " F"] = doubled > 2 * _MIN_AREA * resolution**2
-    return enough
 
 
 def _refuse_too_much(corners: Float64[np.ndarray, "F 3 3"]) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_440,
+    "lines in dynamictree": 32_439,
     "lines in lab": 6_313,
     "lines in service, jobs and worker": 13_460,
     "lines in tests": 35_881,

@@ -35,8 +35,11 @@ def read_gltf_gaussian(stream: ByteReader) -> GaussianCloud:
     primitives = [
         (instance.transform, primitive)
         for instance in mesh_instances(document)
-        for primitive in _splats_of(instance.mesh)
+        for primitive in object_list(instance.mesh, "primitives")
+        if EXTENSION in object_field(primitive, "extensions")
     ]
+    if any(integer_field(primitive, "mode", high=6, default=4) != _POINTS for _, primitive in primitives):
+        raise FormatError(f"a primitive with {EXTENSION} is not of points (mode 0); the extension allows no other")
     if not primitives:
         raise FormatError(f"the GLB file has no primitive with {EXTENSION} in its scene; it is no Gaussian splat")
     check_count(sum(_count(document, primitive) for _, primitive in primitives))
@@ -72,13 +75,6 @@ def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
     writer.finish(stream)
 
 
-def _splats_of(mesh: JsonObject) -> list[JsonObject]:
-    splats = [p for p in object_list(mesh, "primitives") if EXTENSION in object_field(p, "extensions")]
-    if any(integer_field(primitive, "mode", high=6, default=4) != _POINTS for primitive in splats):
-        raise FormatError(f"a primitive with {EXTENSION} is not of points (mode 0); the extension allows no other")
-    return splats
-
-
 def _count(document: GltfDocument, primitive: JsonObject) -> int:
     return _rows(document, object_field(primitive, "attributes"), "POSITION")[1]
 
@@ -108,7 +104,9 @@ def _read_primitive(document: GltfDocument, primitive: JsonObject) -> GaussianCl
     sh = np.stack([column(_harmonic_name(h), 3) for h in range(num_harmonics)], axis=1)
     extension = object_field(object_field(primitive, "extensions"), EXTENSION)
     if extension.get("colorSpace") == "lin_rec709_display":
-        sh = _to_srgb(sh)
+        linear = np.clip(sh[:, 0] * SH_0 + 0.5, 0, 1).astype(np.float64)
+        mean = (linear_to_srgb(linear) - 0.5) / SH_0  # exact; the view-dependent part is of first order
+        sh = np.concatenate([mean[:, None], sh[:, 1:] * srgb_slope(linear)[:, None]], axis=1).astype(np.float32)
     return GaussianCloud(
         means=column("POSITION", 3),
         quaternions=unit_quaternions(column(f"{EXTENSION}:ROTATION", 4)[:, [3, 0, 1, 2]]),
@@ -121,13 +119,6 @@ def _read_primitive(document: GltfDocument, primitive: JsonObject) -> GaussianCl
 def _harmonic_name(index: int) -> str:
     degree = int(index**0.5)
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index - degree**2}"
-
-
-def _to_srgb(sh: Float32[np.ndarray, "G H 3"]) -> Float32[np.ndarray, "G H 3"]:
-    """Convert linear to display colour: the mean exactly, the view-dependent part to first order."""
-    linear = np.clip(sh[:, 0] * SH_0 + 0.5, 0, 1).astype(np.float64)
-    mean = (linear_to_srgb(linear) - 0.5) / SH_0
-    return np.concatenate([mean[:, None], sh[:, 1:] * srgb_slope(linear)[:, None]], axis=1).astype(np.float32)
 
 
 def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> GaussianCloud:

@@ -95,7 +95,10 @@ def _embed_images(merged: GlbWriter, files: Mapping[int, bytes]) -> None:
         uri = image.pop("uri")
         if "name" not in image and not uri.startswith("data:"):
             image["name"] = uri
-        image["mimeType"] = _mime_type(content, str(image.get("mimeType", "")), uri)
+        kinds = [kind for magic, kind in _IMAGE_MAGIC if content.startswith(magic)]
+        kinds += ["image/webp"] if content[:4] == b"RIFF" and content[8:12] == b"WEBP" else []
+        stated = str(image.get("mimeType", "")) or mimetypes.guess_type(uri)[0]
+        image["mimeType"] = (kinds or [stated or "application/octet-stream"])[0]
         image["bufferView"] = merged.add_view(content)
 
 
@@ -129,13 +132,6 @@ def _forget_textures(entry: dict[str, Any], numbers: set[int]) -> None:
                 del entry[name]
             else:
                 _forget_textures(below, numbers)
-
-
-def _mime_type(content: bytes, stated: str, uri: str) -> str:
-    if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
-        return "image/webp"
-    by_bytes = next((kind for magic, kind in _IMAGE_MAGIC if content.startswith(magic)), "")
-    return by_bytes or stated or mimetypes.guess_type(uri)[0] or "application/octet-stream"
 
 
 def _warn_of_motion(document: GltfDocument) -> None:

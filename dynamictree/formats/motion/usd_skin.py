@@ -23,19 +23,13 @@ def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps:
     with packed_stage(stream, fps) as (stage, folder):
         set_root(stage, UsdSkel.Root.Define(stage, ROOT))
         define_surface(stage, ROOT, mesh, folder)
-        joints = _joint_paths(skin)
+        joints = list[str]()  # paths: each joint's name below those of its parents, which come before it
+        for joint, parent in enumerate(skin.parent.tolist()):
+            joints.append(f"{joints[parent]}/{joint_name(joint)}" if parent >= 0 else joint_name(joint))
         _define_skeleton(stage, skin, joints)
         _define_sway(stage, skin, joints)
         _bind(stage, skin)
         stage.SetEndTimeCode(len(skin.turns))
-
-
-def _joint_paths(skin: Skin) -> list[str]:
-    """Return each joint's path: its name below those of its parents, which come before it."""
-    paths = list[str]()
-    for joint, parent in enumerate(skin.parent.tolist()):
-        paths.append(f"{paths[parent]}/{joint_name(joint)}" if parent >= 0 else joint_name(joint))
-    return paths
 
 
 def _define_skeleton(stage: Any, skin: Skin, joints: list[str]) -> None:

@@ -95,7 +95,9 @@ def vertex_texture_files(
     if normals is not None:
         facts["normal_texture"] = "normal.exr"
         files.append(("normal.exr", [exr_of(_texels(layout, normals))]))
-    rest = rest_glb(mesh, _lookup(layout, mesh.num_vertices))
+    row, column = np.divmod(np.arange(mesh.num_vertices), layout.width)  # the middle of each vertex's texel in frame 0
+    lookup = np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.height], axis=1).astype(np.float32)
+    rest = rest_glb(mesh, lookup)
     return [("vat.json", [json.dumps(facts, indent=1).encode()]), ("tree.glb", [rest]), *files]
 
 
@@ -106,10 +108,3 @@ def _texels(layout: TextureLayout, frames: Iterable[Float32[np.ndarray, "N 3"]])
     for number, vectors in enumerate(frames):
         texels[number, : len(vectors)] = vectors @ rotation
     return texels.reshape(layout.height, layout.width, 3)
-
-
-def _lookup(layout: TextureLayout, num_vertices: int) -> Float32[np.ndarray, "N 2"]:
-    """Return texture coordinates: the middle of each vertex's texel in frame 0."""
-    number = np.arange(num_vertices)
-    column, row = number % layout.width, number // layout.width
-    return np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.height], axis=1).astype(np.float32)

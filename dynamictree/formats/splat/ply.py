@@ -51,6 +51,9 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
     rest = rest_names(names)
     (rows,) = read_elements(stream, header, "vertex")
     rows, dropped = _valid_rows(rows)
+    scales = _columns(rows, _SCALE if "scale_2" in (rows.dtype.names or ()) else _SCALE[:2])
+    if scales.shape[1] == 2:  # 2D Gaussian splatting (Huang et al. 2024) stores two per disc, the third is flat
+        scales = np.pad(scales, ((0, 0), (0, 1)), constant_values=np.float32(np.log(MIN_SCALE)))
     num_rest = len(rest) // 3
     sh = np.empty((len(rows), 1 + num_rest, 3), np.float32)
     stored = _columns(rows, color)
@@ -61,7 +64,7 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
     return GaussianCloud(
         means=_columns(rows, _POSITION),
         quaternions=unit_quaternions(_columns(rows, _ROTATION)),
-        scales=scales_from_log(_scales(rows)),
+        scales=scales_from_log(scales),
         opacity=opacity_from_logit(rows["opacity"].astype(np.float32)),
         sh=sh,
         dropped=dropped,
@@ -74,13 +77,6 @@ def _valid_rows(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"
     for name in rows.dtype.names or ():
         sound &= np.isfinite(rows[name])
     return (rows[sound], int((~sound).sum())) if sound.any() else (rows, 0)
-
-
-def _scales(rows: Shaped[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3"]:
-    """Return logarithms of scales; 2D Gaussian splatting (Huang et al. 2024) stores two per disc, the third is flat."""
-    if "scale_2" in (rows.dtype.names or ()):
-        return _columns(rows, _SCALE)
-    return np.pad(_columns(rows, _SCALE[:2]), ((0, 0), (0, 1)), constant_values=np.float32(np.log(MIN_SCALE)))
 
 
 def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:

@@ -109,11 +109,13 @@ def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
     scale_codes, scale_book = codes_of(log_from_scales(source.scales))
     color_codes, color_book = codes_of(source.sh[:, 0])
     opacity = np.rint(source.opacity[:, None] * 255).astype(np.uint8)
+    others, largest = drop_largest(source.quaternions)
+    packed = np.clip(np.rint((others * np.sqrt(2) + 1) * 127.5), 0, 255)
     pictures = {
         "means_l": _opaque(steps & 255),
         "means_u": _opaque(steps >> 8),
         "scales": _opaque(scale_codes),
-        "quats": _packed_rotations(source.quaternions),
+        "quats": np.concatenate([packed, _FIRST_TAG + largest[:, None]], axis=1).astype(np.uint8),
         "sh0": np.concatenate([color_codes, opacity], axis=1),
     }
     meta: dict[str, object] = {
@@ -203,12 +205,6 @@ def _rotations(pixels: UInt8[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
     tagged = pixels[:, 3] >= _FIRST_TAG
     largest = np.where(tagged, pixels[:, 3], _FIRST_TAG).astype(np.intp) - _FIRST_TAG
     return restore_largest(np.where(tagged[:, None], others, np.float32(0)), largest)
-
-
-def _packed_rotations(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
-    others, largest = drop_largest(quaternions)
-    packed = np.clip(np.rint((others * np.sqrt(2) + 1) * 127.5), 0, 255)
-    return np.concatenate([packed, _FIRST_TAG + largest[:, None]], axis=1).astype(np.uint8)
 
 
 def _harmonics(files: Mapping[str, bytes], meta: JsonObject, count: int) -> Float32[np.ndarray, "G D 3"]:

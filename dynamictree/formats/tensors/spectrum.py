@@ -83,7 +83,10 @@ def write_spectrum(
     tensors = {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}
     if spectrum.tree is not None:
         tensors["tree"] = spectrum.tree
-    write_tensors(stream, tensors | _band_tensors(spectrum.bands), metadata)
+    if spectrum.bands is not None:
+        tensors["band_speeds_m_s"] = np.asarray(spectrum.bands.speeds_m_s, np.float32)
+        tensors["band_gains"] = np.asarray(spectrum.bands.gains, np.float32)
+    write_tensors(stream, tensors, metadata)
 
 
 def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
@@ -111,15 +114,6 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
         bands=_bands(tensors, coefficients.shape[1]),
         source=facts.source,
     )
-
-
-def _band_tensors(bands: WindBands | None) -> dict[str, np.ndarray]:
-    if bands is None:
-        return {}
-    return {
-        "band_speeds_m_s": np.asarray(bands.speeds_m_s, np.float32),
-        "band_gains": np.asarray(bands.gains, np.float32),
-    }
 
 
 def _bands(tensors: Mapping[str, np.ndarray], num_frequencies: int) -> WindBands | None:

@@ -108,7 +108,8 @@ class AmplitudeNetwork(nn.Module):
         leant, dropped = self.second_order(hidden).float().T
         zeros, ones = torch.zeros_like(leant), torch.ones_like(leant)
         log_drag, log_gust = _log_wind(wind)
-        growth = _log_gain(saturation.float(), log_drag[:, None])
+        bent = (saturation.float() + log_drag[:, None]).exp().clamp(*BENT)
+        growth = log_drag[:, None] + (bent.tanh() / bent).log()  # ln of tanh(s d) / s
         growth = growth * torch.stack([ones, ones, 1 + leant.sigmoid()], dim=1)[:, None]
         log_amplitude = START + sizes[:, 1:] + growth + log_gust[:, None]
         size = (2 * (log_amplitude.detach() - log_gust[:, None])).exp().sum(dim=(1, 2)).sqrt()
@@ -186,12 +187,6 @@ def above_floor(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "
 def _log_wind(wind: Float32[Tensor, "R 2"]) -> tuple[Float32[Tensor, "R 1"], Float32[Tensor, "R 1"]]:
     """Return ln of the drag, which is 1 at REFERENCE_SPEED, and ln of the gust."""
     return DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED)), wind[:, 1:].clamp_min(MIN_GUST).log()
-
-
-def _log_gain(log_saturation: Float32[Tensor, "R J 3"], log_drag: Float32[Tensor, "R 1 1"]) -> Float32[Tensor, "R J 3"]:
-    """Return ln of tanh(s d) / s."""
-    bent = (log_saturation + log_drag).exp().clamp(*BENT)
-    return log_drag + (bent.tanh() / bent).log()
 
 
 def floor_of(wind: Float32[Tensor, "R 2"], share: float = FLOOR) -> Float32[Tensor, " R"]:

@@ -48,7 +48,10 @@ def occupied_cells(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     coords = np.stack([keys // (span[1] * span[2]), keys // span[2] % span[1], keys % span[2]], axis=1)
     tall = int(span[2])
     lowest, tile = _lowest_near(coords, tall)
-    above, low_cells, cover = _above(coords, tile, lowest + _downhill(lowest, tall))
+    plane = np.stack([*np.indices(lowest.shape), np.ones(lowest.shape)], axis=-1).reshape(-1, 3)
+    slope = np.linalg.lstsq(plane, lowest.ravel(), rcond=None)[0][:2]
+    downhill = float(np.abs(slope).sum()) * _reach(tall)  # middle of a window over its lowest point
+    above, low_cells, cover = _above(coords, tile, lowest + downhill)
     if cover < ground_cover:  # no ground from which to measure a slope
         above, low_cells, cover = _above(coords, tile, lowest)
     return OccupiedCells(
@@ -92,13 +95,6 @@ def _no_steeper(lowest: Float64[np.ndarray, "X Y"], rise: float) -> Float64[np.n
 def _reach(tall: int) -> int:
     window = 1 / 6  # share of the height; the lowest point in this window is on the ground
     return max(1, round(window * tall / _TILE))
-
-
-def _downhill(lowest: Float64[np.ndarray, "X Y"], tall: int) -> float:
-    """Return how much lower than its middle the lowest point of a window is, on the overall slope."""
-    plane = np.stack([*np.indices(lowest.shape), np.ones(lowest.shape)], axis=-1).reshape(-1, 3)
-    slope = np.linalg.lstsq(plane, lowest.ravel(), rcond=None)[0][:2]
-    return float(np.abs(slope).sum()) * _reach(tall)
 
 
 def _above(
