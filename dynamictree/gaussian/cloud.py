@@ -112,21 +112,25 @@ def validate_cloud(cloud: GaussianCloud) -> GaussianCloud:
 
 
 def in_box(
-    cloud: GaussianCloud, low_m: tuple[float, float, float], high_m: tuple[float, float, float]
-) -> Bool[np.ndarray, " G"]:
-    """Return a mask of the Gaussians whose means are in a box, such as a tree without ground and pot.
+    points: Float32[np.ndarray, "P 3"],
+    box: tuple[tuple[float, float, float], tuple[float, float, float]],
+    option: str = "box_m",
+) -> Bool[np.ndarray, " P"]:
+    """Return a mask of the points in a request's box [m], such as a tree without ground and pot.
 
     Raises:
-        InputError: the box is empty, or nothing is in it.
+        InputError: the box is empty, or nothing is in it; the message names `option`.
     """
-    low, high = np.asarray(low_m), np.asarray(high_m)
+    low, high = np.asarray(box[0]), np.asarray(box[1])
     if not (low < high).all():
-        raise InputError(f"the box runs from {low_m} to {high_m}; its low corner must be below its high one in x, y, z")
-    inside = np.asarray(((cloud.means >= low) & (cloud.means <= high)).all(axis=1))
-    if not inside.any():
-        bounds = cloud.means.min(axis=0).round(3).tolist(), cloud.means.max(axis=0).round(3).tolist()
         raise InputError(
-            f"no Gaussian is in the box from {low_m} to {high_m}; the cloud is from {bounds[0]} to {bounds[1]}"
+            f"{option} runs from {box[0]} to {box[1]}; its low corner must be below its high one in x, y and z"
+        )
+    inside = np.asarray(((points >= low) & (points <= high)).all(axis=1))
+    if not inside.any():
+        bounds = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
+        raise InputError(
+            f"nothing is in {option} from {box[0]} to {box[1]}; the source is from {bounds[0]} to {bounds[1]}"
         )
     return inside
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int, UInt8
 
 from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.request_model import Box
 from dynamictree.requests import CloudParams
@@ -60,7 +61,7 @@ def _apply_request(
 
     def chosen(option: str, patterns: Sequence[str] | None, box: Box | None) -> Bool[np.ndarray, " E"]:
         fits = _matching(option, patterns, names)
-        result = np.zeros(len(places), np.bool_) if box is None else _inside(f"{option}_box_m", places, box)
+        result = np.zeros(len(places), np.bool_) if box is None else in_box(places, box, f"{option}_box_m")
         for some, number in named:
             own, fits = fits[: len(some)], fits[len(some) :]
             result |= np.array([*own, False])[number]
@@ -68,7 +69,7 @@ def _apply_request(
 
     moving = moving | chosen("moving", choice.moving, choice.moving_box_m)
     moving &= ~chosen("still", choice.still, choice.still_box_m)
-    return moving if choice.box_m is None else moving & _inside("box_m", places, choice.box_m)
+    return moving if choice.box_m is None else moving & in_box(places, choice.box_m)
 
 
 def part_names(mesh: TriangleMesh) -> tuple[str, ...]:
@@ -100,18 +101,3 @@ def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str])
             )
         result = [a or b for a, b in zip(result, fits, strict=True)]
     return result
-
-
-def _inside(option: str, points: Float32[np.ndarray, "P 3"], box: Box) -> Bool[np.ndarray, " P"]:
-    low, high = np.asarray(box[0]), np.asarray(box[1])
-    if not (low < high).all():
-        raise InputError(
-            f"{option} runs from {box[0]} to {box[1]}; its low corner must be below its high one in x, y and z"
-        )
-    inside = np.asarray(((points >= low) & (points <= high)).all(axis=1))
-    if not inside.any():
-        bounds = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
-        raise InputError(
-            f"nothing is in {option} from {box[0]} to {box[1]}; the source is from {bounds[0]} to {bounds[1]}"
-        )
-    return inside

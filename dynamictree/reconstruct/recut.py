@@ -81,7 +81,7 @@ def _cut_out(finished: Reconstruction, choice: CutParams, on_progress: Callable[
     scene, radius_m = finished.scene, finished.report["radius_m"]
     if not choice.cuts:
         return replace(finished, own=gaussians_near_mesh(scene, finished.mesh, radius=radius_m))
-    own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene, *choice.box_m)
+    own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene.means, choice.box_m)
     if choice.scribbles or choice.only_plant:
         masked = bool(finished.report.get("held_out_masked_psnr_db"))
         own &= plant_of(

@@ -107,7 +107,7 @@ def test_what_the_mesh_lacks_gets_a_surface_of_its_gaussians(finished: Path, tmp
 
 
 def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: Path, tmp_path) -> None:
-    with pytest.raises(InputError, match=r"no Gaussian is in the box"):
+    with pytest.raises(InputError, match=r"nothing is in box_m"):
         recut(finished, finished, CutParams(box_m=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))))
     with pytest.raises(InputError, match=r"Gaussians of a plant are in the cut; at least 50"):
         recut(finished, finished, CutParams(box_m=((-0.1, -0.1, 0.5), (0.1, 0.1, 0.6))))
