@@ -42,6 +42,8 @@ def animate(
     """Generate the motion of a tree: mesh or splat → voxels → spectrum → motion files."""
     shape, capture = read_source(source, reading, choice=cloud, mask=mask, beside=mesh)
     period_s = generation.period_s or export.wanted_period_s
+    if period_s is not None:
+        export.count_frames(period_s)  # refuses what is no loop before the work
     if capture is not None and not as_json:
         _print_sequence_size(capture.cloud, export, period_s)
     inexact: dict[str, Facts] = {}

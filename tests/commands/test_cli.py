@@ -75,6 +75,12 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, name, content, 
     assert_refused(run("animate", tmp_path / name, "-o", tmp_path / "out"), message, tmp_path / "out")
 
 
+def test_frames_that_are_no_loop_are_refused_before_the_work(run: Run, triangle, tmp_path) -> None:
+    answer = run("animate", triangle, "-o", tmp_path / "out", "--frames", 24, "--num-steps", 1)
+    assert_refused(answer, "24 frames at 24 fps", tmp_path / "out", at_once=False)
+    assert "voxelize" not in answer.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
