@@ -130,8 +130,7 @@ def test_a_palette_has_a_near_row_for_every_row(rng) -> None:
     palette, labels = palette_of(rows, 1024)
     assert len(palette) == 1024
     assert np.bincount(labels).max() <= 5
-    error = np.sqrt(((palette[labels] - rows) ** 2).mean())
-    assert error < 0.1 * rows.std()
+    assert np.sqrt(((palette[labels] - rows) ** 2).mean()) < 0.1 * rows.std()
     exact, every = palette_of(rows[:1000], 1024)
     np.testing.assert_array_equal(exact[every], rows[:1000])
 
@@ -166,8 +165,7 @@ def test_ksplat_without_steps_or_range_has_those_of_its_viewer(rng) -> None:
 def test_spz_holds_clouds_that_reach_far(rng) -> None:
     cloud = make_cloud(rng, degree=0)
     far = replace(cloud, means=cloud.means * 20_000)
-    again = read_back(far, write_spz, "spz")
-    np.testing.assert_allclose(again.means, far.means, atol=0.01)
+    np.testing.assert_allclose(read_back(far, write_spz, "spz").means, far.means, atol=0.01)
 
 
 @pytest.mark.parametrize("up_axis", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
@@ -182,8 +180,7 @@ def test_axes_and_units_are_undone_and_colours_turn_with_them(rng, up_axis: str)
     up["XYZ".index(up_axis[1])] = 1 if up_axis[0] == "+" else -1
     seen_from_above = harmonics(np.array([[0.0, 0.0, 1.0]]), 3) @ cloud.sh
     np.testing.assert_allclose(seen_from_above, harmonics(up[None], 3) @ source.sh, atol=1e-5)
-    highest = int(np.argmax(source.means @ up))
-    assert int(np.argmax(cloud.means[:, 2])) == highest
+    assert int(np.argmax(cloud.means[:, 2])) == int(np.argmax(source.means @ up))
 
 
 @pytest.mark.parametrize(

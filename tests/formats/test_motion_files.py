@@ -103,8 +103,7 @@ def test_every_frame_of_the_zip_is_the_mesh_at_that_frame(rng) -> None:
 
 
 def test_an_archive_is_stored_and_does_not_depend_on_the_clock() -> None:
-    files = [("a.ply", [b"ply", b"", b"x" * 10]), ("b.ply", [b""])]
-    archive = archive_of(files)
+    archive = archive_of([("a.ply", [b"ply", b"", b"x" * 10]), ("b.ply", [b""])])
     assert archive.read("a.ply") == b"ply" + b"x" * 10
     for entry in archive.infolist():
         assert entry.compress_type == zipfile.ZIP_STORED

@@ -57,8 +57,7 @@ def test_normals_of_obj_are_turned_upright_with_it() -> None:
 
 def test_one_direction_of_several_lines_in_an_obj_is_one_normal() -> None:
     faces = "vn 0 0.7072 0.7071\nf 1//2 2//2 3//2 4//2\nf 4//3 3//3 5//3 6//3\n"
-    mesh = read((ROOF + faces).encode(), "obj", reading=Reading(up_axis="+Y", unit_m=1.0))
-    assert mesh.num_vertices == 6
+    assert read((ROOF + faces).encode(), "obj", reading=Reading(up_axis="+Y", unit_m=1.0)).num_vertices == 6
 
 
 @pytest.mark.parametrize("faces", ["f 1//9 2//9 3//9\n", "f 1//a 2//1 3//-7\n", "vn 0 1\nf 1//1 2//1 3//1\n"])

@@ -74,8 +74,7 @@ def grown(species: str, seed: int = 0, *, base_size: float | None = None, hang: 
     )
     low = habit.base_size if base_size is None else base_size
     mesh = grow_tree(replace(habit, levels=levels, base_size=low), np.random.default_rng([seed, 7])).mesh
-    foot = [0, 0, mesh.vertices[:, 2].min()]
-    return trimesh.Trimesh(mesh.vertices - foot, mesh.faces, process=False)
+    return trimesh.Trimesh(mesh.vertices - [0, 0, mesh.vertices[:, 2].min()], mesh.faces, process=False)
 
 
 def exported(*parts: trimesh.Trimesh, names: tuple[str, ...] = (), up: str = "+Y", kind: str = "glb") -> bytes:
@@ -102,24 +101,19 @@ def potted() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
     """A plant of curved stems, and the pot that it stands in."""
     plant = grown("sapling").copy()
     plant.apply_scale(1.2 / plant.extents[2]).apply_translation((0, 0, -0.05))
-    pot = trimesh.creation.revolve(
-        np.array([(0, -0.3), (0.14, -0.3), (0.2, 0.0), (0.18, 0.0), (0.17, -0.03), (0, -0.03)])
-    )
-    return plant, pot
+    outline = (0, -0.3), (0.14, -0.3), (0.2, 0.0), (0.18, 0.0), (0.17, -0.03), (0, -0.03)
+    return plant, trimesh.creation.revolve(np.array(outline))
 
 
 def log(*, branches: bool = True) -> trimesh.Trimesh:
     """A felled trunk that lies along x, with stubs, thicker at one end."""
     angle, along = 2 * np.pi * np.arange(16) / 16, np.linspace(0, 4, 30)
-    radius = 0.35 - 0.04 * along
-    rings = np.stack(
-        [np.tile(along[:, None], 16), radius[:, None] * np.cos(angle), 0.35 + radius[:, None] * np.sin(angle)], 2
-    )
+    radius = (0.35 - 0.04 * along)[:, None]
+    rings = np.stack([np.tile(along[:, None], 16), radius * np.cos(angle), 0.35 + radius * np.sin(angle)], 2)
     i, j = np.divmod(np.arange(29 * 16), 16)
     a, b = 16 * i + j, 16 * i + (j + 1) % 16
-    trunk = trimesh.Trimesh(
-        rings.reshape(-1, 3), np.concatenate([np.c_[a, b, b + 16], np.c_[a, b + 16, a + 16]]), process=False
-    )
+    sides = np.concatenate([np.c_[a, b, b + 16], np.c_[a, b + 16, a + 16]])
+    trunk = trimesh.Trimesh(rings.reshape(-1, 3), sides, process=False)
     stubs = [rod((x, 0, 0.4), (x + 0.3, y, 0.8), 0.05) for x, y in ((1.2, 0.5), (2.4, -0.4), (3.1, 0.3))]
     return trimesh.util.concatenate([trunk, *stubs]) if branches else trunk
 
@@ -202,6 +196,24 @@ def stand() -> bytes:
     return exported(*(grown(name, 3).copy().apply_translation((4.0 * n, 0, 0)) for n, name in species))
 
 
+def firs() -> bytes:
+    """Two cones on stems that grow into one another, so that the lower one has no top of its own, and one apart."""
+    trees = ((0.0, 7.5), (2.0, 6.0), (9.0, 7.0))
+    cones = [trimesh.creation.cone(1.5, tall - 2).apply_translation((x, 0, 2)) for x, tall in trees]
+    return exported(trimesh.util.concatenate([*cones, *(rod((x, 0, 0), (x, 0, 3), 0.4) for x, _ in trees)]))
+
+
+def ferns(count: int, width: float, apart: float) -> bytes:
+    """A row of plants of five leaves, which rise to 0.5 m and droop: the tips hang as low as plants would stand."""
+    leaves = []
+    for way in np.exp(2j * np.pi * np.arange(5) / 5) * width / 2:
+        top, tip = (0.6 * way.real, 0.6 * way.imag, 0.5), (way.real, way.imag, 0.2)
+        leaves += [rod((0, 0, 0), top, 0.02), rod(top, tip, 0.02)]
+    one = trimesh.util.concatenate(leaves)
+    row = [one.copy().apply_translation((x, 0, 0)) for x in apart * np.arange(count)]
+    return exported(trimesh.util.concatenate(row))
+
+
 def trellis() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
     """A climber before a lattice of slats, as one part without a name."""
     upright = [box((0.05, 0.03, 2.0), (x, 0.3, 1.0)) for x in np.linspace(-0.8, 0.8, 6)]
@@ -241,6 +253,10 @@ def is_calm(stated: Verdict) -> bool:
     return stated["warnings"] == []
 
 
+def holds(count: int) -> Callable[[Verdict], bool]:
+    return lambda stated: (stated["trees"], stated["warnings"]) == (count, ["several-trees"])
+
+
 def warns(code: str) -> Callable[[Verdict], bool]:
     return lambda stated: code in stated["warnings"]
 
@@ -277,13 +293,13 @@ def is_doubted_in_size_and_axis(stated: Verdict) -> bool:
 
 
 KINDS = {
-    "willow": Kind(
-        lambda: exported(grown("weeping", 1, base_size=0.08)), lambda stated: is_one(stated) and stated["still"] == 0
-    ),
+    "willow": Kind(lambda: exported(grown("weeping", 1, base_size=0.08)), lambda own: is_one(own) and not own["still"]),
     "willow to the ground": Kind(lambda: exported(grown("weeping", base_size=0.03)), is_one),
     "beech": Kind(lambda: exported(grown("spreading-broadleaf", hang=1.0)), is_one),
     "bush": Kind(lambda: exported(grown("shrub", hang=1.0)), is_one),
-    "three trees": Kind(stand, lambda stated: stated["trees"] == 3),
+    "three trees": Kind(stand, holds(3)),
+    "firs that meet, and one apart": Kind(firs, holds(2)),
+    "row of ferns": Kind(partial(ferns, 4, 0.9, 1.5), holds(4)),
     "plant named NurbsPath": scene(potted, "NurbsPath", "Cylinder.001"),
     "plant named Path in a Planter": scene(potted, "Path.003", "Planter"),
     "log": lying(log, "+Y", "obj"),

@@ -65,8 +65,7 @@ def test_a_pull_on_a_tree_leaves_the_others_still(pair, swaying) -> None:
     spectrum = read_spectrum(io.BytesIO(written(write_spectrum, spectrum)))
     system = modal_system(spectrum)
     one, other = (np.flatnonzero(voxels.tree == number) for number in (0, 1))
-    gap = cKDTree(voxels.grid.centres_m[other]).query(voxels.grid.centres_m[one])[0]
-    pulled = int(one[np.argmin(gap)])
+    pulled = int(one[np.argmin(cKDTree(voxels.grid.centres_m[other]).query(voxels.grid.centres_m[one])[0])])
     drag = Drag(at=contact_at_voxel(system.grid, pulled), displacement_m=(1.0, 0.0, 0.0))
     stand = InteractiveTree(system, rig_of(pair, spectrum), pair)
     groups = group_forces([drag], falloff_m=default_falloff_m(system))
@@ -120,13 +119,11 @@ def test_bundles_and_voxel_files_hold_the_trees(pair: TriangleMesh) -> None:
 def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() -> None:
     post = post_cloud(400)
     means = np.concatenate([post.means, post.means + np.float32([3, 0, 0])])
-    twice = np.arange(400).repeat(2).reshape(400, 2).T.ravel()
-    cloud = replace(post.subset(twice), means=means)
+    cloud = replace(post.subset(np.arange(400).repeat(2).reshape(400, 2).T.ravel()), means=means)
     number = np.repeat(np.int32([0, 1]), 400)
     number[:10] = -1
     capture = Capture(cloud=cloud, tree=number)
-    again = read_cloud_bundle(io.BytesIO(written(write_bundle, capture)))
-    assert (again.tree == number).all()
+    assert (read_cloud_bundle(io.BytesIO(written(write_bundle, capture))).tree == number).all()
     assert moving_part(capture).sum() == 790
     assert (only_tree(capture, 2).cloud.means[:, 0] > 1.5).all()
     grounded = replace(
@@ -137,5 +134,4 @@ def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() ->
     np.testing.assert_array_equal(moving, second.cloud.means[:, 2] > 0.5)
     assert (moving_part(with_one_moving_tree(capture, 2)) == (number == 1)).all()
     mesh = carrying_mesh(capture)
-    middles = mesh.vertices[mesh.faces].mean(axis=1)
-    assert ((middles[:, 0] > 1.5) == (mesh.face_tree == 1)).all()
+    assert ((mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 1.5) == (mesh.face_tree == 1)).all()

@@ -17,8 +17,7 @@ GREEN, GREY = (60, 140, 50, 255), (150, 150, 150, 255)
 def codes(parts: list[trimesh.Trimesh], color: tuple[int, int, int, int]) -> list[str]:
     whole = trimesh.util.concatenate(parts)
     whole.visual = trimesh.visual.ColorVisuals(whole, vertex_colors=np.tile(np.uint8(color), (len(whole.vertices), 1)))
-    content = whole.export(file_type="ply")
-    mesh = read(content, "ply", reading=Reading(up_axis="+Z", unit_m=1.0))
+    mesh = read(whole.export(file_type="ply"), "ply", reading=Reading(up_axis="+Z", unit_m=1.0))
     return [warning.code for warning in mesh.warnings]
 
 
@@ -34,12 +33,8 @@ def cones() -> list[trimesh.Trimesh]:
 
 
 def chair() -> list[trimesh.Trimesh]:
-    legs = [placed(trimesh.creation.box((0.05, 0.05, 0.9)), 0.45, x) for x in (-0.3, 0.3)]
-    return [
-        *legs,
-        placed(trimesh.creation.box((0.7, 0.5, 0.05)), 0.45),
-        placed(trimesh.creation.box((0.7, 0.05, 0.6)), 0.8),
-    ]
+    boxes = ((0.05, 0.05, 0.9), 0.45, -0.3), ((0.05, 0.05, 0.9), 0.45, 0.3), ((0.7, 0.5, 0.05), 0.45, 0.0)
+    return [placed(trimesh.creation.box(size), z, x) for size, z, x in (*boxes, ((0.7, 0.05, 0.6), 0.8, 0.0))]
 
 
 @pytest.mark.parametrize("parts", [cones, chair])
@@ -50,8 +45,7 @@ def test_turned_bodies_and_boxes_are_doubted_where_nothing_is_green(parts: objec
 
 @pytest.mark.parametrize("name", ["conical-conifer", "spire-conifer", "columnar", "palm", "bare-winter"])
 def test_trees_without_colours_are_not_doubted(name: str) -> None:
-    mesh = grow_tree(SPECIES[name], np.random.default_rng([5, len(name)])).mesh
-    assert doubt_mesh(mesh) == ()
+    assert doubt_mesh(grow_tree(SPECIES[name], np.random.default_rng([5, len(name)])).mesh) == ()
 
 
 def test_artists_trees_are_not_doubted(samples) -> None:

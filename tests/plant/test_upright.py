@@ -77,8 +77,7 @@ def test_a_tree_in_a_scene_stands_up_from_any_axis(axis: str) -> None:
     pole = TriangleMesh.from_trimesh(trimesh.creation.cylinder(0.12, 2).apply_translation((0, 0, 1)))
     stones = [ball((x, y, 0.1), 0.15) for x, y in ((2.0, 0.3), (-1.5, 1.2), (0.4, -1.8), (1.2, 1.9))]
     scene = join_meshes([pole, ball((0, 0, 2.4), 0.7), *stones])
-    laid = scene.with_vertices((scene.vertices @ up_rotation(axis)).astype(np.float32))
-    assert judge_up_axis(laid).axis == axis
+    assert judge_up_axis(scene.with_vertices((scene.vertices @ up_rotation(axis)).astype(np.float32))).axis == axis
 
 
 def doubts_of_scan(surface: trimesh.Trimesh, up_axis: str | None = None) -> list[str]:

@@ -33,10 +33,10 @@ class OccupiedCells:
         return self.low_m + (self.coords + 0.5) * self.size_m
 
 
-def occupied_cells(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
+def occupied_cells(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) -> OccupiedCells:
     """Put points [m, +Z up] into cells."""
     max_cells_along = 1500
-    steepest = 1.0  # largest slope of the ground
+    steepest, unseen = 1.0, 0.3  # largest slope of the ground, and of one that no point shows, other than in scans
     afloat = 0.1  # share of the height; tiles this much above such ground have no ground
     ground_cover = 0.4  # least share of occupied tiles with low cells for ground to exist
     low = points.min(axis=0)
@@ -52,8 +52,8 @@ def occupied_cells(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
     slope = np.linalg.lstsq(plane, lowest.ravel(), rcond=None)[0][:2]
     downhill = float(np.abs(slope).sum()) * _reach(tall)  # middle of a window over its lowest point
     above, low_cells, cover = _above(coords, tile, lowest + downhill)
-    if cover < ground_cover:  # no ground from which to measure a slope
-        above, low_cells, cover = _above(coords, tile, lowest)
+    if cover < ground_cover:  # no ground from which to measure a slope, and leaves droop where there is none
+        above, low_cells, cover = _above(coords, tile, lowest if is_scan else _no_steeper(lowest, unseen * _TILE))
     return OccupiedCells(
         coords=coords,
         above=above,

@@ -33,7 +33,7 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
     one_tree = np.zeros(len(points), np.int32)
     if np.ptp(points[:, 2]) <= 0:
         return one_tree
-    cells = occupied_cells(points)
+    cells = occupied_cells(points, is_scan=is_scan)
     plant = np.flatnonzero(~cells.ground)
     if len(plant) == 0:
         return one_tree
@@ -46,11 +46,10 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
     grown = _grow(cells, plant, graph, seeds)
     if not is_scan:
         own = _without_tips(cells.coords[plant, 2], graph, grown, seeds)
-        if len(own) <= 1:
+        if len(own) == 1:
             return one_tree
         if len(own) < len(seeds):
-            seeds = own
-            grown = _grow(cells, plant, graph, seeds)
+            seeds, grown = own, _grow(cells, plant, graph, own)
     label = np.full(len(cells.coords), -1, np.int64)
     label[plant] = grown
     label = _with_feet(cells, label, seeds)
@@ -77,9 +76,10 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
         rows = plant[part == one]
         own = find_stems(cells.coords, cells.above, rows)
         if not own:
-            foot = rows[cells.above[rows] <= bottom[one] + 0.05 * tall]
-            middle = np.median(cells.coords[foot, :2], axis=0)
-            own = [Stem(cells=foot, middle=middle, higher=middle, radius=1.0)]
+            height = cells.coords[rows, 2]  # not above the ground, which is unknown below a drooping leaf
+            foot = rows[height <= height.min() + 0.05 * tall]
+            middle, higher = (np.median(cells.coords[some, :2], axis=0) for some in (foot, rows))
+            own = [Stem(cells=foot, middle=middle, higher=higher, radius=1.0)]
         stems += own
     standing = [stem for stem in stems if not cells.afloat[stem.cells].mean() > 0.5]
     return join_stems(standing or stems, tall)
@@ -88,8 +88,10 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
 def _without_tips(
     height: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", grown: Int64[np.ndarray, " M"], seeds: list[Stem]
 ) -> list[Stem]:
-    """Select the seeds that are no tips of hanging branches: their trees have their own top, and are thicker."""
-    thicker = 1.5  # [cells of the thickest tip in the slice]; thinner seeds are tips as well
+    """Select the seeds that are no tips of hanging branches: with a top of their own, thicker; else the thickest."""
+    thicker = 1.5  # [cells of the thickest tip of those that touch]; thinner seeds are tips as well
+    from scipy.sparse.csgraph import connected_components
+
     edges = graph.tocoo()
     one, other = grown[edges.row], grown[edges.col]
     low, top, touch = np.full(len(seeds), np.inf), np.full(len(seeds), -np.inf), np.full(len(seeds), -np.inf)
@@ -100,9 +102,12 @@ def _without_tips(
         np.maximum.at(touch, side[one != other], between)
     rises = top - touch >= _OWN_TOP * (top - low)
     thickness = np.array([len(seed.cells) for seed in seeds])
-    if not rises.all():
-        rises &= thickness >= thicker * thickness[~rises].max()
-    return [seed for seed, own in zip(seeds, rises, strict=True) if own]
+    touching = scipy.sparse.coo_array((np.ones(len(one)), (one, other)), shape=(len(seeds),) * 2)
+    group, own = connected_components(touching, directed=False)[1], []
+    for rows in (np.flatnonzero(group == number) for number in np.unique(group)):
+        trees = rows[rises[rows] & (thickness[rows] >= thicker * thickness[rows[~rises[rows]]].max(initial=0))]
+        own += [seeds[row] for row in (trees if len(trees) else rows[[thickness[rows].argmax()]])]
+    return own
 
 
 def _grow(
