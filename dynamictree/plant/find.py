@@ -16,7 +16,7 @@ from dynamictree.plant.plausibility import FEWEST_FACES, VISIBLE, doubt_cloud, d
 from dynamictree.plant.splat_up import up_of_standing
 from dynamictree.plant.still_cloud import find_sky
 from dynamictree.plant.still_mesh import find_still_parts
-from dynamictree.plant.trees.of_mesh import with_trees
+from dynamictree.plant.trees.of_mesh import feet_are_level, with_trees
 from dynamictree.plant.trees.segment import segment_trees, several_trees
 from dynamictree.plant.upright import SURE_OF_POINTS, judge_each_standing, judge_standing, judge_up_axis_of_points
 from dynamictree.requests import Reading
@@ -32,11 +32,11 @@ def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> 
     upright = validate_mesh(mesh_to_z_up(source, reading, file))
     parts, still = find_still_parts(upright)
     mesh = replace(upright, parts=replace(upright.parts, still=parts), still_faces=still)
-    doubts: tuple[SourceWarning, ...] = ()
+    mesh = with_trees(replace(mesh, warnings=mesh.warnings + doubt_mesh(mesh)))
     if reading.up_axis is None and file.up_axis is not None and mesh.num_faces >= FEWEST_FACES:
         standing = judge_each_standing(mesh.moving_part) or judge_standing(mesh.moving_part)
-        doubts += axis_doubts(standing, mesh.source.up_axis)
-    mesh = with_trees(replace(mesh, warnings=mesh.warnings + doubts + doubt_mesh(mesh)))
+        if standing and feet_are_level(mesh, standing.axis):
+            mesh = replace(mesh, warnings=mesh.warnings + axis_doubts(standing, mesh.source.up_axis))
     if reading.unit_m is None and reading.height_m is None and mesh.face_tree is None:
         sizes = size_doubts(mesh, file_unit=file.unit_m is not None)
         mesh = replace(mesh, warnings=mesh.warnings + sizes)

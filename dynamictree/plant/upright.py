@@ -90,11 +90,9 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
     of_face = np.full(mesh.num_faces, -1)
     of_face[faces] = group  # faces without a sampled point are ignored
     judged = [own for one in large if (own := judge_standing(replace(mesh, still_faces=of_face != one).moving_part))]
-    if len(judged) < 2:
-        return None
     chances = {axis: [own.confidence for own in judged if own.axis == axis] for axis in AXES}
     axis = max(AXES, key=lambda one: len(chances[one]))
-    if 2 * len(chances[axis]) <= len(judged):
+    if len(judged) < 2 or 2 * len(chances[axis]) <= len(judged):
         return None
     upright = float(np.mean([own.upright for own in judged]))
     return UpAxis(axis=axis, confidence=float(np.mean(chances[axis])), upright=upright)

@@ -299,6 +299,7 @@ KINDS = {
     "bush": Kind(lambda: exported(grown("shrub", hang=1.0)), is_one),
     "three trees": Kind(stand, holds(3)),
     "firs that meet, and one apart": Kind(firs, holds(2)),
+    "row of tufts": Kind(partial(ferns, 12, 0.5, 0.6), holds(12)),
     "row of ferns": Kind(partial(ferns, 4, 0.9, 1.5), holds(4)),
     "plant named NurbsPath": scene(potted, "NurbsPath", "Cylinder.001"),
     "plant named Path in a Planter": scene(potted, "Path.003", "Planter"),

@@ -11,6 +11,7 @@ from dynamictree.mesh import Surface, TriangleMesh, connected_parts, weld
 from dynamictree.plant.sample import face_areas, on_faces
 from dynamictree.plant.trees.cells import CELLS_TALL
 from dynamictree.plant.trees.segment import require_tree, segment_trees, several_trees
+from dynamictree.up_axis import up_rotation
 
 MAX_POINTS = 500_000
 MAX_RESOLUTION = 512
@@ -49,6 +50,16 @@ def mesh_points(mesh: Surface) -> tuple[Float32[np.ndarray, "P 3"], Int32[np.nda
     moving = mesh.moving_part
     trees = None if moving.face_tree is None else np.repeat(moving.face_tree, 3)
     return mesh.vertices[moving.faces.ravel()], trees
+
+
+def feet_are_level(mesh: Surface, up_axis: str) -> bool:
+    """Whether three or more trees would stand on one ground if `up_axis` were up; True for fewer trees."""
+    points, tree = mesh_points(mesh)
+    if tree is None or tree.max() < 2:
+        return True
+    height = points @ up_rotation(up_axis)[2]
+    ends = np.array([[height[tree == one].min(), height[tree == one].max()] for one in np.unique(tree)])
+    return bool(np.ptp(ends[:, 0]) <= np.diff(ends).max())
 
 
 def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
