@@ -19,8 +19,7 @@ def find_ground(points: Points, height_m: float, rng: np.random.Generator) -> Pl
     trials = 200
     wide, wider = 0.3, 3.0  # narrower width [height], or [width of the standing object]
     below = 0.05  # largest share of columns with points below the plane
-    bottom = np.quantile(points[:, 2], 0.002)
-    slab = points[points[:, 2] < bottom + slab_share * height_m]
+    slab = points[points[:, 2] < np.quantile(points[:, 2], 0.002) + slab_share * height_m]
     if len(slab) < _FEWEST:
         return None
     low, high = np.quantile(slab[:, :2], [0.01, 0.99], axis=0)

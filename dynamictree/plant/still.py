@@ -165,8 +165,7 @@ def _encloses(scene: Scene, gone: ThingMask, one: np.int64, height: float) -> bo
         return False
     rise = float(places[:, 2].max()) - rim
     widest = max(_width_at(places, rim + share * rise, slice * rise) for share in above)
-    width = float((high - low)[one, :2].min())
-    return bool(width > max(wider * float((foot_high - foot_low).max()), widest))
+    return bool(float((high - low)[one, :2].min()) > max(wider * float((foot_high - foot_low).max()), widest))
 
 
 def _width_at(points: Points, level: float, thickness: float) -> float:

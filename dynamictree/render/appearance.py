@@ -155,8 +155,7 @@ def _mip_levels(texture: bytes, side_px: int) -> list[Float32[np.ndarray, "H W 4
 def _halved(image: Float32[np.ndarray, "H W 4"]) -> Float32[np.ndarray, "h w 4"]:
     height, width = image.shape[:2]
     padded = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-    blocks = padded.reshape(-(-height // 2), 2, -(-width // 2), 2, 4)
-    return np.ascontiguousarray(blocks.mean(axis=(1, 3)))
+    return np.ascontiguousarray(padded.reshape(-(-height // 2), 2, -(-width // 2), 2, 4).mean(axis=(1, 3)))
 
 
 @compiled

@@ -40,8 +40,7 @@ def read(text: str, **files: bytes) -> TriangleMesh:
 )
 def test_a_square_is_read_however_it_is_written(text: str) -> None:
     mesh = read(text)
-    corners = mesh.vertices[mesh.faces]
-    np.testing.assert_array_equal(corners, np.array(CORNERS, np.float32)[[[0, 1, 2], [0, 2, 3]]])
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], np.array(CORNERS, np.float32)[[[0, 1, 2], [0, 2, 3]]])
 
 
 @pytest.mark.parametrize(

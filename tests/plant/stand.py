@@ -32,8 +32,7 @@ def tree(height_m: float, *, seed: int = 0, num_cards: int = 250) -> TriangleMes
     away = rng.normal(size=(num_cards, 3))
     away *= np.cbrt(rng.random((num_cards, 1))) / np.linalg.norm(away, axis=1, keepdims=True)
     middles = away * [0.2 * height_m, 0.2 * height_m, 0.28 * height_m] + [0, 0, 0.7 * height_m]
-    frames = np.linalg.qr(rng.normal(size=(num_cards, 3, 2)))[0].transpose(2, 0, 1) * 0.03 * height_m
-    along, across = frames
+    along, across = np.linalg.qr(rng.normal(size=(num_cards, 3, 2)))[0].transpose(2, 0, 1) * 0.03 * height_m
     cards = middles[:, None] + np.stack([-along - across, along - across, along + across, across - along], axis=1)
     squares = 4 * np.arange(num_cards)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
     return TriangleMesh(

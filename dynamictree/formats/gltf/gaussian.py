@@ -124,8 +124,7 @@ def _harmonic_name(index: int) -> str:
 def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> GaussianCloud:
     max_shear = 1e-3  # share of a node's scale; a Gaussian keeps its shape only under rotation and uniform scale
     linear = transform[:3, :3]
-    volume = float(np.linalg.det(linear))
-    scale = float(np.cbrt(volume))
+    scale = float(np.cbrt(np.linalg.det(linear)))
     rotation = polar_rotations(linear[None])[0]
     if not scale > 0 or np.abs(linear - scale * rotation).max() > max_shear * scale:
         raise FormatError(

@@ -13,8 +13,7 @@ def codes_of(values: Float32[np.ndarray, "G C"]) -> tuple[UInt8[np.ndarray, "G C
         book = np.concatenate([distinct, np.full(CODES - len(distinct), distinct[-1])])
     else:
         book = _fitted(np.sort(values, axis=None).astype(np.float64))
-    between = (book[1:] + book[:-1]) / 2
-    return np.searchsorted(between, values).astype(np.uint8), book
+    return np.searchsorted((book[1:] + book[:-1]) / 2, values).astype(np.uint8), book
 
 
 def _fitted(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " 256"]:

@@ -250,8 +250,7 @@ def _write_harmonics(cloud: GaussianCloud, files: dict[str, bytes]) -> dict[str,
 
 
 def _opaque(channels: Shaped[np.ndarray, "P 3"]) -> UInt8[np.ndarray, "P 4"]:
-    alpha = np.full((len(channels), 1), 255)
-    return np.concatenate([channels, alpha], axis=1).astype(np.uint8)
+    return np.concatenate([channels, np.full((len(channels), 1), 255)], axis=1).astype(np.uint8)
 
 
 def _width(count: int) -> int:
