@@ -50,7 +50,7 @@ FORMATS = ("motion", "glb", "glb-morph", "usd", "usd-skinned", "alembic", "vat",
 def test_a_vertex_has_one_place(client, tmp_path: Path) -> None:
     grown = make_sample(3, "sapling", wind=Wind(speed_m_s=5.5, direction_deg=40.0))
     spectrum = replace(voxel_spectrum(grown, 32)[1], fps=12.0, num_frames=5 * TIMES)  # the same loop, with few frames
-    require_one_place(client, grown.mesh, spectrum, tmp_path)
+    assert require_one_place(client, grown.mesh, spectrum, tmp_path) > 1e-3 * grown.mesh.height_m, "leaves flutter"
 
 
 @pytest.mark.slow
@@ -65,13 +65,12 @@ def test_a_vertex_has_one_place_in_every_kind_of_tree(kind, speed_m_s, client, t
     require_one_place(client, mesh, motion, tmp_path)
 
 
-def require_one_place(client, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, folder: Path) -> None:
-    """Within 0.01 % of the height, 1 mm of 10 m, at a thousand vertices and ten times; VAT to a step of half floats."""
+def require_one_place(client, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, folder: Path) -> float:
+    """Within 0.01 % of the height at a thousand vertices and ten times; return how far leaves flutter [m]."""
     vertices = np.random.default_rng(0).choice(mesh.num_vertices, min(1000, mesh.num_vertices), replace=False)
     expected, calm = (
         np.stack(list(method.move(spectrum, mesh, num_frames=TIMES, flutter=size)))[:, vertices] for size in (1.0, 0.0)
     )
-    assert np.linalg.norm(expected - calm, axis=2).max() > 1e-3 * mesh.height_m
     assert np.linalg.norm(expected, axis=2).max() > 0.005 * mesh.height_m
     spectrum_id, rig = served_id(client, mesh, spectrum, folder, new_id()), rig_of(mesh, spectrum)
     swaying = replace(rig, turns=rig.turns * (np.arange(rig.turns.shape[1]) > 0)[:, None].astype(np.float32))
@@ -95,6 +94,7 @@ def require_one_place(client, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum,
     for name, moved in places.items():
         apart = np.linalg.norm(moved - (calm if "morph" in name else expected), axis=2).max()
         assert apart < most.get(name, 1e-4 * height_m), f"{name}: {apart:.2g} m"
+    return float(np.linalg.norm(expected - calm, axis=2).max())
 
 
 def pushed(client: TestClient, spectrum_id: str, phase: float, num_modes: int) -> np.ndarray:
