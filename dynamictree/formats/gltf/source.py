@@ -6,7 +6,6 @@ skins and animations do not change.
 
 import base64
 import json
-import mimetypes
 from collections.abc import Mapping
 from typing import Any
 
@@ -97,8 +96,7 @@ def _embed_images(merged: GlbWriter, files: Mapping[int, bytes]) -> None:
             image["name"] = uri
         kinds = [kind for magic, kind in _IMAGE_MAGIC if content.startswith(magic)]
         kinds += ["image/webp"] if content[:4] == b"RIFF" and content[8:12] == b"WEBP" else []
-        stated = str(image.get("mimeType", "")) or mimetypes.guess_type(uri)[0]
-        image["mimeType"] = (kinds or [stated or "application/octet-stream"])[0]
+        image["mimeType"] = (kinds or [str(image.get("mimeType", "")) or "application/octet-stream"])[0]
         image["bufferView"] = merged.add_view(content)
 
 
