@@ -282,7 +282,8 @@ def weld(mesh: Surface) -> tuple[Surface, Int32[np.ndarray, " N"]]:
     """
     order = np.lexsort(mesh.vertices.T[::-1])
     places, vertex = mesh.vertices[order], np.zeros(mesh.num_vertices, np.int32)
-    first = np.append(True, (places[1:] != places[:-1]).any(axis=1))
+    first = np.ones(len(places), np.bool_)
+    first[1:] = (places[1:] != places[:-1]).any(axis=1)
     vertex[order] = np.cumsum(first) - 1
     return Surface(vertices=places[first], faces=vertex[mesh.faces]), vertex
 
