@@ -42,6 +42,16 @@ def test_only_ends_turn_and_only_above_the_spectrum(rig: Rig, spectrum: SparseVo
     assert (modes != flutter_modes(rig, replace(spectrum, seed=spectrum.seed + 1), 1.0)).any()
 
 
+def test_long_cards_and_ends_of_stems_turn_less_and_one_surface_not_at_all(rig, spectrum) -> None:
+    bones, modes = rig.skeleton, flutter_modes(rig, spectrum, 1.0)
+    few = replace(rig, skeleton=replace(bones, reach_m=bones.reach_m * 99))
+    assert 0 < np.abs(flutter_modes(few, spectrum, 1.0)).max() < 0.5 * np.abs(modes).max()
+    bent = replace(rig, vertices=replace(rig.vertices, shares=np.full_like(rig.vertices.shares, 0.5)))
+    np.testing.assert_allclose(flutter_modes(bent, spectrum, 1.0), 0.3 * modes, rtol=1e-5)
+    whole = replace(rig, skeleton=replace(bones, in_surface=np.ones(len(bones), np.bool_)))
+    assert not flutter_modes(whole, spectrum, 1.0).any()
+
+
 @pytest.mark.parametrize(
     ("change", "size"),
     [({"wind": Wind(speed_m_s=1.0, gust=0.1)}, 1.0), ({"foliage": 0.0}, 1.0), ({}, 0.0)],
@@ -53,9 +63,7 @@ def test_nothing_flutters_in_light_air_on_bare_trees_or_where_it_is_turned_off(
     assert not flutter_modes(rig, replace(spectrum, **change), size).any()
 
 
-def test_leaves_move_on_their_twigs_and_the_trunk_stands_as_before(
-    rig: Rig, spectrum: SparseVoxelSpectrum, sample: Sample
-) -> None:
+def test_leaves_move_on_their_twigs_and_the_trunk_stands_as_before(rig, spectrum, sample: Sample) -> None:
     moving = fluttering(rig, spectrum, 1.0)
     places = sample.mesh.vertices
     for phase in (0.0, 0.37):

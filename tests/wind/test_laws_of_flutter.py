@@ -1,7 +1,5 @@
 """Laws of flutter: when it sets in, how fast it is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from jaxtyping import Complex64
@@ -45,9 +43,6 @@ def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np
     )
     flutter = flutter_of(rig, spectrum)
     sizes = flutter.sizes(gust_speeds(Wind(speed_m_s=speed_m_s, gust=gust)))
-    assert not sizes[: -len(TWIG)].any()
-    long = flutter_of(replace(rig, skeleton=replace(skeleton, reach_m=4 * places)), spectrum)
-    np.testing.assert_allclose(long.share, flutter.share / 4, err_msg="a card of many leaves turns less")
     return (sizes[:, None, None] * flutter.modes(skeleton.directions, 1))[-len(TWIG) :]
 
 

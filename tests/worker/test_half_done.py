@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from celery.exceptions import SoftTimeLimitExceeded
@@ -110,10 +109,7 @@ def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, unread, tm
         assert path.read_bytes() == b"learned"
         done.append(job.id)
 
-    def remember(*args: Any, **options: Any) -> None:
-        time.sleep(0.3)
-        remember_intermediate(*args, **options)
-
+    remember = lambda *args, **options: (time.sleep(0.3), remember_intermediate(*args, **options))  # noqa: E731
     monkeypatch.setattr("worker.attempt.remember_intermediate", remember)
     monkeypatch.setattr("worker.half_done._POLL_S", 0.01)
     done: list[str] = []

@@ -17,7 +17,8 @@ export class Player {
     hand.onFling = (angle) => this.blow({ angle });
     this.onStart = () => {}; // a tree's motion begins
     this.playing = true;
-    this.phase = this.K = 0;
+    this.phase = 0;
+    this.K = 0; // bins of the tree's motion
     this.seconds = 0; // of endless wind
     this.gust = null;
     this.turbulent = null; // its table of cosines; null plays the loop
