@@ -75,14 +75,13 @@ def define_surface(stage: Any, root: str, mesh: TriangleMesh, folder: Path) -> N
     """Define the mesh at rest as `Surface` below `root`, its materials as `Looks`; write textures into the folder."""
     _define_mesh(stage, root, mesh)
     for number, material in enumerate(mesh.look.materials):
-        texture = None if material.texture_png is None else f"texture_{number}.png"
-        if material.texture_png is not None:
-            (folder / f"texture_{number}.png").write_bytes(material.texture_png)
-        _define_material(stage, _looks(root, number), material, texture)
+        _define_material(stage, _looks(root, mesh, number), material, folder / f"texture_{number}.png")
 
 
-def _looks(root: str, number: int) -> str:
-    return f"{root}/Looks/Material_{number}"
+def _looks(root: str, mesh: TriangleMesh, number: int) -> str:
+    from pxr import Tf
+
+    return f"{root}/Looks/{Tf.MakeValidIdentifier(mesh.look.materials[number].name or 'Material')}_{number}"
 
 
 def _define_mesh(stage: Any, root: str, mesh: TriangleMesh) -> None:
@@ -107,11 +106,11 @@ def _define_mesh(stage: Any, root: str, mesh: TriangleMesh) -> None:
     if not mesh.look.materials:
         return
     binding = UsdShade.MaterialBindingAPI.Apply(surface.GetPrim())
-    binding.Bind(UsdShade.Material.Define(stage, _looks(root, 0)))
+    binding.Bind(UsdShade.Material.Define(stage, _looks(root, mesh, 0)))
     for number in np.unique(mesh.material_of_face).tolist():
         chosen = np.flatnonzero(mesh.material_of_face == number).astype(np.int32)
         part = binding.CreateMaterialBindSubset(f"Part_{number}", Vt.IntArray.FromNumpy(chosen))
-        looks = UsdShade.Material.Define(stage, _looks(root, number))
+        looks = UsdShade.Material.Define(stage, _looks(root, mesh, number))
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(looks)
 
 
@@ -130,8 +129,8 @@ def set_points(stage: Any, path: str, mesh: TriangleMesh, frames: Iterable[Float
     return frame
 
 
-def _define_material(stage: Any, path: str, material: Material, texture: str | None) -> None:
-    """Define glTF's base colour as a UsdPreviewSurface."""
+def _define_material(stage: Any, path: str, material: Material, texture: Path) -> None:
+    """Define glTF's base colour as a UsdPreviewSurface; write its texture."""
     from pxr import Gf, Sdf, UsdShade
 
     looks = UsdShade.Material.Define(stage, path)
@@ -141,13 +140,14 @@ def _define_material(stage: Any, path: str, material: Material, texture: str | N
     preview.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     diffuse = preview.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     diffuse.Set(Gf.Vec3f(*material.base_color[:3]))
-    if texture is not None:
+    if material.texture_png is not None:
+        texture.write_bytes(material.texture_png)
         reader = UsdShade.Shader.Define(stage, f"{path}/Coordinates")
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
         image = UsdShade.Shader.Define(stage, f"{path}/Texture")
         image.CreateIdAttr("UsdUVTexture")
-        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(texture))
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(texture.name))
         image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
         image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*material.base_color))
         for side in ("wrapS", "wrapT"):
