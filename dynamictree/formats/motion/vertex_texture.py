@@ -1,6 +1,6 @@
 """A motion as a vertex animation texture, which engines play in the vertex shader, per instance.
 
-A ZIP of `tree.glb` (at rest; its last texture coordinates are the place of each vertex in the texture),
+A ZIP of `tree-rest.glb` (at rest; its last texture coordinates are the place of each vertex in the texture),
 `displacement.exr` (half floats), `vat.json` and, if requested, `normal.exr` in the same layout. A frame takes
 `rows_per_frame` rows of texels, frame 0 on top.
 
@@ -75,7 +75,7 @@ def vertex_texture_files(
     facts = {
         "format": "vertex-animation-texture",
         "version": VERSION,
-        "mesh": "tree.glb",
+        "mesh": "tree-rest.glb",
         "texture": "displacement.exr",
         "num_vertices": mesh.num_vertices,
         "width": layout.width,
@@ -98,7 +98,7 @@ def vertex_texture_files(
     row, column = np.divmod(np.arange(mesh.num_vertices), layout.width)  # the middle of each vertex's texel in frame 0
     lookup = np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.height], axis=1).astype(np.float32)
     rest = rest_glb(mesh, lookup)
-    return [("vat.json", [json.dumps(facts, indent=1).encode()]), ("tree.glb", [rest]), *files]
+    return [("vat.json", [json.dumps(facts, indent=1).encode()]), ("tree-rest.glb", [rest]), *files]
 
 
 def _texels(layout: TextureLayout, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> Float16[np.ndarray, "H W 3"]:
