@@ -8,6 +8,7 @@ With a second name, one frame is rendered there. Works with `tree.glb` and `tree
 import json
 import struct
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,9 @@ def main(path: Path, picture: Path | None) -> None:
     bpy.ops.import_scene.gltf(filepath=str(path))
     for curve in (curve for action in bpy.data.actions for curve in curves_of(action)):
         curve.modifiers.new("CYCLES")
-    meshes = [thing for thing in scene.objects if thing.type == "MESH"]
-    corners = [thing.matrix_world @ Vector(corner) for thing in meshes for corner in thing.bound_box]
+    corners = [
+        thing.matrix_world @ Vector(corner) for thing in meshes_seen(scene.objects) for corner in thing.bound_box
+    ]
     low, high = (tuple(pick(axis) for axis in zip(*corners, strict=True)) for pick in (min, max))
     place, aim = viewpoint(low, high)
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
@@ -61,10 +63,17 @@ def main(path: Path, picture: Path | None) -> None:
     scene.camera = camera
     scene.world = bpy.data.worlds.new("Sky")
     scene.world.color = SKY
+    if scene.world.node_tree:  # Blender 5 draws the colour of a node only
+        scene.world.node_tree.nodes["Background"].inputs[0].default_value = (*SKY, 1.0)
     if picture is not None:
         scene.frame_set(last // 2)
         scene.render.filepath = str(picture)
         bpy.ops.render.render(write_still=True)
+
+
+def meshes_seen(things: Iterable[Any]) -> list[Any]:
+    """Return the meshes in view, which the picture of a bone that Blender 5 puts at the origin is not."""
+    return [thing for thing in things if thing.type == "MESH" and thing.visible_get()]
 
 
 def curves_of(action: Any) -> list[Any]:

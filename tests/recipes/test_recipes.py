@@ -7,6 +7,7 @@ import subprocess
 from dataclasses import replace
 from itertools import combinations, pairwise, product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pygltflib
@@ -149,7 +150,9 @@ def test_blenders_timeline_shows_every_key_once(planted: pygltflib.GLTF2) -> Non
     assert blender_import.timeline(duration_s, num_keys) == (24, 99)
 
 
-def test_blenders_camera_sees_the_whole_tree() -> None:
+def test_blenders_camera_sees_the_whole_tree_and_no_mesh_out_of_view() -> None:
+    tree, bone = (SimpleNamespace(type="MESH", visible_get=lambda seen=seen: seen) for seen in (True, False))
+    assert blender_import.meshes_seen([tree, bone, SimpleNamespace(type="ARMATURE")]) == [tree]
     low, high = (-2.0, -3.0, 0.0), (2.0, 1.0, 10.0)
     place, aim = (np.array(point) for point in blender_import.viewpoint(low, high))
     corners = np.array(list(product(*zip(low, high, strict=True))))
@@ -168,7 +171,6 @@ import sys
 from pathlib import Path
 import bpy
 import numpy as np
-from dynamictree.spectrum import iter_motion
 from recipes import blender_import
 
 if sys.argv[3] == "plain":
@@ -176,6 +178,8 @@ if sys.argv[3] == "plain":
     bpy.ops.import_scene.gltf(filepath=sys.argv[1])
 else:
     blender_import.main(Path(sys.argv[1]), None)
+    sky = bpy.context.scene.world.node_tree.nodes["Background"].inputs[0].default_value
+    assert np.allclose(sky[:3], blender_import.SKY)
 (tree,) = [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]
 places = []
 for frame in map(int, sys.argv[4:]):
