@@ -1,7 +1,7 @@
 // The page's logic that needs no browser: states, sessions, which files belong together.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { readdirSync, readFileSync } from "node:fs";
 import { register } from "node:module";
 import { test } from "node:test";
 import { Client, Problem, patiently } from "../../web/client.js";
@@ -25,6 +25,7 @@ import { Session } from "../../web/page/session.js";
 import { StrokeList } from "../../web/page/stroke_list.js";
 import de from "../../web/texts/de.js";
 import en from "../../web/texts/en.js";
+import KITS from "../../web/texts/kits.js";
 
 // what is drawn imports three.js by its bare name, for which the page has an import map
 const three = new URL("../../web/vendor/three-0.187.0/", import.meta.url).href;
@@ -706,4 +707,16 @@ test("a tree of a folder keeps the folder's name when it is opened again", async
   await session.open("J1");
   delete globalThis.localStorage;
   assert.equal(machine.facts.name, "maple");
+});
+
+test("the README of a kit names its engine's files of the wind, and in it nothing that is not there", () => {
+  const wind = readdirSync(new URL("../../dynamictree/export/wind_shaders", import.meta.url));
+  for (const program of ["unity", "unreal", "godot"]) {
+    const named = KITS[program].readme("oak").match(/[\w-]+\.(glb|exr|gd|gdshader|hlsl|shader)\b/g);
+    const there = wind.filter((name) => name.startsWith(`wind-${program}`));
+    for (const name of ["tree.glb", "tree-bones.glb", ...there]) assert.ok(named.includes(name), `${program}: ${name}`);
+    const all = [...there, "tree.glb", "tree-bones.glb", "bones.exr"];
+    for (const name of named) assert.ok(all.includes(name), `${program}: ${name}`);
+    assert.doesNotMatch(KITS[program].readme("oak"), /README/);
+  }
 });

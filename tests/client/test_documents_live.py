@@ -88,8 +88,7 @@ def test_the_readmes_curl_lines_and_the_push_run(url: str, folder: Path) -> None
         assert job.result is not None
         run("sh", f"URL={url}/v1\n" + "\n".join(lines), folder, url)
         (push,) = re.findall(r"^```sh\n(curl .*?)^```$", (ROOT / "docs/interaction.md").read_text(), re.M | re.S)
-        tree = client.modes(job.result.spectrum_id)
-        assert tree
+        assert client.modes(job.result.spectrum_id)
         placed = push.replace("01…", str(job.result.spectrum_id)).replace('"point_m": [0.2, 0.0, 7.9]', '"voxel": 9')
         assert "01…" in push
         assert '"groups"' in run("sh", placed, folder, url)

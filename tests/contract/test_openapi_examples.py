@@ -66,8 +66,7 @@ def problems(response: dict[str, Any]) -> list[str]:
 
 def test_operation_ids_are_unique_and_every_union_is_resolved() -> None:
     assert len(OPERATIONS) == sum(len(item) for item in PAGE["paths"].values())
-    text = json.dumps(PAGE)
-    references = {part.split('"')[0] for part in text.split('"$ref": "')[1:]}
+    references = {part.split('"')[0] for part in json.dumps(PAGE).split('"$ref": "')[1:]}
     for reference in references:
         node: Any = PAGE
         for step in reference.removeprefix("#/").split("/"):

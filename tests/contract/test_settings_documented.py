@@ -7,8 +7,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "settings.md").read_text()
 
 
 def test_every_setting_is_documented_and_nothing_else() -> None:
-    documented = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
-    assert documented == list(Settings.model_fields)
+    assert re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE) == list(Settings.model_fields)
 
 
 def test_documented_numbers_are_the_defaults() -> None:

@@ -160,8 +160,7 @@ def test_textures_of_many_bits_and_of_engines_keep_their_brightness(
     library = b"newmtl leaf\nKd 1 1 1\nmap_Kd leaf.png\n"
     content = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 2 0\nvt 0 0\nusemtl leaf\nf 1/1 2/1 3/1\n"
     mesh = read(content, "obj", companions={"a.mtl": library, "leaf.png": stream.getvalue()})
-    texture = mesh.look.materials[0].texture_png
-    decoded = np.asarray(Image.open(io.BytesIO(texture)).convert("RGB"))
+    decoded = np.asarray(Image.open(io.BytesIO(mesh.look.materials[0].texture_png)).convert("RGB"))
     np.testing.assert_allclose(decoded, seen, atol=1)
 
 

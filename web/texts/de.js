@@ -198,7 +198,7 @@ export default {
   "kit.web": "Web",
   "kit.web.for": "ein Ordner für jeden Webserver; am Baum lässt sich ziehen",
   "kit.film": "Film",
-  "kit.film.for": "Alembic und USD, jeder Punkt in jedem Bild, und ein Video",
+  "kit.film.for": "Alembic oder USD mit jedem Bild, und ein Video",
   "files.title": "Einzelne Dateien und Formate",
   "file.mesh.ply": "Rekonstruiertes Mesh",
   "file.tree.spectrum.safetensors": "Bewegung als Frequenzen",

@@ -196,7 +196,7 @@ export default {
   "kit.web": "Web",
   "kit.web.for": "a folder for any web server; the tree can be pulled",
   "kit.film": "Film",
-  "kit.film.for": "Alembic and USD, every vertex in every frame, and a video",
+  "kit.film.for": "Alembic or USD with every frame, and a video",
   "files.title": "Single files and formats",
   "file.mesh.ply": "Reconstructed mesh",
   "file.tree.spectrum.safetensors": "Motion as frequencies",

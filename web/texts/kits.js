@@ -9,8 +9,8 @@ export default {
     readme: readme("for Blender 4 and 5", [
       "1. Set the frame rate to 24 (Output properties, Frame Rate): the loop then has whole frames.",
       "2. File > Import > glTF 2.0, choose tree.glb.",
-      "3. Press Space. The tree sways: bones move it, one for each twig and leaf.",
-      "4. To repeat it: Graph Editor, select all curves, Shift E, Make Cyclic.",
+      "3. Timeline: Start 0, End one before the last key, which repeats the first. Space: the tree sways.",
+      "4. To repeat it: skeleton, Pose Mode, A; then in the Graph Editor A, Shift E, Make Cyclic.",
       "5. Render with Eevee or Cycles as it is; materials and textures are those of your file.",
       "Of a splat: splat.ply.zip has one PLY a frame, for an add-on that reads splats.",
     ]),
@@ -20,10 +20,10 @@ export default {
     readme: readme("for Unity 2022 and later", [
       "1. Window > Package Manager > + > Add by name: com.unity.cloud.gltfast",
       "2. Put tree.glb into Assets, drag it into the scene.",
-      "3. Select the clip 'sway', tick Loop Time, and give it to an Animator.",
+      "3. Drag the clip 'sway' inside tree.glb onto it: it gets an Animator. The clip loops as imported.",
       "4. Press Play: joints move the tree, four a vertex, at the cost of any character.",
-      "For wind that never repeats and bends with its speed: tree.wind.zip.",
-      "Its own README says which texture goes where; the HLSL for a vertex stage lies beside it.",
+      "For wind that never repeats and bends with its speed: tree.wind.zip. Begin with the first lines of",
+      "wind-unity.shader, which computes the bones from bones.exr, and wind-unity.hlsl, which moves tree-bones.glb.",
     ]),
   },
   unreal: {
@@ -32,9 +32,9 @@ export default {
       "1. Import tree.glb (Interchange) as a skeletal mesh with its animation.",
       "2. Drag the animation sequence into the level, tick Looping.",
       "3. Press Play.",
-      "For foliage and wind that never repeats: tree.wind.zip.",
-      "Import its mesh as a static mesh with Use Full Precision UVs, its textures as HDR without mips and without sRGB.",
-      "The HLSL for World Position Offset lies beside them.",
+      "For foliage and wind that never repeats: tree.wind.zip. Import tree-bones.glb as a static mesh with Use Full",
+      "Precision UVs, bones.exr as HDR (RGBA16F), Nearest, no mips, no sRGB. Begin with the first lines of",
+      "wind-unreal-poses.hlsl, which computes the bones, and wind-unreal.hlsl, for World Position Offset.",
     ]),
   },
   godot: {
@@ -44,7 +44,8 @@ export default {
       "2. Double-click it, choose the animation 'sway', set Loop Mode to Linear, Reimport.",
       "3. Drag it into a scene and press Play in its AnimationPlayer.",
       "For wind that never repeats and bends with its speed: unpack tree.wind.zip into the project.",
-      "Give its script to the node of its mesh; the two shaders that it uses lie beside it.",
+      "Begin with the first lines of wind-godot.gd, the script of a SubViewport that draws wind-godot-poses.gdshader,",
+      "and of wind-godot.gdshader, for the materials of tree-bones.glb.",
     ]),
   },
   web: {
@@ -65,9 +66,8 @@ export default {
     readme: readme("for film and effects", [
       "tree.abc (Alembic): every vertex in every frame. Houdini: Alembic SOP. Maya: Cache > Alembic Cache > Import.",
       "tree.usdz (USD): the same with materials and textures. Houdini Solaris: Sublayer LOP. Omniverse, usdview: open it.",
-      "Of a splat, tree-splat.usdz has a Gaussian splat with a time sample a frame.",
-      "preview.mp4 shows how it should look.",
-      "Units are metres; 24 frames a second; the loop closes: after the last frame comes the first.",
+      "Of a splat, tree-splat.usdz has a Gaussian splat with a time sample a frame. preview.mp4 shows how it looks.",
+      "Metres, +Y up in tree.abc, +Z up in USD; 24 frames a second; after the last frame comes the first.",
     ]),
   },
 };
