@@ -71,8 +71,7 @@ def _store(
     owned: Owned, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
 ) -> JobPayload:
     most = owned.caller.limits.get("active_jobs")
-    stored = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)[0]
-    return _answer(owned, stored, response)
+    return _answer(owned, owned.store.add_job(job, stages=stages, client_key=key, max_active=most)[0], response)
 
 
 def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
@@ -129,13 +128,13 @@ def _require_destination(owned: Owned, wanted: str) -> None:
 
 
 def _require_photos(body: JobRequest, asset: AssetRecord) -> None:
-    """Refuse options of photos and films for other assets; `height_m` is allowed for every asset."""
-    names = body.params.model_fields_set & (PhotoParams.model_fields.keys() - {"height_m"})
+    """Refuse options of photos and films for other assets, whose size is the upload's."""
+    names = body.params.model_fields_set & PhotoParams.model_fields.keys()
     chosen = sorted(name for name in names if getattr(body.params, name) != PhotoParams.model_fields[name].default)
     if chosen and asset.kind != "photos":
         detail = (
             f"asset {asset.id} is of kind {asset.kind}; {chosen[0]} is allowed with photos or a film only; "
-            "choose the parts of a mesh or cloud that move by box_m, still, moving or tree"
+            "choose the parts of a mesh or cloud that move by box_m, still, moving or tree, its size when you upload it"
         )
         raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
 
@@ -186,8 +185,7 @@ def _period_s(params: AnimateParams) -> float | None:
 
 
 def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
-    named = params.chosen_formats(cloud=asset.kind == "cloud")
-    return tuple(dict.fromkeys((*named, "png")))
+    return tuple(dict.fromkeys((*params.chosen_formats(cloud=asset.kind == "cloud"), "png")))
 
 
 def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:

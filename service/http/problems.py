@@ -57,7 +57,7 @@ KINDS: dict[str, Kind] = {
     "upload-offset-conflict": Kind(409, "The upload stands elsewhere", "Ask where with HEAD, and go on from there."),
     "precondition-failed": Kind(412, "The protocol is another one", "Speak tus 1.0.0."),
     "checksum-mismatch": Kind(460, "The bytes are not those of the checksum", "Send them again.", retryable=True),
-    "fetch-failed": Kind(422, "The address could not be fetched", "Check it, or upload the file itself."),
+    "fetch-failed": Kind(422, "The address could not be fetched", "Use a public https address, or upload."),
     "quota-exceeded": Kind(429, "Too much is stored", "Delete uploads, or wait until products expire."),
     "too-many-active-jobs": Kind(429, "Too many of your jobs run", "Wait for one to end.", retryable=True),
     "rate-limited": Kind(429, "Too many requests", "Wait as Retry-After says.", retryable=True),

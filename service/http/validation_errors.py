@@ -64,6 +64,8 @@ def _detail(error: Mapping[str, Any]) -> str:
             return "there is no such field; /openapi.json tells those that there are"
         case "union_tag_invalid":
             return f"{_truncated(more['tag'])} was sent; {more['expected_tags']} are allowed"
+        case "dataclass_type":
+            message = "Input should be an object"
         case "value_error":
             return message.removeprefix("Value error, ")
         case "model_attributes_type" if isinstance(given, bytes | str):

@@ -123,6 +123,11 @@ def test_a_wrong_method_is_answered_with_every_allowed_one(client: TestClient, p
         ),
         ({"type": "diffuse", "asset_id": "a", "a/b": 1}, "/a~1b", "there is no such field"),
         ({"type": "diffuse", "asset_id": ["a"]}, "/asset_id", "Input should be a valid string"),
+        (
+            {"type": "diffuse", "asset_id": "a", "params": {"wind": "strong"}},
+            "/params/wind",
+            "Input should be an object; 'strong' was sent",
+        ),
         ("{", "", "this is no JSON: Expecting property name enclosed in double quotes at character 1"),
     ],
 )

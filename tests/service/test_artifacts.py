@@ -26,8 +26,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 def url(client: TestClient, asset: AssetRecord, services: Services) -> str:
     job = create(client, asset)
     publish(services, hold(services, str(job["id"])), "voxelize", "tree.voxels.safetensors", CONTENT)
-    manifest = client.get(f"/v1/jobs/{job['id']}/artifacts").json()
-    return str(manifest["artifacts"][0]["url"])
+    return str(client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"][0]["url"])
 
 
 def test_the_whole_file_comes_with_its_hash(client: TestClient, url: str) -> None:

@@ -30,8 +30,7 @@ MTL = b"newmtl bark\nKd 0.5 0.25 0.1\n"
 
 
 def send(client: TestClient, *files: tuple[str, bytes], **fields: str) -> object:
-    parts = [("file", (name, content)) for name, content in files]
-    return client.post("/v1/assets", files=parts, data=fields)
+    return client.post("/v1/assets", files=[("file", (name, content)) for name, content in files], data=fields)
 
 
 def raw(client: TestClient, body: bytes) -> object:

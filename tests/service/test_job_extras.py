@@ -106,6 +106,7 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     for url in (*inside, "nonsense"):
         refused = client.post("/v1/webhook-endpoints", json={"url": url})
         assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed"), url
+        assert refused.json()["suggestion"].startswith("Use a public https address")
     response = client.post("/v1/webhook-endpoints", json={"url": "http://127.0.0.1:9/hook", "events": ["job.failed"]})
     assert response.status_code == 201
     assert response.json()["secret"].startswith("whsec_")
@@ -202,8 +203,7 @@ def test_a_client_names_its_jobs_and_finds_them_again(client: TestClient, asset:
     assert {name: job[name] for name in labels} == labels
     for query in ("external_id=tree-7", f"asset_id={asset.id}&type=voxelize", "state=queued&external_id=tree-7"):
         assert [one["id"] for one in client.get(f"/v1/jobs?{query}").json()["data"]] == [job["id"]], query
-    later = {"since": "2100-01-01T00:00:00Z"}
-    assert client.get("/v1/jobs", params=later).json()["data"] == []
+    assert client.get("/v1/jobs", params={"since": "2100-01-01T00:00:00Z"}).json()["data"] == []
     assert len(client.get("/v1/jobs", params={"since": job["created_at"]}).json()["data"]) == 2
     many = {f"k{number}": "v" for number in range(17)}
     body = {"type": "voxelize", "asset_id": asset.id, "metadata": many}

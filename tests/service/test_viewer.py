@@ -158,8 +158,7 @@ def test_no_module_of_the_page_is_longer_than_a_reader_takes() -> None:
 def test_every_language_has_every_text() -> None:
     keys = {}
     for name in ("en", "de"):
-        content = (WEB / f"texts/{name}.js").read_text()
-        keys[name] = set(re.findall(r'^  "([^"]+)":', content, re.MULTILINE))
+        keys[name] = set(re.findall(r'^  "([^"]+)":', (WEB / f"texts/{name}.js").read_text(), re.MULTILINE))
     assert keys["en"] == keys["de"]
     used = set(re.findall(r'data-(?:text|label)="([^"]+)"', (WEB / "index.html").read_text()))
     for path in WEB.rglob("page/*.js"):
