@@ -19,6 +19,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from lab.dataset.sample import make_sample
 from tests.browser.conftest import Open, changed, pixels
+from tests.formats.meshes import written
 
 GREEN = (0.07, 0.12, 0.05, 1.0)
 """Linear."""
@@ -30,10 +31,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     mesh, folder = make_sample(3, "sapling").mesh, tmp_path_factory.mktemp("dropped")
     paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply", "xyz", "las", "laz")}
     paths["splat"] = folder / "splat.ply"
-    with paths["glb"].open("wb") as stream:
-        write_glb(mesh, stream)
-    with paths["ply"].open("wb") as stream:
-        write_ply(mesh, stream)
+    paths["glb"].write_bytes(written(write_glb, mesh))
+    paths["ply"].write_bytes(written(write_ply, mesh))
     bare = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     bare.export(paths["stl"])
     bare.vertices = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]  # +Y up, as OBJ is
@@ -54,8 +53,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         opacity=np.full(3000, 0.99, np.float32),
         sh=np.zeros((3000, 1, 3), np.float32),
     )
-    with paths["splat"].open("wb") as stream:
-        write_gaussian_ply(cloud, stream)
+    paths["splat"].write_bytes(written(write_gaussian_ply, cloud))
     return paths
 
 
@@ -105,8 +103,7 @@ RARE_SHADOWS = """async () => {
 def test_a_splat_stands_as_its_file_says(view, url, files, tmp_path, up_axis) -> None:
     lying = read_gaussian_ply(io.BytesIO(files["splat"].read_bytes()))
     tall = replace(lying, means=lying.means[:, [0, 2, 1]], source=replace(lying.source, up_axis=up_axis))
-    with (tmp_path / "tall.ply").open("wb") as stream:
-        write_gaussian_ply(tall, stream)
+    (tmp_path / "tall.ply").write_bytes(written(write_gaussian_ply, tall))
     viewer = view(640, 480)
     viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
     viewer.open(url)
@@ -133,8 +130,7 @@ def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tm
     with (tmp_path / "ball.obj").open("wb") as stream:
         [library] = write_obj(mesh, stream, library="ball.mtl").values()
     (tmp_path / "ball.mtl").write_bytes(library + b"Ks 0.5 0.5 0.5\nNs 96\n")  # as Blender writes
-    with (tmp_path / "ball.glb").open("wb") as stream:
-        write_glb(mesh, stream)
+    (tmp_path / "ball.glb").write_bytes(written(write_glb, mesh))
     for texture in ("bark.png", "leaf.png"):
         Image.new("RGB", (8, 8)).save(tmp_path / texture)
     seen = []
@@ -171,8 +167,7 @@ def test_the_whole_person_is_seen_beside_a_wide_tree_and_a_plant_of_one_metre(
     file, note = samples / "mesh/tree-lime.glb", "the person is"
     if kind == "small":
         file, note, mesh = tmp_path / "small.glb", "1.0 m high", make_sample(3, "sapling").mesh
-        with file.open("wb") as stream:
-            write_glb(mesh.with_vertices(mesh.vertices / mesh.height_m), stream)
+        file.write_bytes(written(write_glb, mesh.with_vertices(mesh.vertices / mesh.height_m)))
     page = (viewer := view(width, height)).page
     page.route("**/v1/assets", lambda route: None)  # it waits for ever
     viewer.open(url)

@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 from dynamictree.formats.gltf.writer import write_glb
 from lab.dataset.sample import make_sample
 from tests.browser.conftest import PICTURES, Open, Viewer, animated, picture_of, press
+from tests.formats.meshes import written
 
 GROWN = {"sapling": 3, "maple": 4, "weeping": 6, "conical-conifer": 5, "palm": 12, "pine": 11}
 REAL = {
@@ -147,8 +148,7 @@ def file_of(name: str, folder: Path, samples: Path) -> Path:
     if name in REAL:
         return samples / REAL[name]
     path = folder / f"{name}.glb"
-    with path.open("wb") as stream:
-        write_glb(make_sample(GROWN[name], name).mesh, stream)
+    path.write_bytes(written(write_glb, make_sample(GROWN[name], name).mesh))
     return path
 
 

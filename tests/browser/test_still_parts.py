@@ -14,6 +14,7 @@ from dynamictree.mesh import Material
 from lab.dataset.sample import make_sample
 from tests.browser.conftest import Open, Viewer, changed, job_of, picture_of, scrub
 from tests.devoxelize.test_interpolation import merged, tube
+from tests.formats.meshes import written
 
 POT_M = 0.5
 TERRACOTTA = (0.62, 0.17, 0.06)
@@ -73,8 +74,7 @@ def potted(tmp_path_factory: pytest.TempPathFactory) -> Path:
         mesh, look=replace(mesh.look, materials=(green, pot), face_material=owner[mesh.faces[:, 0]].astype(np.int32))
     )
     path = tmp_path_factory.mktemp("pots") / "potted.glb"
-    with path.open("wb") as stream:
-        write_glb(mesh, stream)
+    path.write_bytes(written(write_glb, mesh))
     return path
 
 
@@ -95,8 +95,7 @@ def splat(tmp_path_factory: pytest.TempPathFactory) -> Path:
         sh=((colour - 0.5) / np.float32(SH_0))[:, None],
     )
     path = tmp_path_factory.mktemp("splats") / "pillar.ply"
-    with path.open("wb") as stream:
-        write_gaussian_ply(cloud, stream)
+    path.write_bytes(written(write_gaussian_ply, cloud))
     return path
 
 

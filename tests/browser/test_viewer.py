@@ -14,6 +14,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.clients.keys import create_key
 from jobs.store import Store
 from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, animated, changed, pixels, scrub, steady
+from tests.formats.meshes import written
 from tests.servers import api
 
 AHEAD_RAD, LEVEL, KEY_RAD = np.arctan2(1, 0.38), np.hypot(1, 0.38) / np.linalg.norm([1, 0.38, 0.2]), 0.12
@@ -195,8 +196,7 @@ def two_faced(tmp_path_factory: pytest.TempPathFactory) -> Path:
         sh=sh,
     )
     path = tmp_path_factory.mktemp("splats") / "pillar.ply"
-    with path.open("wb") as stream:
-        write_gaussian_ply(cloud, stream)
+    path.write_bytes(written(write_gaussian_ply, cloud))
     return path
 
 

@@ -14,10 +14,9 @@ from pxr import Usd, UsdGeom, UsdVol
 from dynamictree import method
 from dynamictree.commands.input_files import load_capture
 from dynamictree.errors import FormatError, InputError
+from dynamictree.export.pictures import SplatScene
 from dynamictree.export.size import min_sequence_bytes
-from dynamictree.export.splat_scene import SplatScene
-from dynamictree.export.stored_rig import Recall
-from dynamictree.export.write import write_products
+from dynamictree.export.write import Recall, write_products
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.splat import write_splat

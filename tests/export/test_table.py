@@ -13,9 +13,8 @@ from safetensors.numpy import load_file
 
 from dynamictree.errors import InputError
 from dynamictree.export.size import min_sequence_bytes
-from dynamictree.export.stored_rig import Recall
 from dynamictree.export.table import PRODUCTS, available_products
-from dynamictree.export.write import RIG_SHARE, write_products
+from dynamictree.export.write import RIG_SHARE, Recall, write_products
 from dynamictree.mesh import Material, MeshLook
 from dynamictree.plant.capture import Capture
 from dynamictree.requests import TURBULENT_FRAMES, ExportParams, Format, Shot

@@ -1,6 +1,5 @@
 """glTF documents as artists' tools write them, and what is in a document, with each index replaced by its content."""
 
-import io
 import json
 from typing import Any
 
@@ -8,7 +7,7 @@ import DracoPy
 import numpy as np
 from PIL import Image
 
-from tests.formats.meshes import gltf_bytes
+from tests.formats.meshes import gltf_bytes, written
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -38,9 +37,7 @@ class Artist:
         return self.add("accessors", entry | {"bufferView": self.view(values.tobytes())} | more)
 
     def image(self, kind: str = "PNG", **more: object) -> int:
-        stream = io.BytesIO()
-        Image.fromarray(self.rng.integers(0, 255, (8, 8, 3), np.uint8)).save(stream, kind)
-        view = self.view(stream.getvalue())
+        view = self.view(written(Image.fromarray(self.rng.integers(0, 255, (8, 8, 3), np.uint8)).save, format=kind))
         return self.add("images", {"bufferView": view, "mimeType": f"image/{kind.lower()}"} | more)
 
     def texture(self, kind: str = "PNG") -> int:

@@ -23,15 +23,11 @@ def written(write: Callable[..., object], *what: object, **options: object) -> b
 
 
 def image_bytes(kind: str = "PNG", mode: str = "RGB", size: tuple[int, int] = (4, 4)) -> bytes:
-    stream = io.BytesIO()
-    Image.new(mode, size).save(stream, kind)
-    return stream.getvalue()
+    return written(Image.new(mode, size).save, format=kind)
 
 
 def png_of(pixels: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "PNG")
-    return stream.getvalue()
+    return written(Image.fromarray(pixels).save, format="PNG")
 
 
 def trunk_and_crown(rng: np.random.Generator, *, num_sides: int = 8) -> TriangleMesh:

@@ -5,6 +5,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,12 @@ from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.sog import write_sog
 from tests.formats.ksplat_bytes import ksplat_bytes
-from tests.formats.meshes import zipped
+from tests.formats.meshes import written, zipped
 from tests.formats.test_cloud_round_trips import make_cloud
 
 Files = dict[str, bytes]
 Meta = dict[str, Any]
+packed = partial(zipped, kind=zipfile.ZIP_STORED)
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +36,8 @@ def files() -> Files:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def packed(files: Files, kind: int = zipfile.ZIP_STORED) -> bytes:
-    return zipped(files, kind)
-
-
 def picture(width: int, height: int, alpha: int = 255) -> bytes:
-    stream = io.BytesIO()
-    Image.new("RGBA", (width, height), (9, 0, 0, alpha)).save(stream, "WEBP", lossless=True)
-    return stream.getvalue()
+    return written(Image.new("RGBA", (width, height), (9, 0, 0, alpha)).save, format="WEBP", lossless=True)
 
 
 def put(name: str, **values: object) -> Callable[[Meta], None]:
@@ -93,7 +89,7 @@ def test_a_sog_archive_has_bounds(files: Files) -> None:
     refused(packed(files)[:-40], "no ZIP archive")
     refused(packed({"a.txt": b""}), "JSON of the meta.json cannot be read")
     refused(packed(files | {f"{n}.txt": b"" for n in range(64)}), "at most 64 files")
-    refused(packed(files | {"zeros": bytes(30 << 20)}, zipfile.ZIP_DEFLATED), "100:1 is allowed")
+    refused(zipped(files | {"zeros": bytes(30 << 20)}), "100:1 is allowed")
     refused(packed(files | {"meta.json": b" " * (2 << 20)}), "larger than the 1,048,576 bytes")
     refused(packed(files | {"quats.webp": picture(300, 300)}), "300 x 300 pixels")
     refused(packed(files | {"quats.webp": files["quats.webp"][:60]}), "is damaged")

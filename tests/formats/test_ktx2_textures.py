@@ -10,7 +10,7 @@ from PIL import Image
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import KTX2_MAGIC
-from dynamictree.formats.gltf import ktx2, material
+from dynamictree.formats.gltf import material
 from tests.formats.test_companions import read, textured
 
 ETC1S = base64.b64decode(
@@ -52,10 +52,10 @@ def test_without_the_transcoder_a_texture_is_left_out_with_a_warning(monkeypatch
 @pytest.mark.parametrize("content", [KTX2_MAGIC, KTX2_MAGIC + bytes(100), ETC1S[:200], UASTC[:-40]])
 def test_a_damaged_texture_is_an_error_with_its_name(content: bytes) -> None:
     with pytest.raises(FormatError, match=r"texture 'bark\.ktx2' cannot be transcoded"):
-        ktx2.ktx2_as_png(content, "bark.ktx2")
+        material.ktx2_as_png(content, "bark.ktx2")
 
 
 def test_a_texture_of_too_many_pixels_is_refused_before_it_is_transcoded() -> None:
     vast = ETC1S[:20] + struct.pack("<II", 100_000, 100_000) + ETC1S[28:]
     with pytest.raises(FormatError, match="100000 x 100000 pixels"):
-        ktx2.ktx2_as_png(vast, "bark.ktx2")
+        material.ktx2_as_png(vast, "bark.ktx2")

@@ -17,6 +17,7 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
 from tests.formats.ksplat_bytes import ksplat_bytes
+from tests.formats.meshes import written
 from tests.formats.test_cloud_round_trips import covariances, make_cloud
 
 TOOL = Path(__file__).parents[2] / ".cache" / "js-tools" / "node_modules" / ".bin" / "splat-transform"
@@ -104,19 +105,16 @@ def assert_alike(read: GaussianCloud, cloud: GaussianCloud, tolerance: float) ->
 @pytest.mark.parametrize(("ending", "tolerance"), [("ply", 1e-5), ("compressed.ply", 0.02)])
 def test_splat_transform_reads_our_ply(transform: Path, tmp_path, rng, ending: str, tolerance: float) -> None:
     cloud = make_cloud(rng, degree=3)
-    with (tmp_path / "ours.ply").open("wb") as stream:
-        write_gaussian_ply(cloud, stream)
+    (tmp_path / "ours.ply").write_bytes(written(write_gaussian_ply, cloud))
     assert_alike(through(transform, tmp_path / "ours.ply", tmp_path / f"theirs.{ending}"), cloud, tolerance)
 
 
 @pytest.mark.slow
 def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path, rng) -> None:
     cloud = make_cloud(rng, degree=0)
-    with (tmp_path / "ours.splat").open("wb") as stream:
-        write_splat(cloud, stream)
+    (tmp_path / "ours.splat").write_bytes(written(write_splat, cloud))
     assert_alike(through(transform, tmp_path / "ours.splat", tmp_path / "of-splat.ply"), cloud, 0.02)
-    with (tmp_path / "ours.spz").open("wb") as stream:
-        write_spz(cloud, stream)
+    (tmp_path / "ours.spz").write_bytes(written(write_spz, cloud))
     through(transform, tmp_path / "ours.spz", tmp_path / "theirs.spz")
     with (tmp_path / "ours.spz").open("rb") as ours, (tmp_path / "theirs.spz").open("rb") as theirs:
         assert_alike(read_cloud(theirs, file_type="spz"), read_cloud(ours, file_type="spz"), 0.02)
@@ -126,13 +124,11 @@ def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path, rng)
 @pytest.mark.parametrize("degree", [0, 1])
 def test_splat_transform_and_we_read_each_others_sog(transform: Path, tmp_path, rng, degree: int) -> None:
     cloud = make_cloud(rng, degree=degree)
-    with (tmp_path / "ours.sog").open("wb") as stream:
-        write_sog(cloud, stream)
+    (tmp_path / "ours.sog").write_bytes(written(write_sog, cloud))
     of_ours = through(transform, tmp_path / "ours.sog", tmp_path / "of-ours.ply")
     assert_alike(of_ours, cloud, 0.02)
     np.testing.assert_allclose(sorted_like(of_ours, cloud).sh, cloud.sh, atol=0.03)
-    with (tmp_path / "ours.ply").open("wb") as stream:
-        write_gaussian_ply(cloud, stream)
+    (tmp_path / "ours.ply").write_bytes(written(write_gaussian_ply, cloud))
     theirs = through(transform, tmp_path / "ours.ply", tmp_path / "theirs.sog")
     assert_alike(theirs, cloud, 0.03)
     np.testing.assert_allclose(sorted_like(theirs, cloud).sh[:, 0], cloud.sh[:, 0], atol=0.03)

@@ -1,21 +1,12 @@
 """Files of formats that are not read are refused with what to do."""
 
-import io
-import zipfile
-
 import pytest
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.mesh_file import sniff_file_type
+from tests.formats.meshes import zipped
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 12\n"
-
-
-def usdz() -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        archive.writestr("tree.usdc", b"PXR-USDC")
-    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -25,7 +16,7 @@ def usdz() -> bytes:
         ("tree", b"; FBX 7.4.0 project file\n", "FBX files .* Blender"),
         ("tree.blend", b"BLENDER-v405", "Blender .* glTF 2.0"),
         ("compressed.blend", b"\x28\xb5\x2f\xfd\x01", r"\.blend files .* glTF 2.0"),
-        ("tree.usdz", usdz(), r"\.usdz files .* glTF 2.0"),
+        ("tree.usdz", zipped({"tree.usdc": b"PXR-USDC"}), r"\.usdz files .* glTF 2.0"),
         ("tree.spm", b"SPM\1\1\1", "export it as glTF"),
         ("scan.e57", b"ASTM-E57\0\0", "CloudCompare"),
         ("scan.ptx", b"100\n200\n0 0 0\n1 0 0\n", "CloudCompare"),

@@ -114,8 +114,7 @@ console.log(JSON.stringify(splat.at(0.31), (_, value) => (ArrayBuffer.isView(val
 
 def test_the_player_for_other_engines_shows_the_same_pose(splat: AnimatedSplat, tmp_path) -> None:
     path = tmp_path / "tree.animated-splat.safetensors"
-    with path.open("wb") as stream:
-        write_animated_splat(splat, stream)
+    path.write_bytes(written(write_animated_splat, splat))
     again = animated_splat(path.read_bytes())
     code = PLAYER.replace("REFERENCE", REFERENCE.as_uri())
     played = json.loads(subprocess.check_output(["node", "--input-type=module", "-e", code, str(path)], text=True))

@@ -15,7 +15,7 @@ from PIL import Image
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.reconstruct.input_cameras import find_input_cameras
 from dynamictree.render.appearance import appearance_of
-from tests.formats.meshes import gltf_bytes, triangle_gltf, zipped
+from tests.formats.meshes import gltf_bytes, triangle_gltf, written, zipped
 from tests.fuzz.readers import READERS
 
 MOST_MIB = 400
@@ -121,9 +121,7 @@ def zip_of_cameras() -> bytes:
     """The same as an upload, beside photos."""
     files = {"transforms.json": cameras_of_nothing()}
     for number in range(8):
-        picture = io.BytesIO()
-        Image.effect_noise((640, 480), 60).save(picture, "JPEG", quality=95)
-        files[f"{number}.jpg"] = picture.getvalue()
+        files[f"{number}.jpg"] = written(Image.effect_noise((640, 480), 60).save, format="JPEG", quality=95)
     return zipped(files)
 
 

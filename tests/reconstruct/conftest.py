@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from scipy.ndimage import zoom
 from dynamictree.mesh import Material, MeshLook, TriangleMesh, join_meshes
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Camera, Renderer, RenderSettings
+from tests.formats.meshes import written
 
 WIDTH, HEIGHT = 400, 300
 POT_M = 0.55
@@ -45,9 +45,7 @@ def patterned_png(rng: np.random.Generator, tint: tuple[int, int, int], side: in
     """Noise of several scales, so that a picture has corners near and far."""
     noise = sum(zoom(rng.normal(size=(side // cell, side // cell)), cell, order=1) for cell in (4, 8, 16, 64))
     grey = np.clip(0.55 + 0.13 * noise, 0.05, 1)[..., None]
-    stream = BytesIO()
-    Image.fromarray((grey * tint).astype(np.uint8)).save(stream, format="PNG")
-    return stream.getvalue()
+    return written(Image.fromarray((grey * tint).astype(np.uint8)).save, format="PNG")
 
 
 def textured(points: np.ndarray, faces: np.ndarray, uv: np.ndarray, png: bytes) -> TriangleMesh:

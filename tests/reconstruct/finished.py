@@ -15,6 +15,7 @@ from dynamictree.reconstruct.photo_previews import write_photo_previews
 from dynamictree.reconstruct.views import View
 from dynamictree.render.camera import Camera
 from tests.clouds import cloud_at
+from tests.formats.meshes import written
 
 BOX = ((-0.3, -0.3, 0.2), (0.3, 0.3, 1.5))
 NUM_STEM, NUM_FLOOR, NUM_LAMP = 200, 300, 100
@@ -37,8 +38,7 @@ def write_finished(folder: Path) -> None:
     floor, floor_faces = tube(1.0, 0.0, 0.05)
     vertices = np.concatenate([stem, floor]).astype(np.float32)
     faces = np.concatenate([stem_faces, floor_faces + len(stem)]).astype(np.int32)
-    with (folder / "mesh.ply").open("wb") as stream:
-        write_ply(TriangleMesh(vertices=vertices, faces=faces), stream)
+    (folder / "mesh.ply").write_bytes(written(write_ply, TriangleMesh(vertices=vertices, faces=faces)))
     means = np.concatenate(
         [
             np.stack([0 * np.arange(NUM_STEM), 0 * np.arange(NUM_STEM), np.linspace(0.3, 1.3, NUM_STEM)], axis=1),
@@ -47,8 +47,7 @@ def write_finished(folder: Path) -> None:
         ]
     ).astype(np.float32)
     scene = cloud_at(means, sh=rng.normal(size=(len(means), 1, 3)))
-    with (folder / "scene.ply").open("wb") as stream:
-        write_gaussian_ply(scene, stream)
+    (folder / "scene.ply").write_bytes(written(write_gaussian_ply, scene))
     write_photos(folder, scene, [PhotoCamera(photo="a.jpg", camera=CAMERA, width=160, height=120)])
     report = {"scale": "unknown", "radius_m": 2.0, "num_photos": 1, "held_out": ["a.jpg"], "warnings": []}
     (folder / "report.json").write_text(json.dumps(report | {"mesh_by": "stereo"}))

@@ -16,6 +16,7 @@ from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.photo_cameras import PhotoCamera
 from dynamictree.render.camera import Camera
+from tests.formats.meshes import written
 from tests.plant.test_still_gaussians import plant, pot, splat_of
 from tests.reconstruct.finished import write_photos
 
@@ -179,10 +180,8 @@ def write_planted(planted: Planted, folder: Path) -> None:
     folder.mkdir()
     narrow = planted.scene.subset(np.isin(planted.owner, (0, 2)))
     mesh = mesh_of_cloud(narrow, cells_along=100)
-    with (folder / "mesh.ply").open("wb") as stream:
-        write_ply(mesh, stream)
-    with (folder / "scene.ply").open("wb") as stream:
-        write_gaussian_ply(planted.scene, stream)
+    (folder / "mesh.ply").write_bytes(written(write_ply, mesh))
+    (folder / "scene.ply").write_bytes(written(write_gaussian_ply, planted.scene))
     write_photos(folder, planted.scene, list(planted.views))
     radius_m = float(np.ptp(planted.scene.means[planted.plant], axis=0).max())
     held_out = [planted.views[4].photo, planted.views[11].photo]

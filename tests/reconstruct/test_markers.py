@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from io import BytesIO
 
 import numpy as np
 import pycolmap
@@ -20,6 +19,7 @@ from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Camera, Renderer, RenderSettings
 from recipes.marker_sheet import SHEET, marker_cells, sheet_svg
+from tests.formats.meshes import written
 from tests.reconstruct.conftest import SQUARE, sparse_model, stump_and_ground, textured
 from tests.reconstruct.finished import write_finished
 
@@ -30,9 +30,7 @@ PX_PER_CELL = 24
 
 def marker_png(number: int) -> bytes:
     cells = np.kron(marker_cells(number), np.ones((PX_PER_CELL, PX_PER_CELL), np.bool_))
-    stream = BytesIO()
-    Image.fromarray(np.where(cells, 245, 12).astype(np.uint8)).convert("RGB").save(stream, format="PNG")
-    return stream.getvalue()
+    return written(Image.fromarray(np.where(cells, 245, 12).astype(np.uint8)).convert("RGB").save, format="PNG")
 
 
 def with_marker(enlarged: float) -> TriangleMesh:

@@ -17,7 +17,7 @@ import sqlalchemy as sa
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, MeshError
-from dynamictree.export import stored_rig
+from dynamictree.export import write
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.requests import AnimateParams, VoxelizeParams
@@ -114,8 +114,8 @@ def test_the_next_attempt_goes_on_where_the_last_one_was(runtime: Runtime, asset
 
 def test_another_format_does_not_compute_the_motion_again(runtime, asset, tmp_path, monkeypatch) -> None:
     computed = []
-    whole = stored_rig.rig_of
-    monkeypatch.setattr(stored_rig, "rig_of", lambda *given: computed.append(given) or whole(*given))
+    whole = write.rig_of
+    monkeypatch.setattr(write, "rig_of", lambda *given: computed.append(given) or whole(*given))
     contents = {}
     for number, formats in enumerate((["ply"], ["motion"], ["ply", "motion"])):
         folder = tmp_path / str(number)

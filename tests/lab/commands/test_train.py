@@ -22,6 +22,7 @@ from lab.evaluation.held_out_trees import iter_held_out
 from lab.small.examples import Example, iter_training, make_example
 from lab.small.training_steps import VOXELS_PER_TREE, amplitude_rows, read_rows, write_rows
 from lab.small.whitening import MEASURED
+from tests.formats.meshes import written
 
 SEED = 1005
 
@@ -45,8 +46,7 @@ def shards(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("shards")
     own = [(1, "sapling"), (20, "sapling"), (2, "sapling"), (4, "palm"), (3, "sapling")]
     trees = [stored_tree(make_sample(*one), resolutions=(128,)) for one in own]
-    with (folder / "4dtree-00000.safetensors").open("wb") as stream:
-        write_shard(trees, stream)
+    (folder / "4dtree-00000.safetensors").write_bytes(written(write_shard, trees))
     return folder
 
 

@@ -15,6 +15,7 @@ from lab.dataset.generate import Recipe, bake_shard, generate, is_baked, manifes
 from lab.dataset.limits import DatasetLimits
 from lab.dataset.sample import make_sample, voxel_spectrum
 from lab.dataset.shards import iter_shard, stored_tree, write_shard
+from tests.formats.meshes import written
 
 TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
 
@@ -51,8 +52,7 @@ def test_a_voxel_has_the_motion_of_the_surface_inside(sapling):
 def test_reading_undoes_writing(sapling, tmp_path):
     stored = stored_tree(sapling, resolutions=(32, 64))
     path = tmp_path / "one.safetensors"
-    with path.open("wb") as stream:
-        write_shard([stored], stream)
+    path.write_bytes(written(write_shard, [stored]))
     (tree,) = iter_shard(str(path))
     assert (tree.seed, tree.species, tree.wind, tree.split) == (7, "sapling", sapling.wind, "train")
     np.testing.assert_array_equal(tree.tensors["vertices"], sapling.mesh.vertices)

@@ -21,6 +21,7 @@ from lab.dataset.sample import make_sample
 from lab.dataset.shards import StoredTree, shards_sha256, stored_tree, write_shard
 from lab.paper.examples import ExampleCache, paper_example
 from lab.paper.train import PaperTraining, frequency_sizes, train_paper
+from tests.formats.meshes import written
 
 SEEDS = (1, 2)
 RUN = PaperTraining(
@@ -36,8 +37,7 @@ def stored() -> list[StoredTree]:
 @pytest.fixture(scope="module")
 def shard(stored: list[StoredTree], tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("shards") / "4dtree-00000.safetensors"
-    with path.open("wb") as stream:
-        write_shard(stored, stream)
+    path.write_bytes(written(write_shard, stored))
     return str(path)
 
 
@@ -126,8 +126,7 @@ def test_sizes_of_frequencies_make_components_of_unit_size(shard: str, tmp_path)
 
 def test_shards_without_training_trees_are_refused(stored: list[StoredTree], tmp_path) -> None:
     path = tmp_path / "held-out.safetensors"
-    with path.open("wb") as stream:
-        write_shard([replace(stored[0], split="validation")], stream)
+    path.write_bytes(written(write_shard, [replace(stored[0], split="validation")]))
     with pytest.raises(InputError, match="no trees for training"):
         ExampleCache([str(path)], RUN.preset, tmp_path)
 

@@ -11,8 +11,7 @@ from torch import distributed, nn
 
 from dynamictree.errors import CheckpointError
 from lab.training.checkpoints import load_part
-from lab.training.schedules import LearningRateSchedule
-from lab.training.trainer import Trainer, TrainerOptions
+from lab.training.trainer import LearningRateSchedule, Trainer, TrainerOptions
 
 OPTIONS = TrainerOptions(schedule=LearningRateSchedule(num_steps=12, learning_rate=0.05, warmup_steps=3), save_every=5)
 

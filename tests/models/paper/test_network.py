@@ -12,8 +12,7 @@ from dynamictree.models.paper.unet import UNetShape
 from dynamictree.sparse.level import pyramid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from lab.paper.examples import PaperExample, batch_of
-from lab.paper.loss import paper_loss
-from lab.paper.train import clean_channels
+from lab.paper.train import clean_channels, paper_loss
 
 SMALL = PaperPreset(
     encoder_base=8,
