@@ -76,3 +76,11 @@ def publish(services: Services, lease: Claim, stage: JobType, name: str, content
     file = OutputFile(name=name, media_type="application/octet-stream", sha256=part.sha256, bytes=part.bytes)
     start_stage(services.store, lease, stage)
     publish_stage(services.store, lease, stage, (file,), key=part.sha256, cached=False, retention_s=5000)
+
+
+def refusal(response, status: int, code: str) -> dict:
+    """The problem that a response is."""
+    assert response.headers["Content-Type"] == "application/problem+json"
+    problem = response.json()
+    assert (response.status_code, problem["code"]) == (status, code), problem
+    return problem

@@ -12,6 +12,7 @@ from service.app import create_app
 from service.http.caller import Caller
 from service.services import Services
 from service.uploads.quota import reserve_space
+from tests.service.conftest import refusal
 from tests.service.test_assets import send
 from tests.service.test_authentication import TREE, app_services, keyed  # noqa: F401
 from tests.service.tus import TUS, append, begin
@@ -27,8 +28,7 @@ def test_announcements_leave_room_for_others(small_disk: Path, settings: Setting
         large = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)})
         assert large.status_code == 201, large.text
         assert append(client, large.headers["Location"], 0, bytes(30 * MIB)).status_code == 204
-        form = client.post("/v1/assets", files={"file": ("tree.obj", bytes(30 * MIB))})
-        assert (form.status_code, form.json()["code"]) == (503, "disk-full")
+        refusal(client.post("/v1/assets", files={"file": ("tree.obj", bytes(30 * MIB))}), 503, "disk-full")
 
 
 def test_an_upload_without_a_byte_lasts_minutes(client: TestClient, services: Services) -> None:
@@ -47,8 +47,7 @@ def test_of_too_many_the_oldest_without_a_byte_goes(client: TestClient, monkeypa
     assert client.head(first, headers=TUS).status_code == 410
     for url in (second, third, fourth):
         assert append(client, url, 0, b"1").status_code == 204
-    refused = client.post("/v1/uploads", headers=TUS | {"Upload-Length": "9"})
-    assert (refused.status_code, refused.json()["code"]) == (429, "quota-exceeded")
+    refusal(client.post("/v1/uploads", headers=TUS | {"Upload-Length": "9"}), 429, "quota-exceeded")
 
 
 def test_parallel_announcements_stay_within_the_quota(app_services: tuple[TestClient, Services]) -> None:  # noqa: F811

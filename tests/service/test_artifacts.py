@@ -10,7 +10,7 @@ from service.app import create_app
 from service.http.problems import ProblemError
 from service.http.request_headers import parse_range
 from service.services import Services
-from tests.service.conftest import hold, publish
+from tests.service.conftest import hold, publish, refusal
 from tests.service.test_jobs import create
 
 CONTENT = bytes(range(256)) * 20_000
@@ -89,9 +89,7 @@ def test_bytes_that_were_removed_are_gone(client: TestClient, url: str, services
 
 
 def test_voxels_are_no_spectrum(client: TestClient, url: str) -> None:
-    response = client.get(url.replace("artifacts", "spectra"))
-    assert (response.status_code, response.json()["code"]) == (404, "not-found")
-    assert "voxels" in response.json()["detail"]
+    assert "voxels" in refusal(client.get(url.replace("artifacts", "spectra")), 404, "not-found")["detail"]
 
 
 def test_of_an_empty_file_there_is_no_range() -> None:

@@ -13,8 +13,8 @@ from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.multipart import MAX_FILES, MAX_PARTS
 from service.services import Services
-from tests.formats.meshes import image_bytes, triangle_gltf
-from tests.service.conftest import change_services
+from tests.formats.meshes import image_bytes, triangle_gltf, written
+from tests.service.conftest import change_services, refusal
 from tests.service.tus import whole
 
 OBJ = b"""mtllib tree.mtl
@@ -47,9 +47,7 @@ def zipped(*entries: tuple[str, bytes]) -> bytes:
 
 @cache
 def photo(number: int, size: tuple[int, int] = (400, 300)) -> bytes:
-    stream = io.BytesIO()
-    Image.new("RGB", size, (25 * number % 256, 100, 50)).save(stream, "JPEG")
-    return stream.getvalue()
+    return written(Image.new("RGB", size, (25 * number % 256, 100, 50)).save, format="JPEG")
 
 
 @pytest.mark.parametrize("way", ["form", "uploads", "auto"])
@@ -154,9 +152,7 @@ def test_a_file_name_may_be_encoded(client: TestClient, disposition: str) -> Non
 
 
 def heic(number: int) -> bytes:
-    stream = io.BytesIO()
-    Image.new("RGB", (400, 300), (25 * number, 100, 50)).save(stream, "HEIF")
-    return stream.getvalue()
+    return written(Image.new("RGB", (400, 300), (25 * number, 100, 50)).save, format="HEIF")
 
 
 def test_live_photos_are_taken_without_their_films(client: TestClient) -> None:
@@ -200,8 +196,7 @@ BAD_ZIPS = {
 
 @pytest.mark.parametrize("what", BAD_ZIPS)
 def test_a_bad_zip_is_rejected(client: TestClient, services: Services, what: str) -> None:
-    response = send(client, ("all.zip", zipped(*BAD_ZIPS[what])))
-    assert (response.status_code, response.json()["code"]) == (422, "archive-rejected")
+    refusal(send(client, ("all.zip", zipped(*BAD_ZIPS[what]))), 422, "archive-rejected")
     assert left_behind(services) == []
 
 
@@ -215,8 +210,7 @@ def test_a_zip_with_a_link_a_twin_damage_or_a_false_size_is_rejected(client: Tes
     twin = zipped(("tree.obj", OBJ), ("tref.obj", OBJ)).replace(b"tref", b"tree")
     assert "twice" in send(client, ("all.zip", twin)).json()["detail"]
     nameless = zipped(("tree.obj", OBJ), ("~~~", b"x")).replace(b"~~~", b"\0ab")  # zipfile reads a name to its NUL
-    refused = send(client, ("all.zip", nameless))
-    assert (refused.status_code, refused.json()["code"]) == (422, "archive-rejected")
+    refusal(send(client, ("all.zip", nameless)), 422, "archive-rejected")
     whole = bytearray(zipped(("tree.obj", OBJ * 100)))
     whole[60:80] = bytes(20)
     assert send(client, ("all.zip", bytes(whole))).json()["code"] == "archive-rejected"
@@ -272,8 +266,7 @@ def test_a_broken_form_is_refused(client: TestClient, services: Services, body: 
 def test_a_parser_that_takes_too_much_is_ended(client: TestClient, services: Services) -> None:
     small = services.settings.model_copy(update={"parser_memory_bytes": 64 * 1024**2})
     change_services(client, settings=small)
-    response = send(client, ("tree.obj", OBJ))
-    assert (response.status_code, response.json()["code"]) == (422, "input-too-costly")
+    refusal(send(client, ("tree.obj", OBJ)), 422, "input-too-costly")
     assert left_behind(services) == []
 
 

@@ -13,6 +13,7 @@ from fastapi.testclient import TestClient
 from jobs.settings import Settings
 from service.app import create_app
 from tests.line import Handler, answering
+from tests.service.conftest import refusal
 
 MIB = 1024**2
 TREE = b"v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n"
@@ -55,6 +56,5 @@ def test_a_zip_is_refused_before_it_is_unpacked_onto_a_full_disk(small_disk: Pat
         archive.writestr("notes.txt", np.random.default_rng(0).integers(0, 2, MIB, np.uint8).tobytes() * 40)
     own = {"state_dir": small_disk, "min_free_bytes": 24 * MIB}
     with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
-        sent = client.post("/v1/assets", files={"file": ("tree.zip", packed.getvalue())})
-        assert (sent.status_code, sent.json()["code"]) == (503, "disk-full"), sent.text
+        refusal(client.post("/v1/assets", files={"file": ("tree.zip", packed.getvalue())}), 503, "disk-full")
         assert shutil.disk_usage(small_disk).free > 48 * MIB

@@ -23,6 +23,7 @@ from service.http.request_headers import SAFETENSORS
 from service.http.slots import FairSlots
 from service.interact.forces import MAX_FORCES
 from service.services import Services
+from tests.service.conftest import refusal
 from tests.service.pushed import client, grown, poke, post, served_id, spectrum, spectrum_id  # noqa: F401
 
 
@@ -118,13 +119,6 @@ def test_a_pulled_vertex_is_drawn_where_the_answer_says(client: TestClient, spec
         drawn = read_binary(post(client, spectrum_id, pull, accept="*/*", output="vertices", **options))
         np.testing.assert_allclose(drawn["displacement"][0, vertex], reached["reached_m"], atol=1e-4)
         assert reached["why"] or reached["error_m"] <= 0.01 * np.linalg.norm(wanted)
-
-
-def refusal(response, status: int, code: str) -> dict:
-    assert response.headers["Content-Type"] == "application/problem+json"
-    problem = response.json()
-    assert (response.status_code, problem["code"]) == (status, code), problem
-    return problem
 
 
 def test_an_unknown_spectrum_is_not_found(client: TestClient, poke: dict) -> None:

@@ -11,6 +11,7 @@ from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.plant.capture import Capture
 from jobs.storage.assets import delete_asset, read_asset
+from tests.service.conftest import refusal
 from tests.service.pushed import client, grown, poke, post, served_id, spectrum  # noqa: F401
 
 
@@ -62,5 +63,4 @@ def test_gaussians_are_gone_with_their_asset(client, cloud_spectrum, services, p
     assert prepared is not None
     for go in (lambda: services.artifacts.delete(prepared.sha256), lambda: delete_asset(services.store, asset_id)):
         go()
-        refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
-        assert (refused.status_code, refused.json()["code"]) == (410, "expired")
+        refusal(post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2), 410, "expired")

@@ -14,6 +14,7 @@ from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from recipes.modes_reference import Modes
 from tests.js_tools import in_node
+from tests.service.conftest import refusal
 from tests.service.pushed import client, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 
 REFERENCE = Path(__file__).parents[2] / "recipes" / "modes_reference.mjs"
@@ -140,8 +141,7 @@ def test_shapes_are_twice_the_coefficients_to_a_part_in_thirty_thousand(spectrum
     [("seed_voxel=99999999&falloff_m=1", "invalid-input"), ("seed_voxel=0&falloff_m=nan", "validation-failed")],
 )
 def test_a_reach_that_is_none_is_refused(client: TestClient, spectrum_id: str, query: str, code: str) -> None:
-    response = client.get(f"/v1/spectra/{spectrum_id}/reach?{query}")
-    assert (response.status_code, response.json()["code"]) == (422, code)
+    refusal(client.get(f"/v1/spectra/{spectrum_id}/reach?{query}"), 422, code)
 
 
 @pytest.fixture

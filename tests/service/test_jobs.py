@@ -12,7 +12,7 @@ from service.job_creation import KEY_EXPIRES_S, _fingerprint
 from service.job_durations import JobDurations
 from service.schemas.jobs import VoxelizeRequest
 from service.services import Services
-from tests.service.conftest import change_services, hold, publish
+from tests.service.conftest import change_services, hold, publish, refusal
 
 
 def create(client: TestClient, asset: AssetRecord, **body: object) -> dict[str, object]:
@@ -181,8 +181,7 @@ def test_a_wrong_field_is_named_and_texts_and_truth_values_are_no_numbers(client
 
 
 def test_a_job_needs_an_asset_of_its_kind(client: TestClient, asset: AssetRecord) -> None:
-    reconstruct = client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": asset.id})
-    assert (reconstruct.status_code, reconstruct.json()["code"]) == (409, "conflict")
+    refusal(client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": asset.id}), 409, "conflict")
     for unknown in (new_id(), "nonsense"):
         assert client.post("/v1/jobs", json={"type": "voxelize", "asset_id": unknown}).status_code == 404
     client.delete(f"/v1/assets/{asset.id}")

@@ -16,7 +16,7 @@ from service.app import create_app
 from service.routes import uploads
 from tests.rows import stored_part
 from tests.servers import object_storage
-from tests.service.conftest import hold, publish
+from tests.service.conftest import hold, publish, refusal
 from tests.service.test_assets import OBJ, send
 from tests.service.tus import TUS, append, begin
 from tests.worker.conftest import hold as hold_as_worker
@@ -82,8 +82,7 @@ def test_products_are_copied_to_where_the_operator_allows(client: TestClient) ->
     body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
     below = (f"s3://trees/out/{end}" for end in ("../products", "%2e%2e/products", "a/.%2E/b", "a?b", "a#b"))
     for elsewhere in ("s3://others/out/a", "s3://trees/outside", "file:///etc", *below):
-        refused = client.post("/v1/jobs", json=body | {"destination": elsewhere})
-        assert (refused.status_code, refused.json()["code"]) == (403, "forbidden"), elsewhere
+        refusal(client.post("/v1/jobs", json=body | {"destination": elsewhere}), 403, "forbidden")
     job = client.post("/v1/jobs", json=body | {"destination": "s3://trees/out/a b/7"}).json()
     runtime = open_runtime(services.settings)
     run(runtime, hold_as_worker(runtime, services.store.job(job["id"])))
@@ -100,8 +99,7 @@ def test_a_folder_gives_no_addresses(tmp_path: Path) -> None:
     artifacts_url = (tmp_path / "artifacts").as_uri()
     settings = Settings(state_dir=tmp_path / "state", artifacts_url=artifacts_url, presigned_links=True)
     with TestClient(create_app(settings), "http://localhost") as client:
-        refused = client.post(f"{begin(client, 10)}/parts")
-        assert (refused.status_code, refused.json()["code"]) == (409, "conflict")
+        refusal(client.post(f"{begin(client, 10)}/parts"), 409, "conflict")
         services = client.app.state.services  # type: ignore[attr-defined]
         (tmp_path / "file").write_bytes(b"x")
         assert services.artifacts.link(stored_part(services.artifacts, tmp_path / "file").sha256) is None

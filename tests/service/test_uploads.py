@@ -13,6 +13,7 @@ from service.http.problems import ProblemError
 from service.services import Services
 from service.uploads import append as append_module
 from service.uploads.append import append as append_body
+from tests.service.conftest import refusal
 from tests.service.test_assets import MTL, OBJ, left_behind
 from tests.service.tus import BYTES, TUS, append, begin, metadata, whole
 
@@ -69,8 +70,7 @@ def test_an_upload_goes_on_where_it_stands_and_nowhere_else(client: TestClient) 
         refused = append(client, url, offset, b"x")
         assert (refused.status_code, refused.json()["code"]) == (409, "upload-offset-conflict")
         assert refused.headers["Upload-Offset"] == "5"
-    beyond = append(client, url, 5, b"678901")
-    assert (beyond.status_code, beyond.json()["code"]) == (413, "payload-too-large")
+    refusal(append(client, url, 5, b"678901"), 413, "payload-too-large")
     assert client.head(url, headers=TUS).headers["Upload-Offset"] == "5"
     assert append(client, url, 5, b"67890").status_code == 204
     assert append(client, url, 10, b"").status_code == 204
@@ -116,8 +116,7 @@ def test_a_wrong_continuation_is_refused(client: TestClient) -> None:
     unknown = "/v1/uploads/01ARZ3NDEKTSV4RRFFQ69G5FAV"
     assert append(client, unknown, 0, b"1").status_code == 404
     assert client.head(unknown, headers=TUS).status_code == 404
-    early = client.post("/v1/assets", json={"upload_ids": [url.rpartition("/")[2]]})
-    assert (early.status_code, early.json()["code"]) == (409, "conflict")
+    refusal(client.post("/v1/assets", json={"upload_ids": [url.rpartition("/")[2]]}), 409, "conflict")
 
 
 def test_an_upload_that_is_deleted_while_it_comes_leaves_nothing(client, services, monkeypatch) -> None:

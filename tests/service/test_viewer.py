@@ -28,6 +28,7 @@ from service.interact import stored_trees
 from service.local.serve import print_when_ready
 from service.routes import pages, surface
 from tests.line import answering
+from tests.service.conftest import refusal
 from tests.service.pushed import ASSET_ID, client, grown, served_id, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
@@ -192,8 +193,7 @@ def test_a_surface_names_the_vertices_that_stand_still(grown) -> None:
 
 
 def test_an_asset_that_is_no_mesh_or_has_lost_its_bytes_has_no_surface(client: TestClient, asset: AssetRecord) -> None:
-    response = client.get(f"/v1/assets/{asset.id}/surface")
-    assert (response.status_code, response.json()["code"]) == (410, "expired")
+    refusal(client.get(f"/v1/assets/{asset.id}/surface"), 410, "expired")
 
 
 def test_the_rig_of_a_job_that_runs_is_awaited(client: TestClient, services, spectrum_id: str, monkeypatch) -> None:
