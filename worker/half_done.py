@@ -34,11 +34,8 @@ def locked_folder(folder: Path, wait: Callable[[], None]) -> Iterator[None]:
     """Context manager to lock a folder.
 
     The folder is deleted at the end, unless an error occurs. After an error it stays, except if the photos caused the
-    error before cameras were found.
-
-    Args:
-        folder: from `half_done_folder`; created if it does not exist.
-        wait: called repeatedly while another job uses the folder; its exceptions pass through.
+    error before cameras were found. `wait` is called repeatedly while another job uses the folder; its exceptions pass
+    through.
     """
     folder.mkdir(parents=True, exist_ok=True)
     while (lock := _acquire(folder)) is None:

@@ -38,13 +38,9 @@ def local_smoothness(
     *,
     weights: LocalSmoothness,
 ) -> Float32[Tensor, ""]:
-    """L_LSS, paper eq. 3: weighted difference of each voxel from its nearest neighbours.
+    """L_LSS, paper eq. 3: weighted difference of each voxel from its nearest neighbours, at distances [m].
 
-    Args:
-        spectrum: real parts of x, y, z, then imaginary ones.
-        neighbours: rows of each voxel's nearest voxels.
-        distances: distances to these [m].
-        weights: the paper's constants.
+    `spectrum` has the real parts of x, y, z, then the imaginary ones.
     """
     difference = spectrum[:, None] - spectrum[neighbours]  # [V, M, 6]
     real = torch.linalg.vector_norm(difference[..., :3], dim=-1)

@@ -50,13 +50,8 @@ def sample_dpm_multistep(
     """DPM-Solver++(2M), second order with one evaluation per step. Lu et al. 2022, arXiv 2211.01095, algorithm 2.
 
     In t = -ln σ, with h the step in t and r the last step over this one, D is extrapolated along the last two steps:
-    D' = D + (D - D_last) / (2 r). The first step and the last, to σ = 0, are of first order.
-
-    Args:
-        denoise: see Denoise.
-        start: unit noise times the first of `sigmas`.
-        sigmas: noise levels, falling, see `karras_schedule`.
-        on_step: called with the completed steps and their total.
+    D' = D + (D - D_last) / (2 r). The first step and the last, to σ = 0, are of first order. `start` is unit noise
+    times the first of `sigmas`, which fall (`karras_schedule`). `on_step` receives the completed steps and their total.
     """
     signal, total = start, len(sigmas) - 1
     last_clean: Tensor | None = None
@@ -84,12 +79,8 @@ def sample_ddim(
 ) -> Float[Tensor, "..."]:
     """DDIM, deterministic (η = 0), evenly spaced. Song et al. 2021, arXiv 2010.02502, eq. 12; 100 steps in the paper.
 
-    Args:
-        predict_clean: function from a noisy signal and its step's index to the clean signal, see `predicted_clean`.
-        start: unit noise.
-        schedule: schedule of the network's training.
-        num_steps: number of steps of the schedule to use, evenly spaced, the last included.
-        on_step: called with the completed steps and their total.
+    `predict_clean` maps a noisy signal and its step's index to the clean signal (`predicted_clean`), `start` is unit
+    noise, and `on_step` receives the completed steps and their total. The last step of the schedule is included.
     """
     steps = torch.linspace(len(schedule.alpha_bar) - 1, 0, num_steps).round().long().tolist()
     signal = start

@@ -17,12 +17,8 @@ def min_sequence_bytes(
 ) -> dict[Format, int]:
     """Return the least size of files with every frame [bytes]; what does not grow with the frames is small.
 
-    Args:
-        formats: requested formats; those of constant size have no entry in the result.
-        num_frames: number of frames to write.
-        params: the share and the degree of a splat that are written.
-        mesh: numbers of vertices and faces.
-        cloud: number of Gaussians, and their degree of harmonics.
+    Formats of constant size have no entry. `mesh` has the numbers of vertices and faces, `cloud` the number of
+    Gaussians and their degree of harmonics.
 
     Raises:
         InputError: a file would be too large.

@@ -19,10 +19,7 @@ _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "DDS")
 
 
 def refuse_many_pixels(images: Iterable[bytes]) -> None:
-    """Check the number of pixels that all images of a file have together, before they are decoded.
-
-    Args:
-        images: PNG files, each once.
+    """Check the number of pixels that all images of a file, each once as PNG, have together, before they are decoded.
 
     Raises:
         FormatError: they have more than `MAX_TOTAL_PIXELS` together.

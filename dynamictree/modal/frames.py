@@ -44,12 +44,7 @@ class VertexFrames:
     def displacement(
         self, q: Complex128[np.ndarray, "G M"], weights: Float32[np.ndarray, "G N"] | None = None
     ) -> Float32[np.ndarray, "N 3"]:
-        """Compute the displacement of every vertex at one moment [m].
-
-        Args:
-            q: modal coordinates, one row per group of forces.
-            weights: w_g of each vertex; by default every group moves the whole tree.
-        """
+        """Compute the displacement of every vertex at one moment [m]; `weights` are w_g, by default 1."""
         coordinates = np.zeros((len(q), len(self._basis)), np.float32)
         coordinates[:, : len(self._scale)] = np.concatenate([q.real, q.imag], axis=1) * self._scale  # [G, 2M]
         moved = np.zeros(self._basis.shape[1], np.float32)

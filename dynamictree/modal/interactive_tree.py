@@ -186,11 +186,7 @@ class InteractiveTree:
     def hold(self, system: ModalSystem, group: ForceGroup, drag: Drag, *, near: "Rest | None" = None) -> "Rest":
         """Solve for the bends of the joints that fix a point; without a locality, use the modes alone.
 
-        Args:
-            system: this tree's system, with current physics.
-            group: group of the drag.
-            drag: drag by displacement.
-            near: solution for a nearby target, as the first guess.
+        `system` is this tree's, with current physics; `near`, the solution for a nearby target, is the first guess.
         """
         from dynamictree.modal.pull import grip_at, pull_to
         from dynamictree.rig.pose import Weights

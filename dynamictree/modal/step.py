@@ -104,10 +104,7 @@ def run(
 ) -> tuple[Complex128[np.ndarray, "T G M"], State]:
     """Compute coordinates at times 0, dt, … (T - 1) dt, and the state at T dt, the first frame of a next run.
 
-    Args:
-        step: step of one of this module's functions.
-        state: state at time 0.
-        acceleration: generalised force over modal mass, constant over each step [1/s²].
+    The acceleration is the generalised force over modal mass, constant over each step [1/s²].
     """
     (a, b), (c, d) = step.A
     kick, push = step.B

@@ -20,13 +20,8 @@ def generate_trees(
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of one motion of one tree or of several.
 
-    Tree n of several gets the seed `seed` + n. The motion of a tree does not depend on the others.
-
-    Args:
-        generate: function for the spectrum of one tree; the period is the same for all, numbers of frequencies differ.
-        voxels: voxels of all trees.
-        seed: seed of the first tree.
-        on_step: see OnStep; steps are counted over all trees.
+    Tree n of several gets the seed `seed` + n. The motion of a tree does not depend on the others; `generate` gives all
+    the same period, with different numbers of frequencies. Steps are counted over all trees.
     """
     if voxels.tree is None:
         return generate(voxels, seed=seed, on_step=on_step)
@@ -90,10 +85,7 @@ def with_bands(
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of a wind, with the gains of its modes at the speeds of `BANDS_M_S`.
 
-    Args:
-        generate: function for the spectrum of a wind; direction, gust and seed are the same for all.
-        wind: wind of the returned spectrum.
-        on_step: see OnStep; steps are counted over all winds.
+    Direction, gust and seed are the same for all winds, and steps are counted over all.
     """
     speeds = list(dict.fromkeys((wind.speed_m_s, *BANDS_M_S.values())))
     own = generate(wind, steps_of_run(on_step, 0, len(speeds)))

@@ -36,8 +36,7 @@ class _Ground(NamedTuple):
 def up_of_standing(points: Points) -> Direction | None:
     """Return the upward normal of a scene's ground; None if it is level within 6°, missing or doubtful.
 
-    Args:
-        points: positions of visible Gaussians, +Z up except for a tilt of at most 50°.
+    The points are positions of visible Gaussians, +Z up except for a tilt of at most 50°.
     """
     thickness_share = 0.012  # share of the diagonal
     strays, strays_of_pot = 0.01, 0.001  # share of the points at each end of an axis

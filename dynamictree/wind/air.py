@@ -59,14 +59,9 @@ def turbulent_air(
     times_s: Float64[np.ndarray, " T"],
     rng: np.random.Generator,
 ) -> Air:
-    """Sample a field whose gusts have the given frequencies.
+    """Sample a field whose gusts have the given frequencies, one or more above 0, and lengths by the tree's height.
 
-    Args:
-        wind: wind, whose gust is the standard deviation of the speed over the mean.
-        height_m: height of the tree, which determines the length of the gusts.
-        frequency_hz: at least one frequency, above 0.
-        times_s: times of the frames.
-        rng: source of amplitudes, phases and wave vectors.
+    The wind's gust is the standard deviation of the speed over the mean.
     """
     num_waves = 64  # number per bin; one sample's coherence has an rms error of 1 / √64
     slowest_carrier_m_s = 1.0  # slowest speed of the field, which limits its phase in a calm

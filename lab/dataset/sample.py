@@ -50,11 +50,8 @@ class Sample:
 def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, gusts: int = 0) -> Sample:
     """Generate the tree and motion of a seed; the result is identical on every run and machine.
 
-    Args:
-        seed: 0 or more.
-        species: name in `SPECIES`, or MIXED_SPECIES; by default drawn from the seed, among SPECIES.
-        wind: by default drawn from the seed.
-        gusts: index of the motion of this tree in this wind; the dataset has the first one.
+    By default the species (in `SPECIES`, or MIXED_SPECIES) and the wind are drawn from the seed. `gusts` is the index
+    of the motion of this tree in this wind; the dataset has the first one.
 
     Raises:
         InputError: the species is unknown, or the seed is negative.

@@ -103,14 +103,8 @@ def classify(
 ) -> dict[str, Any]:
     """Return a classifier's accuracy in separating each kind of motion from the true one; 0.5 is chance.
 
-    Args:
-        name: name of a shipped model, or a file.
-        num_trees: number of trees, of seen and unseen species in turn.
-        max_voxels: larger trees are left out.
-        seed: seed of the first generated motion; each tree has its own.
-        num_training: number of training trees for the by-height mean.
-        tries: trees examined per tree that is small enough, before giving up.
-        on_step: called with the number of finished trees and the total.
+    Trees of seen and unseen species come in turn, each with a seed of its own; larger ones than `max_voxels` are left
+    out, up to `tries` for each that is small enough. The by-height mean is fitted to `num_training` trees.
 
     Raises:
         InputError: too few trees are small enough, or scikit-learn is not installed.

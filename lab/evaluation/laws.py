@@ -84,12 +84,7 @@ def measure_tree(species: str, height_m: float, seed: int) -> TreeLaws:
 
 
 def measure_generated(name: str, generate: Callable[[Wind], SparseVoxelSpectrum]) -> TreeLaws:
-    """Generate a tree's motion at all speeds, and measure it.
-
-    Args:
-        name: name of the tree.
-        generate: returns the spectrum of the tree's motion in a wind, with a period that fits its height.
-    """
+    """Generate a tree's motion at all speeds, with a period that fits its height, and measure it."""
     spectra = [generate(Wind(speed_m_s=speed, gust=GUST)) for speed in SPEEDS_M_S]
     places, frequencies_hz = spectra[0].grid.centres_m, spectra[0].frequencies_hz
     motions = [spectrum.coefficients for spectrum in spectra]
@@ -193,11 +188,7 @@ def evaluate_laws(
 ) -> dict[str, object]:
     """Measure trees of 1 to 35 m; return the share that satisfies each law, and every tree's figures.
 
-    Args:
-        num_trees: number of trees to grow.
-        seed: seed of the first tree.
-        model: generates a mesh's motion, which is measured in place of the simulator's.
-        on_step: called after each tree.
+    The motions are those that `model` generates of a tree's mesh; by default the simulator's.
     """
     trees = list(measure_trees(num_trees, seed=seed, model=model, on_step=on_step))
     measured = {name: [value for tree in trees if not np.isnan(value := getattr(tree, name))] for name in MEDIANS}

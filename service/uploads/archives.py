@@ -38,10 +38,7 @@ def unpack(
 ) -> list[ReceivedFile]:
     """Unpack into `folder` as entry-0, entry-1 and so on; names in the zip are never used as paths.
 
-    Args:
-        archive: the uploaded zip.
-        folder: output folder.
-        require_room: called with the unpacked size [bytes] before anything is written; may refuse.
+    `require_room` is called with the unpacked size [bytes] before anything is written, and may refuse.
 
     Raises:
         ProblemError: the zip is broken, too large, or holds what an upload never needs.

@@ -35,13 +35,7 @@ class SparseEncoder(nn.Module):
     def forward(
         self, positions: Float32[Tensor, "X 3"], normals: Float32[Tensor, "X 3"], grids: Pyramid
     ) -> Float[Tensor, "V D"]:
-        """Return the latent condition g, a row per voxel of the coarsest level.
-
-        Args:
-            positions: voxel centres in [-1, 1] of the grid's cube.
-            normals: surface normal in each voxel.
-            grids: the fine grid, with at least as many levels as there are blocks.
-        """
+        """Return the latent condition g, a row per coarsest voxel; positions are in [-1, 1] of the cube."""
         features: Tensor = self.enter(torch.cat([fourier_features(positions), normals], dim=1))
         for depth, block in enumerate(self.blocks):
             if depth:

@@ -84,9 +84,7 @@ class AmplitudeNetwork(nn.Module):
     ) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
         """Predict the lean c_0 and ln A at k = 1 … K − 1, over the height; the lean is in proportion to A.
 
-        Args:
-            inputs: rows of `amplitude_inputs`.
-            wind: ln speed and gust at each row.
+        Inputs are rows of `amplitude_inputs`; `wind` has ln speed and gust at each row.
         """
         return self._sizes(self._entered(inputs, 0) + self.enter.bias, wind)
 
@@ -177,9 +175,7 @@ def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
 def above_floor(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]) -> Float32[Tensor, "V J 3"]:
     """Return A over the height, without the floor of ln A in training, so that still parts are exactly still.
 
-    Args:
-        log_amplitude: ln A.
-        wind: ln speed and gust, one for all or one per row.
+    `wind` has ln speed and gust, one row for all or one per row.
     """
     return ((2 * log_amplitude).exp() - floor_of(wind)[:, None, None] ** 2).clamp_min(0).sqrt()
 

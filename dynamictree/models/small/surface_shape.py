@@ -24,11 +24,7 @@ def surface_features(
 ) -> tuple[Float32[np.ndarray, "V S"], Float32[np.ndarray, "V R 3 3"]]:
     """Compute invariants, and second moments of place and normal in the grid's frame.
 
-    Args:
-        grid: grid of the moments.
-        moments: see `voxel.moments`.
-        touching: mean over touching voxels, see `sparse.matrices.neighbour_means`.
-        has_moments: whether the moments are those of a mesh.
+    `touching` is the mean over touching voxels (`neighbour_means`); `has_moments` tells if the moments are of a mesh.
     """
     centre = grid.coords.mean(axis=0)
     area = moments[:, AREA].astype(np.float64)

@@ -73,13 +73,7 @@ def section_radius(
     A cross-section is a connected set of voxels at about the same distance from the root along the tree (Verroust
     and Lazarus, Extracting skeletal curves from 3D scattered data, 1999). If its voxels form a ring, the radius is
     their RMS distance from the middle. A twig thinner than a voxel is no ring: its circumference is the surface area
-    inside over the length of the section.
-
-    Args:
-        grid: grid of the voxels.
-        graph: graph of touching voxels.
-        distance_m: distance to the root along the tree [m].
-        area_m2: surface area in each voxel [m²]; None without a mesh.
+    inside (`area_m2`, None without a mesh) over the length of the section.
     """
     thinnest_voxels = 0.01
     section_voxels = 2  # thickness of a cross-section
