@@ -36,11 +36,6 @@ Priority = Literal["high", "normal", "low"]
 StageState = Literal["queued", "running", "succeeded", "failed", "canceled"]
 
 
-def states_before(target: JobState) -> frozenset[JobState]:
-    """Return the states from which a job may change to `target`, for compare-and-set."""
-    return frozenset(state for state, following in TRANSITIONS.items() if target in following)
-
-
 def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
     """Return the stages of a job in order: the requested one and those that it depends on.
 

@@ -104,7 +104,10 @@ class Store:
                 connection.execute(t.jobs.insert().values(**row))
             else:
                 client_key = self._own_key(client_key)
-                self._free_key(connection, client_key)
+                expired = (t.jobs.c.client_key == client_key.key) & (
+                    t.jobs.c.created_at < self.clock() - client_key.expires_s
+                )
+                connection.execute(t.jobs.update().where(expired).values(client_key=None))
                 row |= {"client_key": client_key.key, "body_sha256": client_key.body_sha256}
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
                     return rows.read_job(connection, rows.same_job(connection, client_key)), False
@@ -141,11 +144,6 @@ class Store:
             raise QuotaError(
                 f"{matches} of your jobs have not ended, {max_active} are allowed; wait for one, or cancel"
             )
-
-    def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
-        """Release a client key that has expired."""
-        old = t.jobs.c.created_at < self.clock() - client_key.expires_s
-        connection.execute(t.jobs.update().where((t.jobs.c.client_key == client_key.key) & old).values(client_key=None))
 
     @retry_while_unavailable
     def job(self, job_id: str) -> JobRecord:

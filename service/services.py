@@ -1,12 +1,15 @@
 """Services that the process opens at start-up, and their restriction to one caller."""
 
 import asyncio
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
+import sqlalchemy as sa
 from fastapi import Depends
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -20,7 +23,52 @@ from service.http.slots import FairSlots, OpenStreams
 from service.interact.lru_cache import LruCache
 from service.interact.ready_tree import ReadyTree
 from service.job_durations import JobDurations
-from service.job_notifier import JobNotifier
+
+logger = logging.getLogger(__name__)
+
+POLL_S = 0.2
+LARGE_ANSWERS = 3
+"""Number of large responses, up to 128 MiB each, that are computed or sent at the same time."""
+
+
+@dataclass
+class JobNotifier:
+    """Waiting requests by job; one task polls the store while there are any."""
+
+    store: Store
+    _waiting: dict[str, dict[asyncio.Future[None], int]] = field(default_factory=dict)
+    _looking: asyncio.Task[None] | None = None
+
+    async def changed(self, job_id: str, version: int, timeout_s: float) -> bool:
+        """Wait until a job has another version or is gone; return False if the time runs out first."""
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(job_id, {})[waiter] = version
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self._look())
+        try:
+            async with asyncio.timeout(timeout_s):
+                await waiter
+        except TimeoutError:
+            return False
+        finally:
+            waiters = self._waiting.get(job_id, {})
+            waiters.pop(waiter, None)
+            if not waiters:
+                self._waiting.pop(job_id, None)
+        return True
+
+    async def _look(self) -> None:
+        while self._waiting:
+            try:
+                versions = await run_in_threadpool(self.store.job_versions, list(self._waiting))
+            except sa.exc.SQLAlchemyError as error:
+                logger.warning("changes cannot be looked for: %s", error)
+            else:
+                for job_id, waiters in self._waiting.items():
+                    for waiter, version in waiters.items():
+                        if versions.get(job_id) != version and not waiter.done():
+                            waiter.set_result(None)
+            await asyncio.sleep(POLL_S)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +102,6 @@ class Owned:
     services: Services
     caller: Caller
     store: Store
-
-
-LARGE_ANSWERS = 3
-"""Number of large responses, up to 128 MiB each, that are computed or sent at the same time."""
 
 
 @contextmanager

@@ -10,9 +10,8 @@ from typing import BinaryIO, Protocol, TypeVar
 from PIL import Image
 
 from dynamictree import method
-from dynamictree.export.stored_rig import Recall
 from dynamictree.export.table import PRODUCTS
-from dynamictree.export.write import write_products
+from dynamictree.export.write import Recall, write_products
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.formats.tensors.bundle import read_cloud_bundle, read_mesh_bundle, write_bundle

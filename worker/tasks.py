@@ -1,12 +1,14 @@
 """The one Celery task. Errors are stored as (code, message) and never cross the queue."""
 
 import logging
+import os
 import resource
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 
 from celery import Task, signals
 from celery.exceptions import SoftTimeLimitExceeded
@@ -18,14 +20,13 @@ from jobs.lifecycle.attempts import add_usage, claim, fail, finish_cancel, forgi
 from jobs.lifecycle.maintenance import RUN_JOB
 from jobs.logging_setup import log_ids
 from jobs.records import Claim
-from jobs.settings import read_settings
+from jobs.settings import Settings, read_settings
 from jobs.states import GPU
 from jobs.storage.artifacts import is_full
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
 from worker.half_done import half_done_folder
-from worker.memory_limit import is_allocation_failure, limit_memory
 from worker.runtime import Runtime, close_runtime, runtime
 
 logger = logging.getLogger(__name__)
@@ -146,3 +147,31 @@ def _warm_up() -> None:
 @signals.worker_process_shutdown.connect  # type: ignore[untyped-decorator]
 def _on_stop(**_: object) -> None:
     close_runtime(runtime())
+
+
+def limit_memory(settings: Settings) -> int:
+    """Limit this process's writable memory [bytes], and that of each program that it starts.
+
+    An allocation beyond the limit raises MemoryError, which ends the job with `out-of-memory`.
+    """
+    share = 0.8  # the rest is for Celery's own process, the heartbeat and files in /tmp
+    allowed = settings.job_memory_bytes or int(share * available_bytes())
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    allowed = allowed if hard == resource.RLIM_INFINITY else min(allowed, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (allowed, hard))
+    return allowed
+
+
+def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
+    """Return the memory of the machine, or of the container if that is less [bytes]."""
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for name in ("memory.max", "memory/memory.limit_in_bytes"):  # cgroup version 2, version 1
+        path = cgroup / name
+        if path.is_file() and (text := path.read_text().strip()).isdecimal():
+            available = min(available, int(text))
+    return available
+
+
+def is_allocation_failure(error: BaseException) -> bool:
+    """Return whether an allocation failed; PyTorch raises RuntimeError for it."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)

@@ -15,7 +15,7 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, show_result
 from dynamictree.errors import InputError
 from dynamictree.files import atomic_folder, open_input
-from dynamictree.formats.motion.ply_sequence import iter_ply_files
+from dynamictree.formats.mesh.ply_writer import iter_ply_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum

@@ -2,22 +2,26 @@
 
 import json
 import shutil
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
 
-from dynamictree.commands.interruption import Interrupted, stopping_on_signals
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, show_result
-from dynamictree.errors import InputError
+from dynamictree.errors import Cancelled, InputError
 from dynamictree.files import atomic_folder
 from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.photo_requests import CutParams, PhotoParams
 
 _BESIDE_PHOTOS = (".json", ".npy", ".txt", ".bin")  # files of cameras
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ALL_FILM_SUFFIXES = (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES)
 
 
@@ -89,3 +93,35 @@ def _input_files(source: Path) -> list[Path]:
         films = ", ".join(ALL_FILM_SUFFIXES)
         raise InputError(f"{source} is no folder of photos and no film ({films}); give one of them")
     return [source]
+
+
+class Interrupted(Cancelled):
+    """Raised when a signal (Ctrl-C or SIGTERM) asks the command to stop."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.exit_status = 128 + number
+
+
+@contextmanager
+def stopping_on_signals() -> Iterator[Callable[[], None]]:
+    """Yield a function that raises `Interrupted` once a signal has come; a second signal ends the process at once."""
+    received: list[int] = []
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        for each in _SIGNALS:
+            signal.signal(each, signal.SIG_DFL)
+
+    def check() -> None:
+        if received:
+            raise Interrupted(received[0])
+
+    try:
+        for number in _SIGNALS:
+            signal.signal(number, remember)
+        yield check
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -16,8 +16,7 @@ from jaxtyping import Float32, Int32
 
 from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import rest_glb
-from dynamictree.formats.motion.exr import exr_of
-from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
+from dynamictree.formats.motion.vertex_texture import TextureLayout, exr_of, texture_layout
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind
 from dynamictree.rig.flutter import Flutter

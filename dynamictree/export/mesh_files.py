@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import write_motion_glb
-from dynamictree.formats.motion.ply_sequence import iter_ply_files
+from dynamictree.formats.mesh.ply_writer import iter_ply_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
 

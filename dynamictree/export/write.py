@@ -3,25 +3,31 @@
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw
 from dynamictree.export.size import min_sequence_bytes
-from dynamictree.export.stored_rig import Recall, stored_rig
 from dynamictree.export.table import PRODUCTS, require_available
+from dynamictree.formats.tensors.rig import read_rig, write_rig
 from dynamictree.gaussian.animate import reduced_splat
 from dynamictree.gaussian.binding import Binding, bind
 from dynamictree.mesh import AnyMesh, TriangleMesh, triangle_mesh
 from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.requests import CloudParams, ExportParams, Format
+from dynamictree.rig.rig import Rig, rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 RIG_SHARE = 0.5
 """Share of the progress for the rig, which comes before the first file."""
 OnFacts = Callable[[Format, Facts], None]
 """Receives a format that is not exact, and the error of its file against the motion."""
+Result = Literal["rig", "reconstruction"]
+"""Results that are stored: the rig of a tree, and the reconstruction from photos."""
+Recall = Callable[[Result, Callable[[Path], None]], Path]
+"""Returns the file of a result; if there is none, calls the function that writes it to a path."""
 
 
 def write_products(
@@ -118,3 +124,16 @@ def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) ->
             assert write_film is not None
             with path.open("wb") as stream:
                 write_film(film, stream, tree.params.fps)
+
+
+def stored_rig(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, recall: Recall | None, report: Report) -> Rig:
+    """Return the rig, from the file of an earlier product of the same motion if there is one."""
+    if recall is None:
+        return rig_of(mesh, spectrum, report)
+
+    def make(path: Path) -> None:
+        with path.open("xb") as stream:
+            write_rig(rig_of(mesh, spectrum, report), stream)
+
+    with recall("rig", make).open("rb") as stream:
+        return read_rig(stream)

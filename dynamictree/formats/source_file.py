@@ -6,15 +6,15 @@ from io import BytesIO
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Bool
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_facts, cloud_kind, read_cloud
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.origin import offset_warnings
-from dynamictree.formats.seekable import SeekableReader
-from dynamictree.formats.splat.mask import read_mask
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.sog import bundled, is_folder_file
-from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud
 from dynamictree.mesh import SourceWarning
 from dynamictree.plant.capture import Capture
 from dynamictree.plant.find import plant_of_cloud
@@ -118,3 +118,24 @@ def _warnings(cloud: GaussianCloud, file_type: str, reading: Reading) -> tuple[S
         )
         remarks.append(SourceWarning(code="unit-of-the-file", message=message))
     return tuple(remarks)
+
+
+def read_mask(stream: SeekableReader) -> Bool[np.ndarray, " G"]:
+    """Read a mask.
+
+    Raises:
+        FormatError: no `.npy` file, too large, or not one row of bools or of 0 and 1.
+    """
+    max_header_bytes = 4096
+    size = remaining_bytes(stream)
+    if size > MAX_GAUSSIANS + max_header_bytes:
+        raise FormatError(f"the mask is {size:,} bytes; a byte a Gaussian, at most {MAX_GAUSSIANS:,}, is allowed")
+    try:
+        mask = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=max_header_bytes)
+    except (ValueError, EOFError, MemoryError) as error:
+        raise FormatError(f"the mask is no .npy file: {str(error)[:200]}") from error
+    if mask.dtype.name not in ("bool", "uint8") or mask.ndim != 1 or (mask.size and mask.max() > 1):
+        value = f"{mask.dtype.name} {list(mask.shape)}"
+        raise FormatError(f"the mask is {value}; one row of bool, or of uint8 that are 0 or 1, is allowed")
+    result: Bool[np.ndarray, " G"] = mask.astype(np.bool_)
+    return result

@@ -12,7 +12,7 @@ from jobs.database import tables as t
 from jobs.database.counters import count
 from jobs.errors import NotFoundError, ReusedKeyError
 from jobs.records import ENDS, ClientKey, JobRecord, StageRecord
-from jobs.states import JobState, states_before
+from jobs.states import TRANSITIONS, JobState
 
 _ID: sa.BindParameter[str] = sa.bindparam("id")
 _JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
@@ -22,7 +22,8 @@ ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t
 
 def change_state(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
     """Change a job's state by compare-and-set; return False if its current state does not allow it."""
-    allowed = (t.jobs.c.id == job_id) & t.jobs.c.state.in_(states_before(target))
+    before = [state for state, following in TRANSITIONS.items() if target in following]
+    allowed = (t.jobs.c.id == job_id) & t.jobs.c.state.in_(before)
     change = t.jobs.update().where(allowed).values(state=target, version=t.jobs.c.version + 1, **values)
     return connection.execute(change).rowcount == 1
 

@@ -8,7 +8,7 @@ bytes while a backup holds its lease. SQLite and PostgreSQL restore into one ano
 import gzip
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -94,16 +94,14 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
     with store.writing() as connection:
         connection.execute(t.tallies.delete())
         for table in t.metadata.sorted_tables:
-            mine = [row for name, row in saved if name == table.name and _is_restored(name, row)]
+            mine = [row for name, row in saved if name == table.name]
+            if table is t.uploads:
+                mine = [row for row in mine if row["state"] in {"ready", "failed"}]
             rows = [{name: row[name] for name in row.keys() & table.c.keys()} for row in mine]  # drop removed columns
             if rows:
                 connection.execute(table.insert(), rows)
         connection.execute(t.outbox.update().values(sent_at=None))  # the queue was not backed up
     return BackupReport(rows=len(saved), blobs=len(blobs), bytes=size, copied=len(blobs))
-
-
-def _is_restored(table: str, row: Mapping[str, Any]) -> bool:
-    return table != "uploads" or row["state"] in {"ready", "failed"}
 
 
 def _write_rows(connection: sa.Connection, path: Path) -> int:

@@ -90,8 +90,7 @@ def filter_trees(
     """Print how many trees each rule would reject, and the worst value of each measure; write nothing."""
     from dataclasses import asdict
 
-    from lab.dataset.filter import measure, rejections
-    from lab.dataset.records import iter_measured
+    from lab.dataset.filter import iter_measured, measure, rejections
     from lab.dataset.sample import make_sample
 
     if folder is not None:
@@ -129,8 +128,8 @@ def sheet(
     """Draw pages of trees with motion strips, and write a review file, in which trees can be rejected."""
     from dynamictree.render import write_png
     from lab.dataset.contact_sheet import draw_sheet
-    from lab.dataset.records import iter_measured
-    from lab.dataset.review import all_accepted, write_review
+    from lab.dataset.filter import iter_measured
+    from lab.dataset.review import write_review
     from lab.dataset.sample import make_sample
 
     output.mkdir(parents=True, exist_ok=True)
@@ -151,7 +150,7 @@ def sheet(
     review = output / "review.txt"
     if not review.exists():  # never overwrite a person's review
         with review.open("wb") as stream:
-            write_review(all_accepted(seeds), stream, notes=notes)
+            write_review(dict.fromkeys(seeds, "accept"), stream, notes=notes)
     show_result({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
 
 

@@ -124,7 +124,7 @@ def evaluate(
 
 def _sapling(folder: Path | None) -> Sequence[Path]:
     """Find the trees of Blender's Sapling add-on; print one line if there are none."""
-    from lab.evaluation.sapling_file import sapling_files
+    from lab.evaluation.held_out_trees import sapling_files
 
     if folder is None:
         typer.echo("no trees of the Sapling add-on: give their folder with --samples to judge on them too", err=True)

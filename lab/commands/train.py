@@ -104,18 +104,14 @@ def train(
     if dry_run:
         typer.echo(resolved)
         return
-    shards = _interleave([sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset])
+    rows = zip_longest(*(sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset))
+    shards = [shard for row in rows for shard in row if shard is not None]  # folders in turn
     if not shards:
         raise InputError(f"there are no shards in {dataset[0]}; bake some with `dynamictree dataset generate`")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "run.json").write_text(resolved)
     weights = str(_run(plan, preset, shards, folder, device=device, threads=threads, quiet=as_json))
     typer.echo(json.dumps({"weights": weights}) if as_json else weights)
-
-
-def _interleave(folders: list[list[str]]) -> list[str]:
-    """Interleave lists: the first item of each, then the second of each, until the longest ends."""
-    return [shard for row in zip_longest(*folders) for shard in row if shard is not None]
 
 
 def _small_training(

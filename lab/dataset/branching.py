@@ -208,7 +208,8 @@ def _grow(
     for ring in range(segments):
         if ring:
             expected = level.splits + (base_splits[0] / len(base) if ring == fork_ring else 0.0)
-            clones = np.repeat(np.arange(len(points)), _random_integers(expected, len(points), rng))
+            drawn = np.floor(expected + rng.uniform(0, 1, len(points))).astype(np.int32)  # whose mean is `expected`
+            clones = np.repeat(np.arange(len(points)), drawn)
             if len(clones):
                 direction, forked = _spread_clones(direction, clones, level.split_angle, rng)
                 direction = np.concatenate([direction, forked])
@@ -234,11 +235,6 @@ def _grow(
         length_m=own.astype(np.float32),
         sides=level.sides,
     )
-
-
-def _random_integers(expected: float, count: int, rng: np.random.Generator) -> Int32[np.ndarray, " M"]:
-    """Draw integers with mean `expected`."""
-    return np.floor(expected + rng.uniform(0, 1, count)).astype(np.int32)
 
 
 def _spread_clones(

@@ -24,7 +24,7 @@ from lab.dataset.card import write_card
 from lab.dataset.filter import DEFAULT_LIMITS, measure, rejections
 from lab.dataset.limits import DatasetLimits
 from lab.dataset.review import Verdict
-from lab.dataset.sample import VERSION, Sample, make_sample
+from lab.dataset.sample import VERSION, make_sample
 from lab.dataset.shards import StoredTree, stored_tree, write_shard
 
 SEEDS_PER_TREE = 4  # a shard fails after so many seeds per wanted tree
@@ -84,17 +84,10 @@ def generate(
     part: tuple[int, int] = (0, 1),
     on_shard: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, object]:
-    """Generate the missing shards, and write the manifest and the card.
+    """Generate the missing shards, write the card and the manifest, and return it.
 
-    Args:
-        recipe: parameters of the dataset.
-        folder: output folder; created if it does not exist.
-        workers: number of processes; the bytes do not depend on it.
-        part: (i, n): only every n-th shard, from the i-th on; one part per machine.
-        on_shard: called with the numbers of finished and wanted trees of this part.
-
-    Returns:
-        The manifest.
+    The bytes do not depend on the number of processes (`workers`). `part` (i, n) is every n-th shard from the i-th on,
+    one part per machine; `on_shard` receives the numbers of finished and wanted trees of it.
 
     Raises:
         InputError: the part does not exist, or too few trees pass the limits.
@@ -165,8 +158,19 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
         if violated:
             rejected[str(seed)] = {"rules": list(violated), "species": sample.species, "measures": asdict(measures)}
         else:
-            trees.append(stored_tree(sample, resolutions=recipe.resolutions))
-            records.append({**tree_record(sample, trees[-1]), "measures": asdict(measures)})
+            tree = stored_tree(sample, resolutions=recipe.resolutions)
+            trees.append(tree)
+            records.append(
+                {
+                    "seed": sample.seed,
+                    "species": sample.species,
+                    "split": sample.split,
+                    "vertices": sample.mesh.num_vertices,
+                    "faces": sample.mesh.num_faces,
+                    **{f"voxels_{size}": len(tree.tensors[f"r{size}.coords"]) for size in tree.grids},
+                    "measures": asdict(measures),
+                }
+            )
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
             f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, "
@@ -185,18 +189,6 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
         "verdicts": rejections(verdicts),
     }
     _write(folder / f"{shard_name(index)}.json", json.dumps(record, sort_keys=True).encode())
-
-
-def tree_record(sample: Sample, tree: StoredTree) -> dict[str, object]:
-    """Return the values of a tree for the record, so that `filter` does not generate the tree again."""
-    return {
-        "seed": sample.seed,
-        "species": sample.species,
-        "split": sample.split,
-        "vertices": sample.mesh.num_vertices,
-        "faces": sample.mesh.num_faces,
-        **{f"voxels_{size}": len(tree.tensors[f"r{size}.coords"]) for size in tree.grids},
-    }
 
 
 def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:

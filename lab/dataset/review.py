@@ -1,6 +1,6 @@
 """Manual verdicts on trees: lines of `SEED accept` or `SEED reject`. Paper appendix A, step 3."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Literal, get_args
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
@@ -41,8 +41,3 @@ def write_review(
     for seed in sorted(verdicts):
         note = (notes or {}).get(seed, "")
         stream.write(f"{seed} {verdicts[seed]} {note}".rstrip().encode() + b"\n")
-
-
-def all_accepted(seeds: Iterable[int]) -> dict[int, Verdict]:
-    """Return the initial review of a sheet."""
-    return dict.fromkeys(seeds, "accept")

@@ -8,17 +8,24 @@ Rotations are exact, so that nothing stretches.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int, Int32, Int64
+from jaxtyping import Complex64, Float, Float32, Float64, Int, Int32, Int64
 from scipy.fft import irfft, rfft
 
 from dynamictree.parallel import single_thread
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
 from dynamictree.wind.air import Air, single_gust, turbulent_air
-from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD, critical_speeds, onset
+from dynamictree.wind.flutter import (
+    FLAP_RAD,
+    LINE_WIDTH,
+    SLOWEST_HZ,
+    TWIG_SHARE,
+    TWIST_RAD,
+    critical_speeds,
+    leaf_frequencies,
+    onset,
+)
 from lab.dataset.branching import Stems
-from lab.dataset.flutter import unit_turns
 from lab.dataset.leaves import Leaves
-from lab.dataset.load import base_radius, loads_of
 from lab.dataset.motion import Sway
 from lab.dataset.oscillator import (
     CENTRE_OF_DRAG,
@@ -27,10 +34,12 @@ from lab.dataset.oscillator import (
     MAX_LEAN_RAD,
     TWIST_OVER_BEND,
     Load,
+    base_radius,
     drag,
     driven_response,
     frequencies,
     limit_angles,
+    loads_of,
     oscillators,
     simulated_law_hz,
 )
@@ -255,3 +264,25 @@ def _flutter(
     unit = irfft(hat, n=num_frames, axis=2, norm="forward")  # [Q, 2, T]
     unit = unit * onset(speed_m_s, critical_speeds(count, rng))[:, None]
     return (FLAP_RAD * unit[:, 0]).astype(np.float32), (TWIST_RAD * unit[:, 1]).astype(np.float32)
+
+
+def resonance(frequency_hz: Float64[np.ndarray, " J"], own_hz: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, "M J"]:
+    """Return the amplitude of each leaf at each frequency of a loop; the squares sum to 1."""
+    offset = (frequency_hz - own_hz[:, None]) / (LINE_WIDTH * own_hz[:, None])
+    amplitude = np.sqrt(1 / (1 + offset**2)) * (frequency_hz >= SLOWEST_HZ)
+    normalised: Float64[np.ndarray, "M J"] = amplitude / np.sqrt((amplitude**2).sum(axis=1, keepdims=True))
+    return normalised
+
+
+def unit_turns(
+    twig: Int[np.ndarray, " M"], frequency_hz: Float64[np.ndarray, " J"], rng: np.random.Generator
+) -> Complex64[np.ndarray, "M 2 J"]:
+    """Sample spectra of each leaf's rotations across its axis and about it, of unit variance; `twig` numbers twigs."""
+    twigs, own = np.unique(twig, return_inverse=True)
+    own_hz = leaf_frequencies(len(twigs), rng)[own]
+    of_twig, of_leaf = (
+        rng.standard_normal((rows, 2, len(frequency_hz), 2), np.float32) @ np.array([1, 1j], np.complex64)
+        for rows in (len(twigs), len(twig))
+    )
+    together = np.sqrt(TWIG_SHARE) * of_twig[own] + np.sqrt(1 - TWIG_SHARE) * of_leaf
+    return np.asarray(0.5 * together * resonance(frequency_hz, own_hz)[:, None], np.complex64)

@@ -47,8 +47,9 @@ class ByHeight:
         share = np.clip(place - low, 0, 1)[:, None, None]
         log_size = (1 - share) * self.log_size[low] + share * self.log_size[low + 1]
         lean = (1 - share[:, 0]) * self.lean[low] + share[:, 0] * self.lean[low + 1]
-        field = np.exp(log_size) * random_phases(log_size.shape[1], rng)
-        return _in_metres(np.concatenate([lean[:, None], field], axis=1), wind, height_m)
+        phases = np.exp(2j * np.pi * rng.random((log_size.shape[1], 3))).astype(np.complex64)
+        relative = np.concatenate([lean[:, None], np.exp(log_size) * phases], axis=1)
+        return np.asarray(relative @ wind_axes(wind) * height_m, np.complex64)
 
 
 def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
@@ -65,12 +66,3 @@ def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
         count += np.bincount(place, minlength=NUM_BINS)
     mean = total / np.maximum(count, 1)[:, None, None]
     return ByHeight(log_size=mean[:, 1:], lean=mean[:, 0])
-
-
-def random_phases(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
-    """Draw a random phase for each frequency and axis."""
-    return np.asarray(np.exp(2j * np.pi * rng.random((num_moving, 3))), np.complex64)
-
-
-def _in_metres(relative: np.ndarray, wind: Wind, height_m: float) -> Complex64[np.ndarray, "V K 3"]:
-    return np.asarray(relative @ wind_axes(wind) * height_m, np.complex64)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex64
+from jaxtyping import Complex64, Float32
 
+from dynamictree.errors import FormatError, InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import Wind, from_motion
 from dynamictree.voxel.voxelize import SurfaceVoxels, voxelize
@@ -15,7 +16,6 @@ from lab.dataset.motion import vertex_spectrum
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from lab.dataset.wind import sway
-from lab.evaluation.sapling_file import read_sapling
 
 STREAM = 7_000_001
 """First word of the seeds of held-out trees; the dataset's seeds begin with its version."""
@@ -24,6 +24,7 @@ GUST = (0.15, 0.45)
 
 SAPLING_WIND = Wind(speed_m_s=7.5, direction_deg=-90.0)
 """Our equivalent of the add-on's wind 1, which blows along −Y: our stems bend as far, see docs/decisions/dataset.md."""
+ARRAYS = ("vertices", "rest", "faces")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,3 +78,39 @@ def iter_held_out(group: SpeciesGroup, count: int, *, resolution: int = 128) -> 
             truth=truth,
             second=second,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaplingTree:
+    """One tree of the Sapling add-on with its motion."""
+
+    name: str
+    mesh: TriangleMesh
+    displacement: Float32[np.ndarray, "T N 3"]  # displacement from the rest pose [m]
+
+
+def sapling_files(folder: Path) -> list[Path]:
+    """List the trees in a folder, or in its subfolder `sapling`.
+
+    Raises:
+        InputError: there are no trees.
+    """
+    inner = folder / "sapling"
+    files = sorted((inner if inner.is_dir() else folder).glob("*.npz"))
+    if not files:
+        raise InputError(f"there is no .npz of a Sapling tree in {folder} or {inner}; give the folder that holds them")
+    return files
+
+
+def read_sapling(path: Path) -> SaplingTree:
+    """Read one tree without its skeleton.
+
+    Raises:
+        FormatError: an array is missing.
+    """
+    with np.load(path, allow_pickle=False) as baked:
+        missing = [name for name in ARRAYS if name not in baked]
+        if missing:
+            raise FormatError(f"{path} lacks {', '.join(missing)}; a tree has the arrays {', '.join(ARRAYS)}")
+        moved, rest, faces = (baked[name] for name in ARRAYS)
+    return SaplingTree(name=path.stem, mesh=TriangleMesh(vertices=rest, faces=faces), displacement=moved - rest)

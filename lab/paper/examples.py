@@ -6,7 +6,7 @@ A spectrum is stored over the tree's height, in the wind's frame, and divided by
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,7 +134,8 @@ class ExampleCache(torch.utils.data.Dataset[PaperExample]):
         self.folder.mkdir(parents=True, exist_ok=True)
         complete = self.folder / "complete"
         if not complete.exists():
-            for number, stored in enumerate(_training_trees(shards)):
+            trees = (tree for path in shards for tree in iter_shard(path) if tree.split == "train")
+            for number, stored in enumerate(trees):
                 path = self._path(number)
                 if not path.exists():
                     _write_example(paper_example(stored, preset), path)
@@ -151,10 +152,6 @@ class ExampleCache(torch.utils.data.Dataset[PaperExample]):
 
     def _path(self, number: int) -> Path:
         return self.folder / f"{number:06d}.safetensors"
-
-
-def _training_trees(shards: Sequence[str]) -> Iterator[StoredTree]:
-    return (tree for path in shards for tree in iter_shard(path) if tree.split == "train")
 
 
 def _fingerprint(shard: str) -> list[object]:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.sampler import linear_schedule, sample_ddim
-from dynamictree.models.paper.denoise import denoise
+from dynamictree.models.paper.generate import denoise
 from dynamictree.models.paper.network import PaperNetwork
 from dynamictree.models.threads import to_device
 from lab.paper.examples import PaperExample, batch_of

@@ -18,19 +18,17 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from dynamictree.diffusion.channels import pack_channels
-from dynamictree.diffusion.loss import LocalSmoothness
-from dynamictree.diffusion.sampler import linear_schedule
+from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, prediction_loss
+from dynamictree.diffusion.sampler import NoiseSchedule, linear_schedule, predicted_clean
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.threads import to_device
 from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
 from lab.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
-from lab.paper.loss import paper_loss
 from lab.paper.sample_figures import sample_figures
 from lab.training.distributed import num_processes, process_rank, wait_for_all
 from lab.training.progress import OnStep
-from lab.training.schedules import LearningRateSchedule
-from lab.training.trainer import Trainer, TrainerOptions
+from lab.training.trainer import LearningRateSchedule, Trainer, TrainerOptions
 
 NUM_MEASURED = 50  # number of trees for measuring the sizes of frequencies
 FIGURES_STEPS = 20  # steps of DDIM
@@ -90,16 +88,7 @@ def train_paper(
     """Train into a folder: `cache/`, `checkpoint.safetensors` to resume from, `figures.jsonl`, and the weights.
 
     The weights are a moving average. They are written at the end and with every line of figures, so that a stopped run
-    also leaves a model.
-
-    Args:
-        plan: the resolved run.
-        shards: files of training trees, see `dataset.shards`.
-        folder: folder of the run.
-        weights: file of the weights; `paper.safetensors` in the folder by default.
-        device: device of the network; the CPU by default.
-        on_step: called with "paper", the step, the number of steps and the loss.
-        on_figures: called with each line of `figures.jsonl`.
+    also leaves a model: `paper.safetensors` in the folder by default. `on_figures` receives each line of figures.
     """
     weights = weights or folder / "paper.safetensors"
     device = device or torch.device("cpu")
@@ -223,3 +212,34 @@ def _batches(cache: ExampleCache, plan: PaperTraining, *, first_pass: int) -> It
         multiprocessing_context="spawn" if plan.num_workers else None,
     )
     return iter(loader)
+
+
+def paper_loss(
+    network: PaperNetwork,
+    batch: PaperBatch,
+    clean: Float32[Tensor, "V J 6"],
+    frequency: Int64[Tensor, "B J"],
+    *,
+    schedule: NoiseSchedule,
+    generator: torch.Generator,
+    smoothness: LocalSmoothness | None,
+    smoothness_weight: float = 1.0,
+) -> Float32[Tensor, ""]:
+    """Return L_DM, plus L_LSS of the predicted clean spectrum if `smoothness` is given.
+
+    L_LSS is weighted by ᾱ: at high noise, the clean spectrum computed from ε is an amplified error. Clean spectra are
+    normalised to unit size. The paper gives no weight of L_LSS beside L_DM.
+    """
+    sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
+    step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)
+    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
+    alpha_bar = schedule.alpha_bar[step][sample][..., None]  # [V, J, 1]
+    noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
+    predicted = network(noisy, step, frequency, network.condition(batch.inputs), batch.inputs).float()
+    loss = prediction_loss(predicted.flatten(0, 1), noise.flatten(0, 1))
+    if smoothness is not None:
+        implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar)
+        neighbours = batch.neighbours, batch.distances_m
+        each = [local_smoothness(one, *neighbours, weights=smoothness) for one in implied.unbind(dim=1)]
+        loss = loss + smoothness_weight * torch.stack(each).mean()
+    return loss

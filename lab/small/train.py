@@ -33,8 +33,7 @@ from lab.small.whitening import MEASURED, NUM_MEASURED, measure, white_example
 from lab.training.checkpoints import load_part
 from lab.training.distributed import num_processes, process_rank, wait_for_all
 from lab.training.progress import OnStep
-from lab.training.schedules import LearningRateSchedule
-from lab.training.trainer import Trainer, TrainerOptions
+from lab.training.trainer import LearningRateSchedule, Trainer, TrainerOptions
 
 TREES_PER_FILE = 25
 FINE_TUNING_FACTOR = 0.5

@@ -16,7 +16,10 @@ MAX_POINTER = 200
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """Return the first invalid fields of `ValidationError.errors()` or FastAPI's errors."""
     left = max(len(raw_errors) - MAX_SEEN, 0)
-    raw_errors = _without_derived(raw_errors[:MAX_SEEN])
+    raw_errors = raw_errors[:MAX_SEEN]
+    # a list that only its invalid members make too short is no error of its own
+    above = {tuple(error["loc"][:end]) for error in raw_errors for end in range(len(error["loc"]))}
+    raw_errors = [error for error in raw_errors if error["type"] != "too_short" or tuple(error["loc"]) not in above]
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]
@@ -24,12 +27,6 @@ def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     if (more := len(raw_errors) + left - MAX_ERRORS) > 0:
         errors.append({"pointer": "", "code": "more", "detail": f"{more} more fields are wrong"})
     return errors
-
-
-def _without_derived(raw_errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Drop the error that a list is too short if only its invalid members make it so."""
-    above = {tuple(error["loc"][:end]) for error in raw_errors for end in range(len(error["loc"]))}
-    return [error for error in raw_errors if error["type"] != "too_short" or tuple(error["loc"]) not in above]
 
 
 def invalid_fields(raw_errors: Sequence[Mapping[str, Any]], where: str | None = None) -> ProblemError:

@@ -116,7 +116,9 @@ class Supervisor:
         try:
             for child in self.children:
                 child.start()
-                self._await(child, stopped)
+                while not stopped.is_set() and not child.plan.ready():
+                    child.ensure_running()
+                    stopped.wait(0.02)
             while not stopped.wait(0.1):
                 for child in self.children:
                     child.ensure_running()
@@ -124,11 +126,6 @@ class Supervisor:
         finally:
             for child in reversed(self.children):
                 child.stop()
-
-    def _await(self, child: Child, stopped: threading.Event) -> None:
-        while not stopped.is_set() and not child.plan.ready():
-            child.ensure_running()
-            stopped.wait(0.02)
 
 
 def die_with_parent() -> None:

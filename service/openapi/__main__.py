@@ -8,13 +8,7 @@ from tempfile import TemporaryDirectory
 from jobs.settings import Settings
 from service.app import create_app
 
-
-def openapi_text() -> str:
-    """Return the OpenAPI document as it is committed."""
+if __name__ == "__main__":
     with TemporaryDirectory() as folder:
         page = create_app(Settings(state_dir=Path(folder))).openapi()
-    return json.dumps(page, indent=1, ensure_ascii=False) + "\n"
-
-
-if __name__ == "__main__":
-    sys.stdout.write(openapi_text())
+    sys.stdout.write(json.dumps(page, indent=1, ensure_ascii=False) + "\n")

@@ -42,7 +42,10 @@ def without_location(file: ReceivedFile) -> ReceivedFile:
     elif before.startswith(b"RIFF") and before[8:12] == b"WEBP":
         _blank_chunks(content, at=12, is_png=False)
     elif _TIFF_HEAD.match(before):
-        _blank_tiff(content)
+        tiff = bytearray(content)
+        with suppress(struct.error, KeyError):  # no decoder can read it either
+            _blank_gps(tiff, also=_TIFF_TEXT)
+            content = tiff
     elif is_heif(file.path):
         _blank_heif(content)
     elif before[:4] in (b"II+\0", b"MM\0+"):
@@ -105,13 +108,6 @@ def _blank_heif(content: bytearray) -> None:
             content[match.start() : match.start() + len(tiff)] = tiff
     for match in _XMP_PACKET.finditer(before):
         _zero(content, match.start(), match.end() - match.start())
-
-
-def _blank_tiff(content: bytearray) -> None:
-    tiff = bytearray(content)
-    with suppress(struct.error, KeyError):  # no decoder can read it either
-        _blank_gps(tiff, also=_TIFF_TEXT)
-        content[:] = tiff
 
 
 def _blanked(marker: int, content: bytes) -> bytes:

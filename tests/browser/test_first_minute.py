@@ -15,6 +15,7 @@ from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.render.contact_sheet import STRIP_PX
 from tests.browser.conftest import JOB_MS, MOVING, Open, animated, picture_of, web_server
+from tests.formats.meshes import written
 from tests.plant import stand
 
 COVERED = "async () => (await (await import('/web/page/early.js')).page).stage.margins.bottom"
@@ -102,8 +103,7 @@ def test_a_tree_that_leaves_takes_its_shadow_along(view: Open, url: str, tmp_pat
 
 def test_textures_that_were_not_dropped_are_missed(view: Open, url: str, samples: Path, tmp_path: Path) -> None:
     mesh = read_mesh(io.BytesIO((samples / "mesh/tree-lime.glb").read_bytes()), file_type="glb")
-    with (tmp_path / "lime.obj").open("wb") as stream:
-        write_obj(mesh, stream, library="lime.mtl")
+    (tmp_path / "lime.obj").write_bytes(written(write_obj, mesh, library="lime.mtl"))
     (tmp_path / "lime.mtl").write_text(f"newmtl {mesh.look.materials[0].name}\nmap_Kd bark.png\n")
     viewer = view(900, 620)
     viewer.open(url)
@@ -115,8 +115,7 @@ def test_textures_that_were_not_dropped_are_missed(view: Open, url: str, samples
 
 def test_a_doubtful_size_is_mended_by_one_click(view: Open, url: str, tmp_path: Path) -> None:
     mesh = stand.tree(6.0, num_cards=60)
-    with (tmp_path / "giant.ply").open("wb") as stream:
-        write_ply(mesh.with_vertices(mesh.vertices * np.float32(400)), stream)
+    (tmp_path / "giant.ply").write_bytes(written(write_ply, mesh.with_vertices(mesh.vertices * np.float32(400))))
     viewer = view(900, 620)
     page = viewer.page
     viewer.open(url)

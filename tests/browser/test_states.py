@@ -12,6 +12,7 @@ from playwright.sync_api import Page, Route, expect
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.mesh import join_meshes
 from tests.browser.conftest import Open, Viewer, animated
+from tests.formats.meshes import written
 from tests.plant import stand
 
 JOB_MS = 300_000.0
@@ -205,8 +206,7 @@ def test_sliders_say_their_values(moving: Viewer) -> None:
 def test_one_of_several_trees_is_chosen(view: Open, url: str, tmp_path: Path) -> None:
     one = stand.tree(6.0, num_cards=60)
     pair = join_meshes([one, one.with_vertices(one.vertices + np.float32([5, 0, 0]))])
-    with (tmp_path / "pair.ply").open("wb") as stream:
-        write_ply(pair, stream)
+    (tmp_path / "pair.ply").write_bytes(written(write_ply, pair))
     viewer = view(1000, 700)
     page = viewer.page
     viewer.open(url)

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.stored_rig import Recall, Result
 from dynamictree.export.table import PRODUCTS
-from dynamictree.export.write import write_products
+from dynamictree.export.write import Recall, Result, write_products
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum

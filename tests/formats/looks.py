@@ -28,9 +28,7 @@ def coefficients_of(mesh: TriangleMesh, num_frequencies: int = 4) -> np.ndarray:
 
 def returned(mesh: TriangleMesh) -> Document:
     """What writers add a motion to."""
-    stream = io.BytesIO()
-    open_document(mesh).finish(stream)
-    return document_of(stream.getvalue())
+    return document_of(written(open_document(mesh).finish))
 
 
 def looks(document: Document) -> dict[str, Any]:

@@ -149,8 +149,7 @@ def test_khronos_validator_finds_no_fault_that_is_not_of_the_source(packing: Pac
         with paths[-2].open("wb") as stream:
             skin = random_skin(mesh, np.random.default_rng(0))
             write_skinned_glb(mesh, skin, SUMMARY, stream, fps=24.0, packing=packing)
-        with paths[-1].open("wb") as stream:
-            write_motion_glb(mesh, coefficients_of(mesh), stream, num_frames=10)
+        paths[-1].write_bytes(written(write_motion_glb, mesh, coefficients_of(mesh), num_frames=10))
     issues = [(report["numErrors"], report["numWarnings"]) for report in validated(paths)]
     assert all(skin in (source, (0, 0)) for source, skin in zip(issues[::3], issues[1::3], strict=True)), issues
     assert set(issues[2::3]) == {(0, 0)}

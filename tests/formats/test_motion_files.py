@@ -11,7 +11,7 @@ from safetensors.numpy import load
 
 from benchmarks._read_exports import accessor, read_morphs
 from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
-from dynamictree.formats.motion.ply_sequence import iter_ply_files
+from dynamictree.formats.mesh.ply_writer import iter_ply_files
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading

@@ -24,6 +24,7 @@ from service.services import Services
 from tests.clouds import cloud_at
 from tests.formats.meshes import written
 from tests.plant.stand import tree
+from tests.service.conftest import refusal
 from tests.service.test_assets import left_behind, photo, send, zipped
 
 
@@ -158,8 +159,7 @@ def test_a_cloud_has_points_to_look_at_while_its_job_runs(client, cloud_id, monk
 
 
 def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
-    response = client.get(f"/v1/assets/{asset.id}/points")
-    assert (response.status_code, response.json()["code"]) == (409, "conflict")
+    refusal(client.get(f"/v1/assets/{asset.id}/points"), 409, "conflict")
 
 
 def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, monkeypatch) -> None:
@@ -175,9 +175,7 @@ def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, mon
     assert "holds one period" in refused.json()["detail"]
     body = {"type": "animate", "asset_id": cloud_id, "params": {"formats": ["splat-ply"]}}
     monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 1000)
-    refused = client.post("/v1/jobs", json=body)
-    assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
-    assert "fewer frames" in refused.json()["detail"]
+    assert "fewer frames" in refusal(client.post("/v1/jobs", json=body), 422, "invalid-input")["detail"]
 
 
 def test_an_asset_lists_its_trees_and_a_job_takes_one(client: TestClient) -> None:

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_438,
-    "lines in lab": 6_313,
-    "lines in service, jobs and worker": 13_460,
-    "lines in tests": 35_880,
+    "lines in dynamictree": 32_248,
+    "lines in lab": 6_104,
+    "lines in service, jobs and worker": 13_393,
+    "lines in tests": 35_818,
     "names bound to numbers in dynamictree": 560,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,

@@ -19,7 +19,7 @@ from dynamictree.wind.flutter import (
     gust_speeds,
     leaf_frequencies,
 )
-from lab.dataset.flutter import resonance, unit_turns
+from lab.dataset.wind import resonance, unit_turns
 
 NUM_FRAMES, FRAME_S = 200, 1 / 24
 NUM_TWIGS, LEAVES_PER_TWIG = 300, 2

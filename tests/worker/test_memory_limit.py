@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from jobs.settings import GIB, MIB
-from worker.memory_limit import available_bytes, is_allocation_failure
+from worker.tasks import available_bytes, is_allocation_failure
 
 ROOT = Path(__file__).parents[2]
 
@@ -16,7 +16,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from jobs.settings import Settings
-from worker.memory_limit import limit_memory
+from worker.tasks import limit_memory
 
 limit_memory(Settings(job_memory_bytes=int(sys.argv[1])))
 memory = np.ones(64 * 2**20, np.uint8)

@@ -12,8 +12,3 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 def component_number(dtype: np.dtype[np.generic] | type[np.generic]) -> int:
     """Return glTF's number of a component type."""
     return next(number for number, kind in COMPONENTS.items() if kind == np.dtype(dtype))
-
-
-def type_name(width: int) -> str:
-    """Return the name of the element type with that many components."""
-    return next(name for name, own in WIDTHS.items() if own == width)

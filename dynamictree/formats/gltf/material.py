@@ -1,15 +1,18 @@
 """Materials and texture coordinates of glTF, for the base colour alone."""
 
+import io
+import struct
 from collections.abc import Mapping
+from importlib.util import find_spec
 from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float32, Shaped
+from PIL import Image
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import KTX2_MAGIC, find_companion
 from dynamictree.formats.gltf.document import GltfDocument, uri_bytes
-from dynamictree.formats.gltf.ktx2 import has_ktx2, ktx2_as_png
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,
@@ -20,7 +23,7 @@ from dynamictree.formats.json_fields import (
     object_list,
     text_field,
 )
-from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
+from dynamictree.formats.texture import MAX_PIXELS, refuse_many_pixels, texture_as_png
 from dynamictree.mesh import Material, SourceWarning, refuse_many_materials
 
 
@@ -131,3 +134,32 @@ def _image(document: GltfDocument, image: JsonObject, name: str) -> bytes | None
         document.warnings.append(SourceWarning(code="texture-not-read", message=message))
         return None
     return texture_as_png(content, name)
+
+
+def has_ktx2() -> bool:
+    """Whether the transcoder is installed."""
+    return find_spec("opengl_basisu") is not None
+
+
+def ktx2_as_png(content: bytes, name: str) -> bytes:
+    """Convert the largest level of a KTX 2 texture with a Basis Universal payload, the only one of glTF, to PNG.
+
+    Raises:
+        FormatError: no Basis Universal texture, damaged, or of more than `MAX_PIXELS`.
+    """
+    size_at = 20  # offset after the identifier, the format and the type's size
+    import opengl_basisu
+
+    if len(content) >= size_at + 8:
+        width, height = struct.unpack_from("<II", content, size_at)
+        if width * height > MAX_PIXELS:
+            raise FormatError(f"texture {name!r} has {width} x {height} pixels; at most {MAX_PIXELS:,} are allowed")
+    try:
+        texture = opengl_basisu.open(content)
+        pixels = texture.transcode("rgba8", level=0).data
+    except (opengl_basisu.BasisuError, ValueError) as error:
+        raise FormatError(f"texture {name!r} cannot be transcoded from KTX 2: {str(error)[:120]}") from error
+    image = Image.fromarray(pixels, "RGBA")
+    stream = io.BytesIO()
+    (image if texture.has_alpha else image.convert("RGB")).save(stream, "PNG")
+    return stream.getvalue()

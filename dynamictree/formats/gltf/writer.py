@@ -11,7 +11,7 @@ from jaxtyping import Float32, Shaped, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.color import srgb_to_linear
-from dynamictree.formats.gltf.layout import component_number, type_name
+from dynamictree.formats.gltf.layout import WIDTHS, component_number
 from dynamictree.formats.gltf.normals import rest_normals
 from dynamictree.formats.gltf.webp import named_textures, webp_textures
 from dynamictree.mesh import Material, TriangleMesh
@@ -62,7 +62,7 @@ class GlbWriter:
             "bufferView": self.add_view(np.ascontiguousarray(elements).tobytes(), target),
             "componentType": component_number(elements.dtype),
             "count": len(elements),
-            "type": type_name(elements.shape[1]),
+            "type": next(name for name, width in WIDTHS.items() if width == elements.shape[1]),
         }
         if bounds:
             accessor |= {"min": elements.min(axis=0).tolist(), "max": elements.max(axis=0).tolist()}

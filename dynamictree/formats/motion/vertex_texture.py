@@ -8,15 +8,16 @@ A texel is added to the position of a vertex: +Y up, metres.
 """
 
 import json
+import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float16, Float32
 
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.writer import rest_glb
-from dynamictree.formats.motion.exr import exr_of
 from dynamictree.mesh import TriangleMesh
 from dynamictree.up_axis import up_rotation
 
@@ -108,3 +109,15 @@ def _texels(layout: TextureLayout, frames: Iterable[Float32[np.ndarray, "N 3"]])
     for number, vectors in enumerate(frames):
         texels[number, : len(vectors)] = vectors @ rotation
     return texels.reshape(layout.height, layout.width, 3)
+
+
+def exr_of(pixels: Float16[np.ndarray, "H W 3"]) -> bytes:
+    """Encode a linear image, first row on top."""
+    import OpenEXR  # 5 MB of code, loaded only on use
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with tempfile.TemporaryDirectory(prefix="dynamictree-exr-") as folder:
+        path = Path(folder) / "picture.exr"
+        with OpenEXR.File(header, {"RGB": np.ascontiguousarray(pixels)}) as picture:
+            picture.write(str(path))
+        return path.read_bytes()

@@ -8,10 +8,9 @@ from jaxtyping import Complex64, Float32, Int64
 from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS, unpack_channels
-from dynamictree.diffusion.sampler import linear_schedule, sample_ddim
+from dynamictree.diffusion.sampler import linear_schedule, predicted_clean, sample_ddim
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
-from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, unit_positions
 from dynamictree.models.threads import best_device, run_on_cores, to_device
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
@@ -29,6 +28,8 @@ BAND = 8
 MAX_ACTIVATIONS = 4_000_000
 """Most values that a band of frequencies has in one layer of the U-Net's first level."""
 MAX_VOXELS = 150_000  # limit of the spectrum's grid
+CLIP = 8.0
+"""Bound of the clean spectrum, of unit size, at each step of DDIM: 98 % of the data's energy lies below it."""
 
 
 class PaperModel(MotionModel):
@@ -115,3 +116,26 @@ def _on_output_grid(
         return grid, coefficients.astype(np.complex64)
     raised = upsample_matrix(grids, halvings, target) @ coefficients.reshape(len(coefficients), -1)
     return grid, raised.reshape(-1, *coefficients.shape[1:]).astype(np.complex64)
+
+
+def denoise(
+    network: PaperNetwork,
+    noisy: Float32[Tensor, "V J 6"],
+    step: int,
+    bins: Int64[Tensor, " J"],
+    condition: Float32[Tensor, "V D"],
+    inputs: PaperInputs,
+) -> Float32[Tensor, "V J 6"]:
+    """Return the network's clean spectra of one tree at a step of the linear schedule, of at most the data's size."""
+    predicted = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, inputs)
+    return at_most_unit_size(predicted_clean(noisy, predicted, linear_schedule().alpha_bar[step]))
+
+
+def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6"]:
+    """Scale each frequency down to a root mean square of 1, which the data have, and clamp to CLIP.
+
+    The expected clean signal is never larger than the data. Without this the first steps, where an error of ε is
+    divided by √ᾱ = 0.006, end at CLIP everywhere, and later steps do not recover.
+    """
+    size = clean.square().mean(dim=(0, 2), keepdim=True).sqrt()
+    return (clean / size.clamp(min=1)).clamp(-CLIP, CLIP)

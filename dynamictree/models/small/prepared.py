@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32
+from jaxtyping import Complex64, Float32, Int64
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from dynamictree.diffusion.channels import unpack_channels
@@ -20,24 +21,72 @@ from dynamictree.models.small.features import (
     tree_features,
     wind_vector,
 )
-from dynamictree.models.small.leaf_swing import Leaves, leaves_of
+from dynamictree.models.small.foliage import ARM, ARM_SCALE
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import at_speed, log_surplus, to_unit_power, with_spread
+from dynamictree.models.small.spread import at_speed, log_surplus, squared_magnitude, to_unit_power, with_spread
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, neighbour_means, sparse_rows, unit_rows, upsample_matrix
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
+from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
+MAX_LEAF_GAIN = 2.0
 MAX_NETWORK_VOXELS = 150_000
 """Most voxels that the network reads; a denser tree is generated on a grid twice as coarse, and interpolated. Trees of
 the dataset have 8,000 to 35,000. Memory and time grow linearly: 6 kB per voxel (docs/decisions)."""
-
 LEAF_SHARES = (0.2, 0.4)
 """Mean share of leaf per voxel: the most for a bare tree, and the least for one in leaf. Six grown bare trees of 1 to
 30 m have 0.03 to 0.15, thirteen of other species 0.51 to 0.80."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Leaves:
+    """Leaf of each voxel: base, direction and weight, to project its motion relative to its base onto rotations.
+
+    Sizes and phases are drawn per axis, so a leaf would grow and shrink along itself; restoring its lengths on the mesh
+    would then remove flutter. The component along the leaf is removed, and the one across it rescaled.
+    """
+
+    base: Int64[Tensor, " V"]  # voxel that the leaf grows from; for wood, the voxel itself
+    outward: Float32[Tensor, "V 3"]  # unit vector from the base to the voxel
+    share: Float32[Tensor, " V"]  # 0 on wood and at a leaf's base
+
+    def swing(self, spectrum: Complex64[Tensor, "V K 3"]) -> Complex64[Tensor, "V K 3"]:
+        """Replace the leaves' motion by rotations about their bases; the mean pose (k = 0) does not grow."""
+        beyond = spectrum - spectrum[self.base]
+        outward = self.outward[:, None].to(spectrum.dtype)
+        across = beyond - (beyond * outward).sum(dim=2, keepdim=True) * outward
+        gain = (_size(beyond) / _size(across).clamp_min(torch.finfo(torch.float32).tiny)).clamp_max(MAX_LEAF_GAIN)
+        gain[:, 0] = 1
+        return spectrum + self.share[:, None, None] * (gain[..., None] * across - beyond)
+
+
+def leaves_of(
+    grid: VoxelGrid,
+    foliage_values: Float32[Tensor, "V O"],
+    free: Float32[Tensor, " V"],
+    axes: Float32[np.ndarray, "3 3"],
+) -> Leaves:
+    """Build the leaves from the foliage network's output; `free` is 0 where the ground fixes a voxel, 1 elsewhere."""
+    # distance from the leaf's base below which a voxel's motion does not change; one voxel further it swings in full
+    base_voxels = 0.5
+    # vector from the base of each voxel's leaf to the voxel [voxels]; about 0 on wood
+    arm = foliage_values[:, ARM].numpy() * ((int(np.ptp(grid.coords[:, 2])) + 1) / ARM_SCALE)
+    length = np.linalg.norm(arm, axis=1)
+    outward = arm @ axes.T / np.maximum(length, np.finfo(np.float32).tiny)[:, None]
+    out = (length - base_voxels).clip(0, 1)
+    return Leaves(
+        base=torch.from_numpy(np.asarray(cKDTree(grid.coords).query(grid.coords - arm)[1], np.int64)),
+        outward=torch.from_numpy(outward.astype(np.float32)),
+        share=free * foliage_values[:, 0].clamp(0, 1) * torch.from_numpy(out.astype(np.float32)),
+    )
+
+
+def _size(vectors: Complex64[Tensor, "V K 3"]) -> Float32[Tensor, "V K"]:
+    return squared_magnitude(vectors).sum(dim=2).sqrt()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynamictree.spectrum import FPS, NUM_FRAMES
-from lab.dataset.load import loads_of
 from lab.dataset.oscillator import (
     CENTRE_OF_DRAG,
     MAX_LEAN_RAD,
@@ -17,6 +16,7 @@ from lab.dataset.oscillator import (
     drag,
     growth_exponent,
     limit_angles,
+    loads_of,
     oscillators,
     pressure,
 )

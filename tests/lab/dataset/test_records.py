@@ -8,10 +8,9 @@ from typer.testing import CliRunner
 
 from dynamictree.errors import InputError
 from lab.commands.dataset import app
-from lab.dataset.filter import measure
+from lab.dataset.filter import iter_measured, measure
 from lab.dataset.generate import Recipe, generate
 from lab.dataset.limits import DatasetLimits
-from lab.dataset.records import iter_measured
 from lab.dataset.sample import make_sample
 
 REJECTED = 41

@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 from dynamictree.spectrum import to_motion
 from lab.commands.evaluate import print_classifier, print_figures
 from lab.evaluation.figures import TreeReference, figures_of
-from lab.evaluation.held_out_trees import HeldOutTree, iter_sapling
-from lab.evaluation.sapling_file import read_sapling, sapling_files
-from lab.evaluation.targets import TARGETS, targets_of
+from lab.evaluation.held_out_trees import HeldOutTree, iter_sapling, read_sapling, sapling_files
+from lab.evaluation.report import TARGETS, targets_of
 
 
 def ran(commands: Typer, *arguments: str) -> tuple[dict, str]:

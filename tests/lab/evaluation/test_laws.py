@@ -18,6 +18,7 @@ from lab.dataset.sapling import Tree, grow_tree
 from lab.dataset.species import SPECIES, Foliage
 from lab.dataset.wind import free_motion
 from lab.evaluation.laws import MODEL_BANDS_HZ, TreeLaws, evaluate_laws, fit_ring_down, law_shares, model_band
+from tests.formats.meshes import written
 
 OF_HALF_THE_TREES = {"flutter sets in with the speed"}
 """Laws that the simulator itself satisfies on half of the trees only (docs/laws.md)."""
@@ -107,8 +108,7 @@ def test_the_command_reports_shares_and_trees(commands: Typer, capsys) -> None:
 def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands: Typer, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dynamictree.method.generate", partial(method.generate, num_steps=1))
     tree = grow_tree(replace(SPECIES["columnar"], height_m=(6.0, 6.0)), np.random.default_rng(2))
-    with (tmp_path / "columnar.glb").open("wb") as stream:
-        write_glb(tree.mesh, stream)
+    (tmp_path / "columnar.glb").write_bytes(written(write_glb, tree.mesh))
     arguments = ["--laws", "--tree", str(tmp_path), "--height-m", "7", "--threads", "1", "--json"]
     result = CliRunner().invoke(commands, arguments, catch_exceptions=False)
     report = json.loads(result.stdout)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError, InputError
-from lab.evaluation.sapling_file import read_sapling, sapling_files
+from lab.evaluation.held_out_trees import read_sapling, sapling_files
 
 
 def test_a_folder_without_trees_is_refused(tmp_path) -> None:

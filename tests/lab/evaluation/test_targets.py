@@ -1,6 +1,6 @@
 import pytest
 
-from lab.evaluation.targets import TARGETS, passes, targets_of
+from lab.evaluation.report import TARGETS, passes, targets_of
 
 GOOD = {
     "log_amplitude_correlation": 0.95,

@@ -12,12 +12,18 @@ from dynamictree.requests import Wind
 from lab.dataset.sample import make_sample
 from lab.dataset.sapling import LEAF
 from lab.dataset.shards import StoredTree, stored_tree
-from lab.small.amplitude_loss import TREE_SHARE, amplitude_losses
 from lab.small.examples import example_of
-from lab.small.foliage_targets import ARM_SCALE, true_parts
-from lab.small.train_foliage import BLIND_EVERY, FoliageExample, foliage_examples, foliage_step, standardise_foliage
-from lab.training.schedules import LearningRateSchedule
-from lab.training.trainer import Trainer, TrainerOptions
+from lab.small.train_foliage import (
+    ARM_SCALE,
+    BLIND_EVERY,
+    FoliageExample,
+    foliage_examples,
+    foliage_step,
+    standardise_foliage,
+    true_parts,
+)
+from lab.small.training_steps import TREE_SHARE, amplitude_losses
+from lab.training.trainer import LearningRateSchedule, Trainer, TrainerOptions
 
 SEED = 9
 

@@ -9,8 +9,7 @@ import torch
 from dynamictree.diffusion.sampler import linear_schedule, predicted_clean, sample_ddim
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.models.paper import generate
-from dynamictree.models.paper.denoise import at_most_unit_size
-from dynamictree.models.paper.generate import PaperModel
+from dynamictree.models.paper.generate import PaperModel, at_most_unit_size
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.spectrum import Wind

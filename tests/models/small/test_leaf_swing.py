@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynamictree.models.small.foliage import ARM, ARM_SCALE, NUM_FOLIAGE_VALUES
-from dynamictree.models.small.leaf_swing import MAX_LEAF_GAIN, Leaves, leaves_of
+from dynamictree.models.small.prepared import MAX_LEAF_GAIN, Leaves, leaves_of
 from dynamictree.voxel.grid import VoxelGrid
 
 AXES = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]], np.float32)
