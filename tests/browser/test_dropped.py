@@ -15,10 +15,10 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from lab.dataset.sample import make_sample
 from tests.browser.conftest import Open, changed, pixels
+from tests.clouds import cloud_at
 from tests.formats.meshes import written
 
 GREEN = (0.07, 0.12, 0.05, 1.0)
@@ -46,13 +46,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scan.write(paths["las"])
     scan.write(paths["laz"])
     rng = np.random.default_rng(0)
-    cloud = GaussianCloud(
-        means=rng.uniform([-0.3, -1.5, -0.3], [0.3, 1.5, 0.3], (3000, 3)).astype(np.float32),
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (3000, 1)),
-        scales=np.full((3000, 3), 0.05, np.float32),
-        opacity=np.full(3000, 0.99, np.float32),
-        sh=np.zeros((3000, 1, 3), np.float32),
-    )
+    cloud = cloud_at(rng.uniform([-0.3, -1.5, -0.3], [0.3, 1.5, 0.3], (3000, 3)), scale=0.05, opacity=0.99)
     paths["splat"].write_bytes(written(write_gaussian_ply, cloud))
     return paths
 

@@ -15,7 +15,7 @@ from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.render.contact_sheet import STRIP_PX
 from tests.browser.conftest import JOB_MS, MOVING, Open, animated, picture_of, web_server
-from tests.formats.meshes import written
+from tests.formats.meshes import written, zipped
 from tests.plant import stand
 
 COVERED = "async () => (await (await import('/web/page/early.js')).page).stage.margins.bottom"
@@ -64,15 +64,12 @@ def test_names_leave_everything_in_its_place(view, url, tree, tmp_path, width, h
 
 
 def test_what_is_no_tree_is_reported_before_it_is_sent(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
-    document = io.BytesIO()
-    with zipfile.ZipFile(document, "w") as archive:
-        archive.writestr("[Content_Types].xml", "<Types/>")
-        archive.writestr("word/document.xml", "<w/>")
+    document = zipped({"[Content_Types].xml": b"<Types/>", "word/document.xml": b"<w/>"}, zipfile.ZIP_STORED)
     contents = {
         "cut.glb": (tree.read_bytes()[:-500], "is cut off after"),
         "zeros.glb": (bytes(200_000), "nothing but zeros"),
         "empty.glb": (b"", "“empty.glb” is empty"),
-        "oak.docx": (document.getvalue(), "is a Word document"),
+        "oak.docx": (document, "is a Word document"),
     }
     viewer = view(900, 620)
     page = viewer.page

@@ -67,27 +67,27 @@ def test_a_break_of_the_connection_keeps_the_card(view: Open, url: str, tree: Pa
     expect(page.locator("#away")).to_be_hidden()
 
 
+def begun(url: str, tree: Path, **request: object) -> str:
+    """A job's id."""
+    asset = httpx.post(f"{url}/v1/assets", files={"file": (tree.name, tree.read_bytes())}, timeout=60).json()
+    return str(httpx.post(f"{url}/v1/jobs", json={"asset_id": asset["id"]} | request, timeout=60).json()["id"])
+
+
 def test_a_canceled_job_can_be_tried_again(view: Open, url: str, tree: Path) -> None:
-    with httpx.Client(base_url=url, timeout=60) as client:
-        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
-        request = {"type": "animate", "asset_id": asset["id"], "seed": 77}
-        job = client.post("/v1/jobs", json=request).json()
-        client.post(f"/v1/jobs/{job['id']}/cancel")
+    job_id = begun(url, tree, type="animate", seed=77)
+    httpx.post(f"{url}/v1/jobs/{job_id}/cancel", timeout=60)
     viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job['id']}")
+    viewer.open(f"{url}/#job={job_id}")
     alert = viewer.page.get_by_role("alert")
     expect(alert).to_contain_text("This job was canceled")
     alert.get_by_role("button", name="Try again").click()
     state(viewer.page, "moving")
-    assert job["id"] not in viewer.page.url
+    assert job_id not in viewer.page.url
 
 
 def test_voxels_only_are_said_to_be_that(view: Open, url: str, tree: Path) -> None:
-    with httpx.Client(base_url=url, timeout=60) as client:
-        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
-        job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset["id"]}).json()
     viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job['id']}")
+    viewer.open(f"{url}/#job={begun(url, tree, type='voxelize')}")
     alert = viewer.page.get_by_role("alert")
     expect(alert).to_contain_text("made no motion", timeout=JOB_MS)
     alert.get_by_role("button", name="Give it motion").click()
@@ -135,22 +135,20 @@ def test_the_job_list_stays_while_it_is_refreshed(view: Open, url: str, new_job:
 
 
 def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) -> None:
-    with httpx.Client(base_url=url, timeout=60) as client:
-        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
-        job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset["id"]}).json()
-        client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"})
+    job_url = f"{url}/v1/jobs/{(job_id := begun(url, tree, type='voxelize'))}"
+    httpx.get(job_url, headers={"Prefer": "wait=30"}, timeout=60)
     viewer = view(390, 760, touch=True)
     page = viewer.page
-    viewer.open(f"{url}/#job={job['id']}")
+    viewer.open(f"{url}/#job={job_id}")
     expect(page.get_by_role("alert")).to_contain_text("made no motion", timeout=JOB_MS)
     page.locator("#open-jobs").click()
-    item = page.locator(f"#job-list [data-key='{job['id']}']")
+    item = page.locator(f"#job-list [data-key='{job_id}']")
     item.locator(".delete").click()
     expect(item.locator(".delete")).to_have_text("Delete it and its files?")
-    assert httpx.get(f"{url}/v1/jobs/{job['id']}", timeout=60).status_code == 200, "one press is not enough"
+    assert httpx.get(job_url, timeout=60).status_code == 200, "one press is not enough"
     item.locator(".delete").click()
     expect(item).to_have_count(0)
-    assert httpx.get(f"{url}/v1/jobs/{job['id']}", timeout=60).status_code == 410
+    assert httpx.get(job_url, timeout=60).status_code == 410
     page.keyboard.press("Escape")
     expect(page.get_by_role("alert")).to_contain_text("You have deleted this tree")
     expect(page.locator("#problem-retry")).to_be_hidden()

@@ -8,11 +8,11 @@ import pytest
 
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.splat.ply import write_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material
 from lab.dataset.sample import make_sample
 from tests.browser.conftest import Open, Viewer, changed, job_of, picture_of, scrub
+from tests.clouds import cloud_at
 from tests.devoxelize.test_interpolation import merged, tube
 from tests.formats.meshes import written
 
@@ -87,13 +87,8 @@ def splat(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ball = rng.normal(size=(2000, 3))
     ball = 0.3 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [1.0, 0, 0.3]
     colour = np.repeat(np.float32([[0.1, 0.6, 0.1], [0.9, 0.1, 0.1]]), [4000, 2000], axis=0)
-    cloud = GaussianCloud(
-        means=np.concatenate([pillar, ball]).astype(np.float32),
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (6000, 1)),
-        scales=np.full((6000, 3), 0.03, np.float32),
-        opacity=np.full(6000, 0.99, np.float32),
-        sh=((colour - 0.5) / np.float32(SH_0))[:, None],
-    )
+    sh = ((colour - 0.5) / np.float32(SH_0))[:, None]
+    cloud = cloud_at(np.concatenate([pillar, ball]), scale=0.03, opacity=0.99, sh=sh)
     path = tmp_path_factory.mktemp("splats") / "pillar.ply"
     path.write_bytes(written(write_gaussian_ply, cloud))
     return path

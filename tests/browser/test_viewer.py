@@ -10,10 +10,10 @@ import pytest
 from playwright.sync_api import expect
 
 from dynamictree.formats.splat.ply import write_gaussian_ply
-from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.clients.keys import create_key
 from jobs.store import Store
 from tests.browser.conftest import JOB_MS, MOVING, Open, Viewer, animated, changed, pixels, scrub, steady
+from tests.clouds import cloud_at
 from tests.formats.meshes import written
 from tests.servers import api
 
@@ -188,15 +188,9 @@ def two_faced(tmp_path_factory: pytest.TempPathFactory) -> Path:
     radius = 0.4 * np.sqrt(np.clip(1 - (np.abs(height - 1.5) / 1.5) ** 8, 0, 1))
     sh = np.zeros((6000, 4, 3), np.float32)
     sh[:, 1, 0] = sh[:, 3, 1] = LOPSIDED
-    cloud = GaussianCloud(
-        means=np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1).astype(np.float32),
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (6000, 1)),
-        scales=np.full((6000, 3), 0.04, np.float32),
-        opacity=np.full(6000, 0.99, np.float32),
-        sh=sh,
-    )
+    means = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
     path = tmp_path_factory.mktemp("splats") / "pillar.ply"
-    path.write_bytes(written(write_gaussian_ply, cloud))
+    path.write_bytes(written(write_gaussian_ply, cloud_at(means, scale=0.04, opacity=0.99, sh=sh)))
     return path
 
 

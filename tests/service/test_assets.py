@@ -13,6 +13,7 @@ from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.multipart import MAX_FILES, MAX_PARTS
 from service.services import Services
+from tests.formats import meshes
 from tests.formats.meshes import image_bytes, triangle_gltf, written
 from tests.service.conftest import change_services, refusal
 from tests.service.tus import whole
@@ -26,6 +27,7 @@ usemtl bark
 f 1 2 3
 f 2 3 4
 """
+PLAIN = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
 MTL = b"newmtl bark\nKd 0.5 0.25 0.1\n"
 
 
@@ -38,11 +40,7 @@ def raw(client: TestClient, body: bytes) -> object:
 
 
 def zipped(*entries: tuple[str, bytes]) -> bytes:
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in entries:
-            archive.writestr(name, content)
-    return packed.getvalue()
+    return meshes.zipped(dict(entries))
 
 
 @cache

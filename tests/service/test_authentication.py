@@ -19,10 +19,10 @@ from service.http.rate_limit import WRONG_KEYS_PER_MIN
 from service.routes import job_events
 from service.services import Services
 from tests.service.conftest import app_of, hold, publish, refusal
-from tests.service.test_assets import OBJ, send
+from tests.service.test_assets import PLAIN, send
 from tests.service.tus import TUS
 
-TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b""))
+TREE = ("tree.obj", PLAIN)
 
 
 @pytest.fixture

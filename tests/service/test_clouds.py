@@ -1,6 +1,7 @@
 """Splats, scans and scenes of several trees as assets, and what a job on them may ask for."""
 
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 
 import numpy as np
@@ -37,12 +38,7 @@ def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
     return replace(cloud, source=Source(up_axis="-Y"))
 
 
-def ply_of(cloud: GaussianCloud) -> bytes:
-    return written(write_gaussian_ply, cloud)
-
-
-def splat_of(cloud: GaussianCloud) -> bytes:
-    return written(write_splat, cloud)
+ply_of, splat_of = partial(written, write_gaussian_ply), partial(written, write_splat)
 
 
 def mask_of(values: np.ndarray) -> bytes:

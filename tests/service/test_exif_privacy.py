@@ -1,6 +1,5 @@
 """A stored photo contains no place and is the same picture."""
 
-import io
 from hashlib import sha256
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from PIL import Image, PngImagePlugin
 from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
 from service.uploads.exif_privacy import without_location
+from tests.formats.meshes import written
 
 GPS, ORIENTATION, FOCAL = 0x8825, 0x0112, 0xA405
 
@@ -119,10 +119,8 @@ def exif_of_a_place() -> bytes:
 
 
 def jpeg(**options: object) -> bytes:
-    written = io.BytesIO()
     pixels = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
-    Image.fromarray(pixels).save(written, format="JPEG", **options)
-    return written.getvalue()
+    return written(Image.fromarray(pixels).save, format="JPEG", **options)
 
 
 def places_in_a_jpeg() -> dict[str, bytes]:

@@ -20,10 +20,8 @@ from service.services import Services
 from tests.line import answering
 from tests.rows import asset_row, job_row
 from tests.service.conftest import change_services, hold, refusal
-from tests.service.test_assets import OBJ, left_behind
+from tests.service.test_assets import PLAIN, left_behind
 from tests.service.test_jobs import claimed, create
-
-PLAIN_OBJ = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
 
 
 def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, services: Services) -> None:
@@ -128,7 +126,7 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     assert client.post("/v1/jobs", json=unknown).status_code == 404
 
 
-FILES = {"/tree.obj": PLAIN_OBJ, "/no.obj": b"hello", "/large.obj": bytes(5000)}
+FILES = {"/tree.obj": PLAIN, "/no.obj": b"hello", "/large.obj": bytes(5000)}
 
 
 @pytest.mark.parametrize(

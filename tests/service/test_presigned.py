@@ -17,7 +17,7 @@ from service.routes import uploads
 from tests.rows import stored_part
 from tests.servers import object_storage
 from tests.service.conftest import hold, publish, refusal
-from tests.service.test_assets import OBJ, send
+from tests.service.test_assets import OBJ, PLAIN, send
 from tests.service.tus import TUS, append, begin
 from tests.worker.conftest import hold as hold_as_worker
 from tests.worker.test_attempt import run
@@ -78,8 +78,7 @@ def test_a_piece_that_is_not_as_long_as_announced_makes_no_upload(client: TestCl
 def test_products_are_copied_to_where_the_operator_allows(client: TestClient) -> None:
     """The last test on this service: its worker is of the same process and takes SQLite's locks along."""
     services = client.app.state.services  # type: ignore[attr-defined]
-    plain = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
-    body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", plain)).json()["id"]}
+    body = {"type": "voxelize", "asset_id": send(client, ("tree.obj", PLAIN)).json()["id"]}
     below = (f"s3://trees/out/{end}" for end in ("../products", "%2e%2e/products", "a/.%2E/b", "a?b", "a#b"))
     for elsewhere in ("s3://others/out/a", "s3://trees/outside", "file:///etc", *below):
         refusal(client.post("/v1/jobs", json=body | {"destination": elsewhere}), 403, "forbidden")

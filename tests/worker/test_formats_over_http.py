@@ -25,9 +25,7 @@ Files = tuple[tuple[str, bytes], ...]
 
 def sog_files() -> Files:
     """A SOG archive's files by themselves, as splat-transform writes them into a folder."""
-    stream = io.BytesIO()
-    write_sog(post_cloud(), stream)
-    archive = zipfile.ZipFile(stream)
+    archive = zipfile.ZipFile(io.BytesIO(written(write_sog, post_cloud())))
     return tuple((name, archive.read(name)) for name in archive.namelist())
 
 
