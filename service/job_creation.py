@@ -18,7 +18,7 @@ from jobs.store import new_id
 from service.http.problems import ProblemError, wrong_field
 from service.http.routing import is_id
 from service.job_responses import job_payload
-from service.routes.catalogue import require_preset
+from service.routes.catalogue import preset_sizes
 from service.schemas.jobs import JobPayload, JobRequest
 from service.services import Owned
 from service.uploads.quota import require_room, require_space
@@ -105,8 +105,9 @@ def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tupl
         _require_destination(owned, body.destination)
     asset = read_asset(owned.store, body.asset_id)
     stages = stages_of(body.type, asset.kind)
-    if "diffuse" in stages:
-        require_preset(body.preset)
+    if "diffuse" in stages and body.preset not in preset_sizes():
+        detail = f"there is no preset {body.preset!r}; there are {', '.join(preset_sizes()) or 'none'}"
+        raise wrong_field("/preset", "unknown-preset", detail)
     chosen = [name for name in CloudParams.model_fields if name != "box_m" and getattr(body.params, name) is not None]
     if chosen and asset.kind == "photos":
         detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"

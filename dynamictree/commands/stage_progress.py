@@ -45,18 +45,14 @@ class _Lines:
         elif not self._due(progress.share, now):
             return
         self._written_at, self._written_share = now, progress.share
-        typer.echo(self._text_of(progress, remaining_s(progress.share, now - self._start)), err=True)
+        share, least_share = progress.share, 0.05  # share of a stage before its end can be estimated
+        eta_s = (now - self._start) * (1 - share) / share if share >= least_share else None
+        typer.echo(self._text_of(progress, eta_s), err=True)
 
     def _due(self, share: float, now: float) -> bool:
         if share == 1:
             return self._written_share < 1
         return now - self._written_at >= self._every_s and share - self._written_share >= self._every_share
-
-
-def remaining_s(share: float, elapsed_s: float) -> float | None:
-    """Estimate the remaining time of a stage [s]; None at its beginning."""
-    least_share = 0.05  # share of a stage that must be done before its end can be estimated
-    return elapsed_s * (1 - share) / share if share >= least_share else None
 
 
 def _event(progress: Progress, eta_s: float | None) -> str:

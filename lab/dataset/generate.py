@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -224,7 +224,13 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
         "verdicts": dict(sorted(verdicts.items())),
         "species": dict(sorted(Counter(tree["species"] for tree in trees).items())),
         "splits": dict(sorted(Counter(tree["split"] for tree in trees).items())),
-        "measures": spread_of([tree["measures"] for tree in trees]),
+        "measures": {
+            name: {
+                label: float(np.percentile([tree["measures"][name] for tree in trees], at))
+                for label, at in (("p50", 50), ("p99", 99), ("max", 100))
+            }
+            for name in (trees[0]["measures"] if trees else ())
+        },
         "mean_vertices": round(sum(tree["vertices"] for tree in trees) / max(len(trees), 1), 1),
         "mean_voxels": {
             str(size): round(sum(tree[f"voxels_{size}"] for tree in trees) / max(len(trees), 1), 1)
@@ -233,17 +239,6 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
         "shards": [
             {"file": record["file"], "sha256": record["sha256"], "trees": len(record["trees"])} for record in records
         ],
-    }
-
-
-def spread_of(measures: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return median, 99th percentile and largest value of each measure."""
-    return {
-        name: {
-            label: float(np.percentile([one[name] for one in measures], at))
-            for label, at in (("p50", 50), ("p99", 99), ("max", 100))
-        }
-        for name in (measures[0] if measures else ())
     }
 
 

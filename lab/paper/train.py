@@ -101,7 +101,14 @@ def train_paper(
     network.frequency_sizes.copy_(frequency_sizes(cache, plan))
     trainer = Trainer(network.to(device), plan.options())
     trainer.resume(folder / "checkpoint.safetensors")
-    batches = _batches(cache, plan, first_pass=trainer.step * trainer.options.accumulate)
+    loader = DataLoader(
+        cache,
+        batch_sampler=_TreeDraws(len(cache), plan, first_pass=trainer.step * trainer.options.accumulate),
+        num_workers=plan.num_workers,
+        collate_fn=_Collate(plan.preset),
+        multiprocessing_context="spawn" if plan.num_workers else None,
+    )
+    batches = iter(loader)
     schedule = to_device(device, linear_schedule())
 
     def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
@@ -201,17 +208,6 @@ class _Collate:
 
     def __call__(self, examples: list[PaperExample]) -> PaperBatch:
         return batch_of(examples, self.preset)
-
-
-def _batches(cache: ExampleCache, plan: PaperTraining, *, first_pass: int) -> Iterator[PaperBatch]:
-    loader = DataLoader(
-        cache,
-        batch_sampler=_TreeDraws(len(cache), plan, first_pass),
-        num_workers=plan.num_workers,
-        collate_fn=_Collate(plan.preset),
-        multiprocessing_context="spawn" if plan.num_workers else None,
-    )
-    return iter(loader)
 
 
 def paper_loss(

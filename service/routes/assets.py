@@ -1,6 +1,8 @@
 """/v1/assets: upload, read and delete the inputs of jobs."""
 
 from contextlib import AsyncExitStack
+from pathlib import PurePosixPath
+from urllib.parse import unquote, urlsplit
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import contextmanager_in_threadpool
@@ -19,7 +21,7 @@ from service.http.routing import Id, headers, refusals
 from service.http.validation_errors import invalid_fields
 from service.schemas.assets import AssetOptions, AssetPayload, AssetRequest, UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
-from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
+from service.uploads.ingest import BYTES_ALLOWED, make_asset
 from service.uploads.intake import parse_and_store, scratch_folder
 from service.uploads.quota import announce_upload, reserve_space
 
@@ -109,13 +111,13 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     assert wanted.url is not None
     # refuses a wrong address at once; it is checked again at the connection
     await owned.services.outbound.check(wanted.url)
-    allowed = owned.caller.limits.get("bytes")
+    allowed, name = owned.caller.limits.get("bytes"), PurePosixPath(unquote(urlsplit(wanted.url).path)).name
     record = await run_in_threadpool(
         announce_upload,
         owned,
         owned.services.settings.upload_retention_s,
         state="fetching",
-        filename=wanted.filename or name_of_url(wanted.url),
+        filename=wanted.filename or name[:255].replace("\0", "") or "file",
         options=wanted.stored() | ({} if allowed is None else {BYTES_ALLOWED: allowed}),
         length=None,
         sha256=wanted.sha256,

@@ -13,7 +13,6 @@ from jobs.clients.usage import count_jobs, months, stored_bytes
 from jobs.records import Limit
 from jobs.states import ACTIVE
 from service.http import multipart
-from service.http.problems import wrong_field
 from service.http.routing import refusals
 from service.interact import forces
 from service.routes import interact
@@ -102,13 +101,6 @@ def preset_sizes() -> dict[str, int]:
     """Return the models that jobs may use, with the size of their weights [bytes]."""
     models = sorted(list_weights().items())
     return {name: path.stat().st_size for name, path in models if len(name) <= MAX_PRESET_NAME}
-
-
-def require_preset(name: str) -> None:
-    """Refuse a model that does not exist."""
-    if name not in preset_sizes():
-        detail = f"there is no preset {name!r}; there are {', '.join(preset_sizes()) or 'none'}"
-        raise wrong_field("/preset", "unknown-preset", detail)
 
 
 @router.get("/presets", responses=refusals())

@@ -3,8 +3,7 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Sequence
-from pathlib import Path, PurePosixPath
-from urllib.parse import unquote, urlsplit
+from pathlib import Path
 
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
@@ -197,8 +196,3 @@ async def _bounded(body: AsyncIterator[bytes], allowed: int) -> AsyncIterator[by
 
 def _bytes_of(length: str) -> int:
     return int(length) if length.isascii() and length.isdecimal() and len(length) <= 18 else 0
-
-
-def name_of_url(url: str) -> str:
-    """Return the file name in a URL."""
-    return PurePosixPath(unquote(urlsplit(url).path)).name[:255].replace("\0", "") or "file"

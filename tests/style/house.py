@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_248,
-    "lines in lab": 6_104,
-    "lines in service, jobs and worker": 13_393,
-    "lines in tests": 35_818,
+    "lines in dynamictree": 32_239,
+    "lines in lab": 6_095,
+    "lines in service, jobs and worker": 13_382,
+    "lines in tests": 35_782,
     "names bound to numbers in dynamictree": 560,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,

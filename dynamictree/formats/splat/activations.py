@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
-from scipy.special import expit, logit
+from scipy.special import logit
 
 from dynamictree.gaussian.harmonics import SH_0
 
@@ -12,13 +12,8 @@ _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """The other components of a quaternion, by the index of its largest one."""
 
 
-def opacity_from_logit(values: Float[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
-    """Convert logits to opacities by the sigmoid."""
-    return expit(values.astype(np.float32))
-
-
 def logit_from_opacity(opacity: Float32[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
-    """Invert `opacity_from_logit`; 0 and 1 are clipped to the nearest values with a finite logit."""
+    """Compute logits; 0 and 1 are clipped to the nearest values with a finite logit."""
     tiny = np.finfo(np.float32).eps / 2
     return np.asarray(logit(np.clip(opacity, tiny, 1 - tiny)), np.float32)
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float32, Shaped
+from scipy.special import expit
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
@@ -15,7 +16,6 @@ from dynamictree.formats.splat.activations import (
     harmonic_from_color,
     log_from_scales,
     logit_from_opacity,
-    opacity_from_logit,
     scales_from_log,
 )
 from dynamictree.gaussian.axes import to_source_axes
@@ -65,7 +65,7 @@ def read_gaussian_ply(stream: SeekableReader) -> GaussianCloud:
         means=_columns(rows, _POSITION),
         quaternions=unit_quaternions(_columns(rows, _ROTATION)),
         scales=scales_from_log(scales),
-        opacity=opacity_from_logit(rows["opacity"].astype(np.float32)),
+        opacity=expit(rows["opacity"].astype(np.float32)),
         sh=sh,
         dropped=dropped,
     )
