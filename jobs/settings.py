@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import SettingsError as NoJSON
 
 from jobs.errors import SettingsError
 from jobs.states import AUTO, CPU, GPU
@@ -101,7 +102,7 @@ class Settings(BaseSettings):
     ops_address: str | None = Field(default=None, pattern=r"^\S+:\d{1,5}$")
 
     @model_validator(mode="after")
-    def _times_in_order(self) -> Self:
+    def _consistent(self) -> Self:
         if self.heartbeat_s * 2 > self.lease_s:
             raise ValueError(
                 f"heartbeat_s is {self.heartbeat_s:g}; at most half of lease_s ({self.lease_s:g}) is allowed"
@@ -110,6 +111,11 @@ class Settings(BaseSettings):
             raise ValueError(
                 f"soft_time_limit_s is {self.soft_time_limit_s}; at most time_limit_s ({self.time_limit_s}) is allowed"
             )
+        scheme = self.resolved_database_url.partition(":")[0]  # without the URL's password
+        if scheme not in ("sqlite", "postgresql", "postgresql+psycopg"):
+            raise ValueError(f"database_url begins with {scheme!r}; sqlite or postgresql is allowed")
+        if "://" not in self.resolved_artifacts_url:
+            raise ValueError(f"artifacts_url is {self.artifacts_url!r}; file:///folder or s3://bucket is allowed")
         if self.destinations and self.resolved_artifacts_url.startswith("file:"):
             raise ValueError("destinations go with an artifacts_url in object storage; it is a folder")
         return self
@@ -182,6 +188,8 @@ def read_settings(**overrides: object) -> Settings:
     secrets = os.environ.get("DYNAMICTREE_SECRETS_DIR")
     try:
         return Settings(_secrets_dir=secrets, **overrides)  # type: ignore[arg-type]
+    except NoJSON as error:
+        raise SettingsError(f'{error}: not JSON, as \'["a", "b"]\' is; see docs/settings.md') from error
     except ValidationError as error:
         problems = "; ".join(
             f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()} is {e['input']!r}: {e['msg']}"

@@ -48,8 +48,7 @@ def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
         raise ConflictError(
             "a reconstruct job needs an asset of photos or a cloud, this one is a mesh; ask for animate"
         )
-    first = 1 if asset_kind == "mesh" else 0
-    return JOB_TYPES[first : JOB_TYPES.index(job_type) + 1]
+    return JOB_TYPES[1 if asset_kind == "mesh" else 0 : JOB_TYPES.index(job_type) + 1]
 
 
 AUTO, CPU, GPU = "auto", "cpu", "gpu"

@@ -97,8 +97,7 @@ def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, 
 
 def _touched_a_row(connection: sa.Connection, table: sa.Table, statement: Any) -> bool:
     # rowcount is unreliable for an INSERT on PostgreSQL
-    returned = connection.execute(statement.returning(*table.primary_key.columns))
-    return returned.one_or_none() is not None
+    return connection.execute(statement.returning(*table.primary_key.columns)).one_or_none() is not None
 
 
 def _insert(connection: sa.Connection, table: sa.Table) -> Any:

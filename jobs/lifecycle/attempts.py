@@ -246,8 +246,7 @@ def _replace_artifacts(
 
     An unchanged file keeps its id, since clients may have it.
     """
-    of_job = t.artifacts.c.job_id == claimed.job.id
-    there = connection.execute(sa.select(t.artifacts).where(of_job)).all()
+    there = connection.execute(sa.select(t.artifacts).where(t.artifacts.c.job_id == claimed.job.id)).all()
     if files and not there:
         queue_deliveries(connection, claimed.job.id, FIRST_ARTIFACT, now=now)
     wanted, names = {(file.name, file.sha256) for file in files}, {file.name for file in files}

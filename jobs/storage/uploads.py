@@ -85,8 +85,7 @@ def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -
     waiting = (t.uploads.c.state == "fetching") | ((t.uploads.c.state == "received") & t.uploads.c.make_asset)
     free = t.uploads.c.lease_until.is_(None) | (t.uploads.c.lease_until < now)
     with store.reading() as connection:
-        busy = sa.select(t.uploads.c.owner).where(waiting & ~free)
-        running = Counter(connection.execute(busy).scalars())
+        running = Counter(connection.execute(sa.select(t.uploads.c.owner).where(waiting & ~free)).scalars())
         place = sa.func.row_number().over(partition_by=t.uploads.c.owner, order_by=t.uploads.c.id).label("place")
         ranked = sa.select(t.uploads.c.id, t.uploads.c.owner, place).where(waiting & free).subquery()
         rows = connection.execute(sa.select(ranked).where(ranked.c.place <= per_owner)).all()

@@ -45,8 +45,7 @@ class LinkSignature:
 
     def opens(self, key: KeyRecord, path: str, now: float) -> bool:
         """Return whether the signature is valid for this key and path and has not expired."""
-        expected = _signature(key, path, self.expires)
-        return now < self.expires and hmac.compare_digest(self.signature, expected)
+        return now < self.expires and hmac.compare_digest(self.signature, _signature(key, path, self.expires))
 
 
 def signed(key: KeyRecord, path: str, expires: int) -> str:

@@ -91,8 +91,7 @@ def get_reach(
     """Return each voxel's weight w_g in a group of forces, a byte per voxel, in the order of the modes' coords."""
     place = Locality(seed_voxel=seed_voxel, falloff_m=falloff_m)
     (weights,) = served_tree(owned, id).with_rig().weights([ForceGroup(locality=place)])
-    content = np.rint(weights * 255).astype(np.uint8).tobytes()
-    return Response(content, 200, CACHED, BYTES)
+    return Response(np.rint(weights * 255).astype(np.uint8).tobytes(), 200, CACHED, BYTES)
 
 
 @router.get("/assets/{id}/points", tags=["assets"], **_OF_ASSET)

@@ -175,8 +175,7 @@ def create_upload_parts(id: Id, owned: OwnedDep) -> UploadPartsPayload:
         url = parts.link(id, offset) if owned.services.settings.presigned_links else None
         if url is None:
             raise ConflictError("this service gives no addresses of its storage; send the bytes with PATCH")
-        size = min(PART_BYTES, record.length - offset)
-        missing.append(UploadPartPayload(offset=offset, bytes=size, url=url))
+        missing.append(UploadPartPayload(offset=offset, bytes=min(PART_BYTES, record.length - offset), url=url))
     until = owned.store.clock() + LINK_S
     change_upload(owned.store, id, expires_at=max(record.expires_at, until))
     return UploadPartsPayload.of(None, parts=missing, expires_at=until)

@@ -100,8 +100,7 @@ def _classify(owned: Owned, options: AssetOptions, files: list[ReceivedFile], fo
             return Upload(kind="photos", files=_photos(stills), unused=unused, metadata=metadata)
         return Upload(kind="photos", files=_film(files) if films else _photos(files), metadata=metadata)
     models = _models(files)
-    beside = tuple(file for file in files if file not in models)
-    every = (*models, *beside)
+    every = (*models, *(file for file in files if file not in models))
     reading = Reading.part_of(options.model_dump())
     return Upload(kind="mesh", num_models=len(models), files=every, reading=reading, metadata=metadata)
 

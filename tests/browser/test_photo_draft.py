@@ -52,8 +52,7 @@ def test_the_splat_is_shown_while_it_is_learned_and_then_the_tree(view, url, run
     seen = page.evaluate(MESH_IS_SEEN)
     assert not seen["mesh"]
     assert seen["apart"] < 0.3, "the splat at rest does not stand as the mesh does"
-    at_rest = pixels(viewer)
-    assert changed(at_rest, empty) > LEAST_DRAWN
+    assert changed(pixels(viewer), empty) > LEAST_DRAWN
     while not (seen := page.evaluate(MESH_IS_SEEN))["splat"]:
         assert not seen["mesh"]
         page.wait_for_timeout(200)

@@ -131,8 +131,7 @@ def test_the_view_holds_the_plant_with_its_pot_and_not_the_sea_around_it(view: O
     viewer = view(640, 480)
     viewer.open(url)
     assert viewer.page.evaluate(SEEN, []) == [[-1, -1, 0], [1, 1, 4]]
-    pot = [[-0.5, -0.5, -0.8], [0.5, 0.5, 0.1]]
-    assert viewer.page.evaluate(SEEN, pot) == [[-1, -1, -0.8], [1, 1, 4]]
+    assert viewer.page.evaluate(SEEN, [[-0.5, -0.5, -0.8], [0.5, 0.5, 0.1]]) == [[-1, -1, -0.8], [1, 1, 4]]
     low, high = viewer.page.evaluate(SEEN, [[-200, -200, -0.2], [200, 200, -0.2]])
     assert (low[2], high[2]) == pytest.approx((-0.2, 4))
     assert -3.5 < low[0] < -1 < 1 < high[0] < 3.5

@@ -28,8 +28,7 @@ def assert_problem(response: object, status: int, code: str) -> None:
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    settings = Settings(state_dir=tmp_path_factory.mktemp("state"), max_json_bytes=2048)
-    app = create_app(settings)
+    app = create_app(Settings(state_dir=tmp_path_factory.mktemp("state"), max_json_bytes=2048))
 
     @app.get("/boom")
     def boom() -> None:

@@ -156,8 +156,7 @@ def test_events_come_at_once_and_files_by_ranges(edge: Edge) -> None:
         job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset["id"]}).json()
         with client.stream("GET", f"/v1/jobs/{job['id']}/events") as events:
             began = time.monotonic()
-            first = next(events.iter_lines())
-            assert first
+            assert next(events.iter_lines())
             assert time.monotonic() - began < 5  # no worker: the job waits, and a proxy that gathers would too
         link = client.post("/v1/links", json={"path": f"/v1/assets/{asset['id']}/surface"}).json()["url"]
     anyone = httpx.get(edge.url + link, verify=edge.trust)
@@ -188,8 +187,7 @@ def test_one_address_has_a_share_of_the_connections(edge: Edge) -> None:
             connection.settimeout(10)
             connection.sendall(head.encode())  # no byte of the body follows
             opened.append(connection)
-        answers = [connection.recv(64).split(b" ")[1] for connection in opened[-10:]]
-        assert answers == [b"503"] * 10
+        assert [connection.recv(64).split(b" ")[1] for connection in opened[-10:]] == [b"503"] * 10
     finally:
         for connection in opened:
             connection.close()

@@ -7,10 +7,24 @@ from jobs.errors import SettingsError
 from jobs.settings import Settings, read_settings
 
 
-@pytest.mark.parametrize("times", [{"heartbeat_s": 40}, {"soft_time_limit_s": 9999}])
-def test_times_must_be_in_order(times: dict[str, float]) -> None:
-    with pytest.raises(SettingsError, match=f"^{next(iter(times))} is .* allowed; see"):
-        read_settings(**times)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"heartbeat_s": 40},
+        {"soft_time_limit_s": 9999},
+        {"artifacts_url": "/srv"},
+        {"database_url": "mysql://me:pw@host"},
+    ],
+)
+def test_what_contradicts_or_opens_nothing_is_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(SettingsError, match=rf"^{next(iter(wrong))} (?!.*pw).* allowed; see"):
+        read_settings(**wrong)
+
+
+def test_a_list_that_is_no_json_is_refused_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DYNAMICTREE_HOSTS", "trees.example")
+    with pytest.raises(SettingsError, match=r'"hosts".*not JSON'):
+        read_settings()
 
 
 def test_settings_are_frozen_and_closed() -> None:

@@ -98,8 +98,7 @@ def test_a_key_does_only_what_its_scopes_say(app_services: tuple[TestClient, Ser
     assert reader.get("/v1/jobs").status_code == 200
     assert send(reader, TREE).json()["code"] == "forbidden"
     assert reader.post("/v1/interact", json={}).json()["code"] == "forbidden"
-    asset = send(writer, TREE).json()["id"]
-    high = {"type": "voxelize", "asset_id": asset, "priority": "high"}
+    high = {"type": "voxelize", "asset_id": send(writer, TREE).json()["id"], "priority": "high"}
     assert writer.post("/v1/jobs", json=high).json()["code"] == "forbidden"
     assert keyed(app_services, "ann").post("/v1/jobs", json=high).status_code == 202
 

@@ -31,8 +31,7 @@ def opened(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Iterator[Open
         record, key = create_key(services.store, name="r", owner="ann", scopes=("read",))
         part = AssetPart(name="tree.ply", sha256="a" * 64, bytes=10)
         row = asset_row(part, now=services.store.clock(), fingerprint="f" * 64, summary={"num_vertices": 4})
-        asset = add_asset(services.store.for_owner("ann"), row)[0]
-        body = {"type": "voxelize", "asset_id": asset.id}
+        body = {"type": "voxelize", "asset_id": add_asset(services.store.for_owner("ann"), row)[0].id}
         job = client.post("/v1/jobs", json=body, headers={"Authorization": f"Bearer {owners}"}).json()
         lease = hold(services, job["id"])
         publish(services, lease, "voxelize", "tree.voxels.safetensors", b"12345")
