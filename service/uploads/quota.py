@@ -54,7 +54,7 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
         free = min(free, in_storage)
         room = free - settings.min_free_bytes
         shares = (min(announced, room // OWNER_DIVISOR) for announced in announced_bytes(owned.services.store))
-        promised = min(sum(shares), room // TOTAL_DIVISOR)
+        promised = max(0, min(sum(shares), room // TOTAL_DIVISOR))
     if room - promised < wanted:
         detail = f"{free:,} bytes are free, {promised:,} of them promised to uploads, {wanted:,} wanted"
         raise ProblemError("disk-full", f"{detail}; {settings.min_free_bytes:,} are reserved")

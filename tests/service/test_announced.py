@@ -20,6 +20,13 @@ from tests.service.tus import TUS, append, begin
 MIB = 1024**2
 
 
+def test_a_full_disk_has_nothing_promised(settings: Settings) -> None:
+    full = settings.model_copy(update={"min_free_bytes": 2**60})
+    with TestClient(create_app(full), "http://localhost") as client:
+        answer = client.post("/v1/uploads", headers=TUS | {"Upload-Length": "1"})
+    assert ", 0 of them promised" in answer.json()["detail"]
+
+
 def test_announcements_leave_room_for_others(small_disk: Path, settings: Settings) -> None:
     own = {"state_dir": small_disk, "min_free_bytes": 8 * MIB}
     with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
