@@ -202,10 +202,6 @@ def read_settings(**overrides: object) -> Settings:
 
 def unknown_variables() -> list[str]:
     """Return environment variables with our prefix that are not settings, most likely typos."""
-    names = {f"DYNAMICTREE_{name.upper()}" for name in Settings.model_fields} | {
-        "DYNAMICTREE_SECRETS_DIR",
-        "DYNAMICTREE_SAMPLES",
-        "DYNAMICTREE_URL",
-        "DYNAMICTREE_API_KEY",
-    }
-    return sorted(name for name in os.environ if name.startswith("DYNAMICTREE_") and name not in names)
+    names = {*(name.upper() for name in Settings.model_fields), "SECRETS_DIR", "MODELS", "SAMPLES", "URL", "API_KEY"}
+    ours = (name.removeprefix("DYNAMICTREE_") for name in os.environ if name.startswith("DYNAMICTREE_"))
+    return sorted(f"DYNAMICTREE_{name}" for name in ours if name not in names)

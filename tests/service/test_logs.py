@@ -59,7 +59,7 @@ def test_variables_that_are_no_setting_are_named(tmp_path, monkeypatch, caplog) 
     monkeypatch.setattr("service.app.set_up_logging", lambda _: None)
     monkeypatch.setattr("service.app.WARM_UP_AFTER_S", 3600)
     monkeypatch.setenv("DYNAMICTREE_STATE_DIR", str(tmp_path))
-    for name in ("LEESE_S", "URL", "API_KEY"):  # the last two are the client's, see docs/client-programmer.md
+    for name in ("LEESE_S", "MODELS", "URL", "API_KEY"):  # weights; the last two are the client's
         monkeypatch.setenv(f"DYNAMICTREE_{name}", "1")
     serving_app()
     assert "DYNAMICTREE_LEESE_S: no such setting" in caplog.text
