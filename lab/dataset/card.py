@@ -50,13 +50,13 @@ over edges and frames.
 | skeleton.position, .radius | float32 [B, 3], [B] | nodes, metres |
 | skeleton.parent, .level, .stem | int32, int8, int32 [B] | parent −1 on the ground |
 | skeleton.stem_length_m | float32 [S] | |
-| r128.coords, .normals | int16 [V, 3], float16 [V, 3] | occupied voxels; other resolutions alike |
+| r128.coords, .normals | int16 [V, 3], float16 [V, 3] | occupied voxels, centred at origin + (coords + ½) · size |
 | r128.spectrum | float16 [V, 16, 3, 2] | real and imaginary parts, metres |
 
 Displacement at frame n: Re Σ w_k c_k exp(2πi k n / 100), w_0 = 1, else 2. The metadata entry `4dtree` (JSON) holds
-version, frames a second, and of each tree seed, species, split, wind and grids. `manifest.json` holds each shard's
-sha256; beside each shard a JSON record tells sizes and filter measures (`dynamictree dataset filter FOLDER`, `sheet
-FOLDER`).
+version, frames a second, and of each tree seed, species, split, wind and grids (by resolution: origin and voxel size,
+metres). `manifest.json` holds each shard's sha256; beside each shard a JSON record tells sizes and filter measures
+(`dynamictree dataset filter FOLDER`, `sheet FOLDER`).
 
 ## Making it again
 
@@ -67,7 +67,7 @@ gives the same bytes with any number of `--workers`, and shared among machines b
 ## What it is not
 
 Procedural trees in a procedural wind: no measured trees, no collisions, no leaves that
-break off, one wind for the whole tree.
+break off.
 """
 
 

@@ -50,8 +50,7 @@ def test_filter_prints_the_rate_of_each_rule():
 
 def test_sheet_draws_pages_and_never_overwrites_a_review(tmp_path):
     arguments = ("sheet", "-o", tmp_path, "--trees", 2, "--rows", 1, "--species", "sapling", "--json")
-    report = json.loads(ran(*arguments))
-    assert len(report["pages"]) == 2
+    assert len(json.loads(ran(*arguments))["pages"]) == 2
     assert (tmp_path / "review.txt").read_text().splitlines()[1:] == ["0 accept sapling", "1 accept sapling"]
     (tmp_path / "review.txt").write_text("0 reject\n")
     ran(*arguments)

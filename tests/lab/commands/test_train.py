@@ -25,6 +25,7 @@ from lab.small.whitening import MEASURED
 from tests.formats.meshes import written
 
 SEED = 1005
+TRAINING = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +107,7 @@ def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(commands: T
     weights = Path(json.loads(result.stdout)["weights"])
     first = small_network(weights)
     assert [path.name for path in (tmp_path / "rows").iterdir()] == ["000000.safetensors"]
+    assert all(f"`{path.name}`" in TRAINING for path in tmp_path.iterdir())
     result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "2"], catch_exceptions=False)
     second = small_network(weights)
     for part in ("foliage", "amplitude"):
@@ -137,8 +139,7 @@ def test_parts_without_steps_stay_and_the_others_go_on(commands: Typer, shards: 
 
 
 def small_network(weights: Path) -> SmallNetwork:
-    model = load_model(str(weights))
-    return model.network
+    return load_model(str(weights)).network
 
 
 def changed(one: torch.nn.Module, other: torch.nn.Module) -> bool:

@@ -59,9 +59,10 @@ def test_a_seed_is_a_tree_and_says_that_it_is_crossed() -> None:
 
 @pytest.mark.parametrize("species", [None, MIXED_SPECIES])
 def test_the_recipe_of_a_shard_tells_the_species_where_it_is_asked_for(species, tmp_path) -> None:
-    recipe = Recipe(trees=1, resolutions=(32,), species=species)
-    manifest = generate(recipe, tmp_path)
+    manifest = generate(Recipe(trees=1, resolutions=(32,), species=species), tmp_path)
     record = json.loads((tmp_path / "4dtree-00000.json").read_text())
     assert record["recipe"].get("species") == species
     assert (manifest["species"] == {MIXED_SPECIES: 1}) == (species == MIXED_SPECIES)
-    assert ("--species crossed" in (tmp_path / "README.md").read_text()) == (species == MIXED_SPECIES)
+    card = (tmp_path / "README.md").read_text()
+    assert ("--species crossed" in card) == (species == MIXED_SPECIES)
+    assert "origin + (coords + ½) · size" in card

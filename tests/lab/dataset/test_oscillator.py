@@ -65,8 +65,7 @@ def test_the_answer_solves_the_equation_of_motion_with_drag_by_relative_speed(rn
 
     times = period_s + np.arange(0, num_frames, 8) / FPS
     solved = solve_ivp(slope, (0, times[-1]), np.zeros(6), t_eval=times, rtol=1e-6, atol=1e-8).y[0]
-    error = np.sqrt(np.mean((solved - answer[::8]) ** 2))
-    assert error < 0.03 * np.std(answer)
+    assert np.sqrt(np.mean((solved - answer[::8]) ** 2)) < 0.03 * np.std(answer)
 
 
 def test_the_transfer_of_a_bin_is_the_mean_over_its_width() -> None:
@@ -104,10 +103,8 @@ def test_loads_gather_towards_the_root() -> None:
     assert loads[0].branches.max() > 0.2
     assert (loads[-1].branches < 1e-6).all()  # twigs bear leaves alone
     assert loads[-1].foliage.mean() > 0.5
-    bare = loads_of(tree.stems, (), bare=True)
-    assert all((load.foliage == 0).all() for load in bare)
-    clumped = loads_of(tree.stems, (), bare=False)
-    assert all((load.foliage == 1).all() for load in clumped)
+    assert all((load.foliage == 0).all() for load in loads_of(tree.stems, (), bare=True))
+    assert all((load.foliage == 1).all() for load in loads_of(tree.stems, (), bare=False))
 
 
 def test_a_lopsided_load_has_an_offset_and_damping_grows_with_the_load() -> None:

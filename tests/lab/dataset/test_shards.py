@@ -122,8 +122,7 @@ def test_the_manifest_tells_what_is_there(baked):
     assert manifest["complete"]
     assert manifest["trees"] == 3
     for shard in manifest["shards"]:
-        content = (baked / shard["file"]).read_bytes()
-        assert hashlib.sha256(content).hexdigest() == shard["sha256"]
+        assert hashlib.sha256((baked / shard["file"]).read_bytes()).hexdigest() == shard["sha256"]
         assert len(list(iter_shard(str(baked / shard["file"])))) == shard["trees"]
     assert sum(manifest["species"].values()) == sum(manifest["splits"].values()) == 3
 
@@ -137,8 +136,7 @@ def test_another_recipe_is_baked_anew(baked):
 
 def test_an_accepted_tree_is_stored_whatever_the_filter_says(tmp_path):
     impossible = DatasetLimits(self_explosion=0.0)
-    recipe = replace(TINY, trees=1, limits=impossible, review={43: "accept"})
-    bake_shard(recipe, 0, tmp_path)
+    bake_shard(replace(TINY, trees=1, limits=impossible, review={43: "accept"}), 0, tmp_path)
     record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
     assert [tree["seed"] for tree in record["trees"]] == [43]
     assert set(record["rejected"]) == {"40", "41", "42"}
