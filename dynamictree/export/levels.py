@@ -81,7 +81,7 @@ def motion_error(
 ) -> tuple[float, float, float]:
     """Return the error of a level's motion: relative, root mean square [m] and largest [m].
 
-    Each vertex of the tree is compared with the point of the level's surface that is nearest to it at rest.
+    Each vertex of the tree's faces is compared with the point of the level's surface that is nearest to it at rest.
     """
     samples_per_face = 16  # points at which a level's motion is compared, besides its vertices
     from scipy.spatial import cKDTree
@@ -95,18 +95,19 @@ def motion_error(
     corners = np.concatenate([level.faces[face], np.repeat(np.arange(level.num_vertices)[:, None], 3, axis=1)])
     weights = np.concatenate([weights, np.tile(np.array([1, 0, 0], np.float32), (level.num_vertices, 1))])
     points = np.einsum("pc,pcx->px", weights, level.vertices[corners])
-    nearest = cKDTree(points).query(mesh.vertices)[1]
+    used = np.unique(mesh.faces)
+    nearest = cKDTree(points).query(mesh.vertices[used])[1]
     corners, weights = corners[nearest], weights[nearest]
     phases = np.arange(num_frames) / num_frames
     total = missing = most = 0.0
     for truth, moved in zip(
         iter_motion(coefficients, phases, num_frames), iter_motion(motion, phases, num_frames), strict=True
     ):
-        gap = ((np.einsum("pc,pcx->px", weights, moved[corners]) - truth) ** 2).sum(axis=1)
-        total, missing = total + float((truth**2).sum()), missing + float(gap.sum())
+        gap = ((np.einsum("pc,pcx->px", weights, moved[corners]) - truth[used]) ** 2).sum(axis=1)
+        total, missing = total + float((truth[used] ** 2).sum()), missing + float(gap.sum())
         most = max(most, float(gap.max()))
     relative = float(np.sqrt(missing / total)) if total > 0 else 0.0
-    return relative, float(np.sqrt(missing / (num_frames * mesh.num_vertices))), float(np.sqrt(most))
+    return relative, float(np.sqrt(missing / (num_frames * len(used)))), float(np.sqrt(most))
 
 
 def wood_vertices(mesh: TriangleMesh) -> Bool[np.ndarray, " N"]:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from benchmarks._read_exports import accessor, read_morphs, z_up
 from dynamictree import method
-from dynamictree.export.levels import SHARES
+from dynamictree.export.levels import SHARES, motion_error
 from dynamictree.export.moving_tree import Facts
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.spectrum import to_motion
@@ -56,8 +56,7 @@ def test_wood_moves_as_the_tree_does_and_the_error_is_the_reported_one(written: 
     assert len(same) > 0.3 * len(rest)
     own, source = np.array(same).T
     assert np.abs(played[:, own] - truth[:, source]).max() < 1e-6
-    scene = trimesh.load(io.BytesIO(content), file_type="glb")
-    surface = trimesh.util.concatenate(list(scene.geometry.values()))
+    surface = trimesh.util.concatenate(list(trimesh.load(io.BytesIO(content), file_type="glb").geometry.values()))
     surface = trimesh.Trimesh(z_up(np.asarray(surface.vertices)), surface.faces, process=False)
     some = np.arange(0, mesh.num_vertices, 5)
     nearest, _, face = trimesh.proximity.closest_point_naive(surface, mesh.vertices[some])
@@ -102,3 +101,12 @@ def test_cards_show_the_tree_and_sway_with_it(written: Written) -> None:
     cards = played[:, top].mean(axis=1)
     assert np.sqrt(((cards - mean) ** 2).sum() / (mean**2).sum()) < 0.35
     assert np.abs(played[:, rest[:, 2] == rest[:, 2].min()]).max() < 0.05 * np.abs(played).max()
+
+
+def test_vertices_of_no_face_do_not_count_as_an_error() -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 0, 1]], np.float32)
+    mesh = TriangleMesh(vertices=vertices, faces=np.array([[0, 1, 2]], np.int32))
+    motion = np.ones((4, 2, 3), np.complex64)
+    motion[3] = 0
+    level = TriangleMesh(vertices=vertices[:3], faces=mesh.faces)
+    assert motion_error(mesh, motion, level, motion[:3], 8)[0] == pytest.approx(0, abs=1e-6)

@@ -105,8 +105,7 @@ def test_alembic_has_material_sets_and_seams(products: Products, sapling: Saplin
 
 def test_more_joints_are_nearer_to_the_rig_and_all_are_the_rig(sapling: Sapling, products: Products) -> None:
     mesh, rig = sapling[0], rig_of(*sapling)
-    all_joints = len(rig.skeleton)
-    errors = [skin_of(rig, mesh.vertices, count)[1].relative_error for count in (8, 32, 128, all_joints)]
+    errors = [skin_of(rig, mesh.vertices, count)[1].relative_error for count in (8, 32, 128, len(rig.skeleton))]
     assert errors[0] > errors[1] > 1.3 * errors[2] > 0
     assert errors[3] < 0.1 * errors[2]  # keys have 16 bits
     assert products[1]["glb"]["num_joints"] <= 64

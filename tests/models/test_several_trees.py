@@ -24,8 +24,7 @@ from tests.plant.stand import tree
 def pair_of(left_m: float, right_m: float) -> TriangleMesh:
     """Two trees side by side, labelled."""
     left, right = tree(left_m, num_cards=12), tree(right_m, seed=1, num_cards=12)
-    aside = np.float32([0.4 * (left_m + right_m), 0, 0])
-    both = join_meshes([left, right.with_vertices(right.vertices + aside)])
+    both = join_meshes([left, right.with_vertices(right.vertices + np.float32([0.4 * (left_m + right_m), 0, 0]))])
     return replace(both, face_tree=np.repeat(np.int32([0, 1]), [left.num_faces, right.num_faces]))
 
 
@@ -65,8 +64,7 @@ def test_a_dense_tree_beside_a_light_one_leaves_out_its_own_flutter(monkeypatch)
 
 
 def test_a_paper_s_model_moves_two_trees_on_a_grid_finer_than_its_own(tmp_path) -> None:
-    mesh = pair_of(8.0, 4.0)
-    voxels = method.voxelize(mesh, resolution=256)
+    voxels = method.voxelize(pair_of(8.0, 4.0), resolution=256)
     write_weights(PaperNetwork(paper_preset(8, 32)), tmp_path / "paper.safetensors")
     spectrum = method.generate(voxels, num_steps=1, model=str(tmp_path / "paper.safetensors"))
     assert len(spectrum.tree) == len(spectrum.grid)

@@ -106,8 +106,7 @@ def test_a_batch_is_its_trees(tree: TreeFeatures) -> None:
         [amplitude_inputs(tree, foliage_values[0], winds[:1]), amplitude_inputs(other, foliage_values[1], winds[1:])]
     )
     torch.testing.assert_close(together, apart)
-    chain = batch_features([tree, other]).chain
-    assert (chain[len(tree.chain) :] == tree.chain + len(tree.scalars)).all()
+    assert (batch_features([tree, other]).chain[len(tree.chain) :] == tree.chain + len(tree.scalars)).all()
     links = batch_features([tree, other]).links
     assert (links[: len(tree.links)] == tree.links).all()
     assert (links[len(tree.links) :] == tree.links + len(tree.scalars)).all()

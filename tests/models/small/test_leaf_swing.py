@@ -17,8 +17,7 @@ def grid() -> VoxelGrid:
     """A voxel of a twig, and two leaves of three voxels that grow from it, eastward and upward."""
     coords = [(20, 20, 20), (21, 20, 20), (22, 20, 20), (23, 20, 20), (20, 20, 21), (20, 20, 22), (20, 20, 23)]
     grid = VoxelGrid.from_coords(np.array(coords, np.int32), origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.1, resolution=128)
-    rows = grid.rows_of(np.array(coords, np.int32))
-    assert sorted(rows.tolist()) == list(range(7))
+    assert sorted(grid.rows_of(np.array(coords, np.int32)).tolist()) == list(range(7))
     return grid
 
 
