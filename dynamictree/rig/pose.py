@@ -51,6 +51,11 @@ class Skeleton:
         up = np.array([0, 0, 1], np.float32)
         return np.asarray(np.where(upward, up, self.reach_m / np.maximum(length, 1e-12)), np.float32)
 
+    def take(self, rows: Int64[np.ndarray, " b"], parent: Int32[np.ndarray, " b"]) -> "Skeleton":
+        """Return some of the bones, with new parents."""
+        values = self.foot_m[rows], self.reach_m[rows], self.in_surface[rows]
+        return Skeleton(parent=parent, foot_m=values[0], reach_m=values[1], in_surface=values[2])
+
     @cached_property
     def levels(self) -> list[slice]:
         """Slices of the bones of each depth, from 1."""
@@ -83,17 +88,8 @@ class Poses:
 def by_depth(skeleton: Skeleton) -> tuple[Skeleton, Int32[np.ndarray, " B"]]:
     """Sort bones by depth; return them and each one's previous index."""
     order = np.argsort(skeleton.depths, kind="stable")
-    number = np.argsort(order)
-    parent = np.where(skeleton.parent < 0, -1, number[skeleton.parent])[order].astype(np.int32)
-    return (
-        Skeleton(
-            parent=parent,
-            foot_m=skeleton.foot_m[order],
-            reach_m=skeleton.reach_m[order],
-            in_surface=skeleton.in_surface[order],
-        ),
-        order.astype(np.int32),
-    )
+    parent = np.where(skeleton.parent < 0, -1, np.argsort(order)[skeleton.parent])[order].astype(np.int32)
+    return skeleton.take(order, parent), order.astype(np.int32)
 
 
 def poses(skeleton: Skeleton, theta: Float32[np.ndarray, "T B 3"]) -> Poses:

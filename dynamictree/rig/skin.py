@@ -1,6 +1,7 @@
 """Convert a rig to joints with 16-bit keys, for files and engines: all bones, or the most important ones."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
@@ -18,63 +19,68 @@ def skin_of(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_joints: int) -> 
 
     With as many joints as bones it equals the rig to the precision of the keys, with the same weights.
     """
-    few = reduce_rig(rig, vertices, num_joints)
-    skeleton = few.skeleton
-    phases = np.arange(rig.num_frames) / rig.num_frames
-    rotation = poses(skeleton, np.stack(list(few.theta(phases)))).rotation
-    width = few.vertices.rows.shape[1]
-    padding = ((0, 0), (0, JOINTS_PER_VERTEX - width))
+    poses_at_once = 500_000  # 50 MB
+    few, num_frames = reduce_rig(rig, vertices, num_joints), rig.num_frames
+    turns = np.empty((num_frames, len(few.skeleton), 4), np.float32)
+    last, squares = np.tile(np.eye(1, 4, dtype=np.float32), (len(few.skeleton), 1)), list[tuple[float, float, float]]()
+    for some in np.array_split(np.arange(num_frames), -(-num_frames * len(rig.skeleton) // poses_at_once)):
+        both = (rig, few) if few is not rig else (rig,)
+        stances = [poses(one.skeleton, np.stack(list(one.theta(some / num_frames)))) for one in both]
+        turns[some], stance = _keys(few.skeleton, stances[-1].rotation, last)
+        last = turns[some[-1]]
+        squares += on_cores(partial(_squares, (rig, few), (stances[0], stance), vertices), range(len(some)))
+    totals, gaps, maxima = zip(*squares, strict=True)
+    total, missing, largest = sum(totals), sum(gaps), max(maxima)
+    padding = ((0, 0), (0, JOINTS_PER_VERTEX - few.vertices.rows.shape[1]))
     skin = Skin(
-        parent=skeleton.parent,
-        joint_m=skeleton.foot_m,
+        parent=few.skeleton.parent,
+        joint_m=few.skeleton.foot_m,
         rows=np.pad(few.vertices.rows, padding),
         weights=np.pad(few.vertices.shares, padding),
-        turns=_keys(skeleton, rotation),
+        turns=turns,
     )
-    stance, whole = joint_poses(skin), poses(rig.skeleton, np.stack(list(rig.theta(phases))))
-
-    def squares(frame: int) -> tuple[float, float, float]:
-        """Return the sum of the squared displacements, and sum and maximum of the squared errors [m²]."""
-        moved = carried(rig.skeleton, whole, frame, vertices, rig.vertices)
-        gap = ((carried(skeleton, stance, frame, vertices, few.vertices) - moved) ** 2).sum(axis=1)
-        return float((moved**2).sum()), float(gap.sum()), float(gap.max())
-
-    totals, gaps, maxima = zip(*on_cores(squares, range(rig.num_frames)), strict=True)
-    total, missing, largest = sum(totals), sum(gaps), max(maxima)
     summary = SkinSummary(
         num_joints=len(skin.parent),
-        num_keys=rig.num_frames + 1,
+        num_keys=num_frames + 1,
         relative_error=float(np.sqrt(missing / total)) if total > 0 else 0.0,
-        rms_error_m=float(np.sqrt(missing / (rig.num_frames * len(vertices)))),
+        rms_error_m=float(np.sqrt(missing / (num_frames * len(vertices)))),
         max_error_m=float(np.sqrt(largest)),
     )
     return skin, summary
 
 
-def joint_poses(skin: Skin) -> Poses:
-    """Compute the poses of the joints at every frame, as a player does."""
-    foot, rotation = skin.joint_m.astype(np.float64), _matrices(skin.turns.astype(np.float64))
-    place = np.tile(foot, (len(rotation), 1, 1))
-    for joint, above in enumerate(skin.parent.tolist()):
-        if above >= 0:
-            place[:, joint] = place[:, above] + rotation[:, above] @ (foot[joint] - foot[above])
-            rotation[:, joint] = rotation[:, above] @ rotation[:, joint]
-    return Poses(rotation=rotation, place_m=place)
+def _squares(
+    rigs: tuple[Rig, Rig], stances: tuple[Poses, Poses], vertices: Float32[np.ndarray, "N 3"], frame: int
+) -> tuple[float, float, float]:
+    """Return the sum of the squared displacements, and sum and maximum of the second rig's squared errors [m²]."""
+    moved, other = (
+        carried(rig.skeleton, stance, frame, vertices, rig.vertices) for rig, stance in zip(rigs, stances, strict=True)
+    )
+    gap = ((other - moved) ** 2).sum(axis=1)
+    return float((moved**2).sum()), float(gap.sum()), float(gap.max())
 
 
-def _keys(skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"]) -> Float32[np.ndarray, "T B 4"]:
-    """Quantize rotations relative to the parents to 16 bits; children compensate their parents' errors."""
+def _keys(
+    skeleton: Skeleton, rotation: Float64[np.ndarray, "T B 3 3"], last: Float32[np.ndarray, "B 4"]
+) -> tuple[Float64[np.ndarray, "T B 4"], Poses]:
+    """Quantize rotations relative to the parents to 16 bits; children compensate their parents' errors.
+
+    `last` are the keys before, whose signs the first follow. The poses are those of a player.
+    """
+    foot = skeleton.foot_m.astype(np.float64)
     turns = np.tile(np.array([1.0, 0, 0, 0]), (*rotation.shape[:2], 1))
-    stored = np.tile(np.eye(3), (*rotation.shape[:2], 1, 1))
+    stored, place = np.tile(np.eye(3), (*rotation.shape[:2], 1, 1)), np.tile(foot, (len(rotation), 1, 1))
     for level in skeleton.levels:
-        above = stored[:, skeleton.above[level]]
+        parent = skeleton.above[level]
+        above = stored[:, parent]
         wanted = matrix_quaternions((above.swapaxes(-1, -2) @ rotation[:, level]).reshape(-1, 3, 3))
         wanted = wanted.reshape(len(turns), -1, 4)
-        flips = np.cumsum((wanted[1:] * wanted[:-1]).sum(axis=2) < 0, axis=0)  # signs follow those of the frame before
-        wanted[1:] *= np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None]
-        turns[:, level] = np.rint(STEPS * wanted) / STEPS
+        before = np.concatenate([last[None, level], wanted[:-1]])
+        flips = np.cumsum((wanted * before).sum(axis=2) < 0, axis=0)
+        turns[:, level] = np.rint(STEPS * np.where(flips % 2 == 1, -1.0, 1.0)[:, :, None] * wanted) / STEPS
         stored[:, level] = above @ _matrices(turns[:, level])
-    return turns.astype(np.float32)
+        place[:, level] = place[:, parent] + (above @ (foot[level] - foot[parent])[..., None])[..., 0]
+    return turns, Poses(rotation=stored, place_m=place)
 
 
 def _matrices(turns: Float64[np.ndarray, "T n 4"]) -> Float64[np.ndarray, "T n 3 3"]:
@@ -97,13 +103,7 @@ def reduce_rig(rig: Rig, vertices: Float32[np.ndarray, "N 3"], num_bones: int) -
         target[bone] = target[skeleton.parent[bone]]
     number = np.searchsorted(remaining, target).astype(np.int32)
     parent = np.where(remaining == 0, -1, number[skeleton.above[remaining]]).astype(np.int32)
-    few = Skeleton(
-        parent=parent,
-        foot_m=skeleton.foot_m[remaining],
-        reach_m=skeleton.reach_m[remaining],
-        in_surface=skeleton.in_surface[remaining],
-    )
-    ordered, order = by_depth(few)
+    ordered, order = by_depth(skeleton.take(remaining, parent))
     place = np.argsort(order).astype(np.int32)
     return replace(
         rig,

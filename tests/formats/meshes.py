@@ -36,14 +36,11 @@ def trunk_and_crown(rng: np.random.Generator, *, num_sides: int = 8) -> Triangle
     angle = 2 * np.pi * np.arange(num_sides) / num_sides
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(num_sides)], axis=1)
     vertices = np.concatenate([circle * r + [0, 0, z] for z, r in rings])
-    faces = []
-    for ring in range(len(rings) - 1):
-        for side in range(num_sides):
-            a, b = ring * num_sides + side, ring * num_sides + (side + 1) % num_sides
-            faces += [[a, b, b + num_sides], [a, b + num_sides, a + num_sides]]
+    a = np.arange((len(rings) - 1) * num_sides)
+    b = a // num_sides * num_sides + (a + 1) % num_sides
+    faces = np.stack([a, b, b + num_sides, a, b + num_sides, a + num_sides], axis=1).reshape(-1, 3)
     shuffled = rng.permutation(len(vertices))
-    place = np.argsort(shuffled)
-    face_array = place[np.array(faces)].astype(np.int32)
+    face_array = np.argsort(shuffled)[faces].astype(np.int32)
     return TriangleMesh(
         vertices=(vertices[shuffled] + [3.0, -1.0, 0.5]).astype(np.float32),
         faces=face_array,

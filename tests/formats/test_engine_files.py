@@ -6,6 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+from scipy.spatial.transform import Rotation
 
 from benchmarks._read_exports import read_usdz, read_vertex_texture
 from dynamictree.errors import InputError
@@ -14,7 +15,6 @@ from dynamictree.formats.motion.vertex_texture import MAX_SIDE, texture_layout, 
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rig.rig import quantise_shares
-from dynamictree.rig.skin import joint_poses
 from dynamictree.rotation import unit_quaternions
 from dynamictree.skin import Skin, SkinSummary
 from tests.formats.meshes import trunk_and_crown
@@ -80,21 +80,24 @@ def test_the_validators_would_see_a_broken_stage(tmp_path) -> None:
 
 def random_skin(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 5) -> Skin:
     """Three joints in a row that turn far."""
-    weights = np.pad(rng.uniform(size=(mesh.num_vertices, 3)), ((0, 0), (0, 1)))
     turns = unit_quaternions(rng.normal(size=(num_frames * 3, 4)).astype(np.float32))
     return Skin(
         parent=np.array([-1, 0, 1], np.int32),
         joint_m=rng.normal(size=(3, 3)).astype(np.float32),
         rows=np.tile(np.array([0, 1, 2, 0], np.int32), (mesh.num_vertices, 1)),
-        weights=quantise_shares(weights),
+        weights=quantise_shares(np.pad(rng.uniform(size=(mesh.num_vertices, 3)), ((0, 0), (0, 1)))),
         turns=(np.rint(32767 * turns) / 32767).astype(np.float32).reshape(num_frames, 3, 4),
     )
 
 
 def posed(mesh: TriangleMesh, skin: Skin) -> np.ndarray:
     """Displacement of the vertices over the loop, its first frame once more: [T + 1, N, 3]."""
-    stance = joint_poses(skin)
+    turned = Rotation.from_quat(skin.turns.reshape(-1, 4), scalar_first=True).as_matrix().reshape(-1, 3, 3, 3)
+    place = np.tile(skin.joint_m.astype(np.float64), (len(turned), 1, 1))
+    for joint in (1, 2):
+        place[:, joint] = place[:, joint - 1] + turned[:, joint - 1] @ (skin.joint_m[joint] - skin.joint_m[joint - 1])
+        turned[:, joint] = turned[:, joint - 1] @ turned[:, joint]
     arm = mesh.vertices[:, None] - skin.joint_m[skin.rows]
-    places = np.einsum("tnjab,njb->tnja", stance.rotation[:, skin.rows], arm) + stance.place_m[:, skin.rows]
+    places = np.einsum("tnjab,njb->tnja", turned[:, skin.rows], arm) + place[:, skin.rows]
     moved = (skin.weights[:, :, None] * places).sum(axis=2) - mesh.vertices
     return np.concatenate([moved, moved[:1]])

@@ -24,11 +24,8 @@ SIDE, BOUNDS = 220, (1.5, 6.0)
 
 
 def views_of(orbit: Orbit) -> tuple[View, ...]:
-    views = []
-    for path, camera in zip(orbit.photos, orbit.cameras, strict=True):
-        with Image.open(path) as image:
-            views.append(View(source=path.name, image=np.array(image), camera=camera))
-    return tuple(views)
+    photos = zip(orbit.photos, orbit.cameras, strict=True)
+    return tuple(View(source=path.name, image=np.array(Image.open(path)), camera=camera) for path, camera in photos)
 
 
 def exact_depths(orbit: Orbit, shape: tuple[int, int]) -> list[np.ndarray]:
