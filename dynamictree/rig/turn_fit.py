@@ -16,6 +16,7 @@ It rotates no bone by more than `MAX_STEP_RAD`, and is shortened until it lowers
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.sparse
@@ -63,28 +64,21 @@ def fit_turns(
     for num_frequencies, rounds in stages:
         problem = _Problem(skeleton, weights, target, voxels, turns[:, 0].real, factors)
         solution = problem.solution(turns[:, :1], num_frequencies)
-        loop = solution, *problem.simulate(solution)
-        for most in rounds:
+        now = problem.read(solution, *problem.simulate(solution))
+        del solution  # each is as large as the factorization, if most bones are cards
+        for number, most in enumerate(rounds):
             done += 1
             report(done / (whole + 1))
-            now = _line_search(problem, problem.read(*loop), most)
-            loop = now.solution, now.stacked, now.growth
+            now = problem.read(now.solution, now.stacked, now.growth) if number else now
+            for _ in range(most):
+                before, now = now.cost, problem.better(now)
+                if before - now.cost <= LEAST_GAIN * now.cost:
+                    break
         turns = problem.turns(now.solution)
         if num_frequencies > 1 and np.hstack(factors := problem.factors(now.growth)).max() == 1:
             break
         del problem  # frees its factorization, hundreds of megabytes, before the next
     return turns
-
-
-def _line_search(problem: "_Problem", now: "_State", rounds: int) -> "_State":
-    for _ in range(rounds):
-        step = problem.step(now)
-        tried = (problem.state(problem.with_side_feet(now.solution + np.float32(s) * step)) for s in STEP_LENGTHS)
-        better = next((then for then in tried if then.cost < now.cost), now)
-        gain, now = now.cost - better.cost, better
-        if gain <= LEAST_GAIN * now.cost:
-            break
-    return now
 
 
 class _Voxels:
@@ -150,6 +144,7 @@ class _Problem:
         factors: CostFactors,
     ) -> None:
         self.skeleton, self.voxels, num_bones = skeleton, voxels, len(skeleton)
+        self._product = partial(_weighted_product, num_frames=voxels.num_frames)
         at_rest, there = (poses(skeleton, theta[None]) for theta in (np.zeros_like(about), about))
         ends, self.length, self.scale = matrices.edge_differences(skeleton, weights, target)
         self.scale = self.scale * np.sqrt(factors[1])
@@ -202,59 +197,66 @@ class _Problem:
     def read(self, solution: Solution, stacked: Spectra, growth: Complex64[np.ndarray, "E K"]) -> _State:
         """Set each bone's target from its voxels' residuals in a simulated loop."""
         missed, lost = self.voxels.read(stacked)
-        self.goal = _times(self.voxels.moments, stacked) + missed
-        self.lost = lost + self._weighted_product(stacked, self.goal) + self._weighted_product(stacked, missed)
+        self.goal = _times(self.voxels.moments, stacked)
+        self.goal += missed
+        self.lost = lost + self._product(stacked, self.goal) + self._product(stacked, missed)
         return self._state(solution, stacked, growth, missed, lost)
 
     def state(self, solution: Solution) -> _State:
         """Simulate a loop of the rig, and compare its spectrum with the target."""
         stacked, growth = self.simulate(solution)
-        missing = self.goal - _times(self.voxels.moments, stacked)
-        lost = self.lost - self._weighted_product(stacked, self.goal) - self._weighted_product(stacked, missing)
+        missing = _times(self.voxels.moments, stacked)
+        np.subtract(self.goal, missing, out=missing)
+        lost = self.lost - self._product(stacked, self.goal) - self._product(stacked, missing)
         return self._state(solution, stacked, growth, missing, lost)
 
     def _state(
         self, solution: Solution, stacked: Spectra, growth: Complex64[np.ndarray, "E K"], missing: Spectra, lost: float
     ) -> _State:
-        priced = _times(self.prior, solution)
+        uphill = _times(self.prior, solution)
+        cost = lost + self.price * self._product(growth, growth) + self._product(solution, uphill)
+        pull = _times(self.along.T, growth)
+        pull *= np.float32(self.price)
+        uphill += pull
+        del pull
         downhill = _times(self.moves.T, missing.reshape(-1, solution.shape[1]))
-        downhill -= np.float32(self.price) * _times(self.along.T, growth) + priced
-        cost = lost + self.price * self._weighted_product(growth, growth) + self._weighted_product(solution, priced)
+        downhill -= uphill
         return _State(solution=solution, stacked=stacked, growth=growth, downhill=downhill, cost=cost)
-
-    def _weighted_product(self, one: np.ndarray, other: np.ndarray) -> float:
-        return _weighted_product(one, other, self.voxels.num_frames)
 
     def simulate(self, solution: Solution) -> tuple[Spectra, Complex64[np.ndarray, "E K"]]:
         """Simulate a loop; return the spectra of the bones' poses and of the weighted growth of edges."""
-        poses_at_once = 500_000  # 50 MB; twelve times as many are accumulated at once
+        poses_at_once = 500_000  # 50 MB
         num_bones, num_frequencies = len(self.skeleton), solution.shape[1]
         num_frames = FRAMES_PER_FREQUENCY * num_frequencies if num_frequencies > 1 else 1
         frame = np.arange(num_frames)
         wave = np.exp(-2j * np.pi / num_frames * frame[:, None] * np.arange(num_frequencies)) / num_frames
         wave = np.ascontiguousarray(wave.astype(np.complex64)).view(np.float32)
         turns = self.turns(solution)
-        moved = np.zeros((2 * num_frequencies, num_bones, 4, 3), np.float32)  # feet, then columns of rotations
+        stacked = np.zeros((4, 3 * num_bones, 2 * num_frequencies), np.float32)  # feet, then columns of rotations
         growth = np.zeros((len(self.length), 2 * num_frequencies), np.float32)
-        for group in np.array_split(frame, -(-num_frames * num_bones // (12 * poses_at_once))):
-            off = np.empty((len(group), num_bones, 4, 3), np.float32)  # difference from the pose at rest
-            for row in np.array_split(np.arange(len(group)), -(-len(group) * num_bones // poses_at_once)):
-                some = group[row]
-                now = poses(
-                    self.skeleton, np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames)))
-                )
-                theirs = Poses(rotation=now.rotation[:, self.stretches], place_m=now.place_m[:, self.stretches])
-                growth += matrices.edge_growth(self.their_vectors, theirs, self.length, self.scale) @ wave[some]
-                off[row, :, 0] = now.place_m - self.skeleton.foot_m
-                off[row, :, 1:] = now.rotation.swapaxes(2, 3) - np.eye(3)
-            moved += (wave[group].T @ off.reshape(len(group), -1)).reshape(moved.shape)
-        stacked = np.ascontiguousarray(moved.transpose(2, 1, 3, 0)).view(np.complex64)
-        return stacked.reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
+        for some in np.array_split(frame, -(-num_frames * num_bones // poses_at_once)):
+            now = poses(self.skeleton, np.stack(list(iter_motion(turns, some / num_frames, self.voxels.num_frames))))
+            theirs = Poses(rotation=now.rotation[:, self.stretches], place_m=now.place_m[:, self.stretches])
+            growth += matrices.edge_growth(self.their_vectors, theirs, self.length, self.scale) @ wave[some]
+            now.place_m[:] -= self.skeleton.foot_m
+            now.rotation[:] -= np.eye(3)
+            for part, total in zip((now.place_m, *np.moveaxis(now.rotation, 3, 0)), stacked, strict=True):
+                total += part.astype(np.float32).reshape(len(some), -1).T @ wave[some]
+        return stacked.view(np.complex64).reshape(4 * num_bones, 3, -1), growth.view(np.complex64)
+
+    def better(self, now: _State) -> _State:
+        """Take the longest step that lowers the cost; none if none does."""
+        step = self.step(now)
+        tried = (self.state(self.with_side_feet(now.solution + np.float32(length) * step)) for length in STEP_LENGTHS)
+        return next(filter(lambda then: then.cost < now.cost, tried), now)
 
     def step(self, state: _State) -> Solution:
         """Compute the step to the minimum of the linearised cost, with rotations limited to `MAX_STEP_RAD`."""
-        downhill = state.downhill.view(np.float32).astype(np.float64)
-        step = np.ascontiguousarray(self.factor.solve(downhill), np.float32).view(np.complex64)
+        downhill = state.downhill.view(np.float32)
+        step = np.empty_like(downhill)
+        for some in np.array_split(np.arange(downhill.shape[1]), 4):  # float64 takes twice the memory
+            step[:, some] = self.factor.solve(downhill[:, some].astype(np.float64))
+        step = step.view(np.complex64)
         turns = step[3 * len(self.skeleton) : 6 * len(self.skeleton)].reshape(len(self.skeleton), 3, -1)
         size = np.sqrt((np.abs(turns) ** 2 @ bin_weights(step.shape[1], self.voxels.num_frames)).sum(axis=1))
         turns *= np.minimum(1, MAX_STEP_RAD / np.maximum(size, 1e-12))[:, None, None]
