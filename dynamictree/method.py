@@ -11,20 +11,22 @@ Importing this module loads no torch; `generate` does.
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex64, Float32
+from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.devoxelize.nearest import nearest_rows
-from dynamictree.gaussian.animate import iter_splat_frames
+from dynamictree.gaussian.animate import NO_FLUTTER, iter_splat_frames
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import AnyMesh, triangle_mesh
+from dynamictree.gaussian.leaves import flutter_leaves
+from dynamictree.mesh import AnyMesh, TriangleMesh, triangle_mesh
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
 from dynamictree.rig.flutter import fluttering
-from dynamictree.rig.rig import rig_of
+from dynamictree.rig.rig import Rig, rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
@@ -51,12 +53,21 @@ def animate(
 
 
 def animate_splat(
-    cloud: GaussianCloud, mesh: AnyMesh, spectrum: SparseVoxelSpectrum, *, num_frames: int | None = None
+    cloud: GaussianCloud,
+    mesh: AnyMesh,
+    spectrum: SparseVoxelSpectrum,
+    *,
+    num_frames: int | None = None,
+    flutter: float = 1.0,
 ) -> Iterator[GaussianCloud]:
-    """Yield frames of a splat that moves with its mesh: the paper's output."""
+    """Yield frames of a splat that moves with its mesh: the paper's output; for the options see `move`."""
     mesh = triangle_mesh(mesh)
-    binding = bind(cloud, mesh)
-    yield from iter_splat_frames(binding, move(spectrum, mesh, num_frames=num_frames))
+    rig = rig_of(mesh, spectrum)
+    binding, leaves = flutter_leaves(bind(cloud, mesh), rig, spectrum, flutter)
+    phases = np.linspace(0, 1, num_frames or spectrum.num_frames, endpoint=False)
+    turns = leaves.theta(phases, repeat(leaves.gusts_m_s), spectrum.num_frames) if leaves else NO_FLUTTER
+    moved = _moved(fluttering(rig, spectrum, flutter), mesh, phases)
+    yield from iter_splat_frames(binding, moved, turns)
 
 
 def voxelize(mesh: AnyMesh, *, resolution: Resolution = 128, source_sha256: str = "") -> SurfaceVoxels:
@@ -154,6 +165,8 @@ def move(
     if devoxelization == "paper":
         yield from iter_motion(devoxelize(spectrum, mesh, "paper"), phases, spectrum.num_frames)
         return
-    rig = fluttering(rig_of(mesh, spectrum), spectrum, flutter)
-    for theta in rig.theta(phases):
-        yield rig.displacement(theta, mesh.vertices, rig.vertices)
+    yield from _moved(fluttering(rig_of(mesh, spectrum), spectrum, flutter), mesh, phases)
+
+
+def _moved(rig: Rig, mesh: TriangleMesh, phases: Float64[np.ndarray, " M"]) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    return (rig.displacement(theta, mesh.vertices, rig.vertices) for theta in rig.theta(phases))

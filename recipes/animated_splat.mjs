@@ -1,6 +1,7 @@
 // Play a *.animated-splat.safetensors in any engine, without dependencies: docs/formats-splat.md has the equations.
 
-const KINDS = { F32: Float32Array, I32: Int32Array, F16: Uint16Array };
+const KINDS = { F32: Float32Array, I32: Int32Array, F16: Uint16Array, U8: Uint8Array };
+const [FLAP_RAD, TWIST_RAD] = [0.22, 0.35]; // of a leaf in a strong wind
 
 export class AnimatedSplat {
   /** `buffer` is the file's ArrayBuffer. Its G Gaussians are in metres, +Z up. */
@@ -17,6 +18,8 @@ export class AnimatedSplat {
     this.seconds = this.numFrames / Number(metadata.fps); // of the loop
     this.degreeSize = entries.sh.shape[1];
     this.rest = this.means.slice();
+    this.leaves = Array.from(this.leaf_vertex ?? [], () => []); // the Gaussians of each
+    this.leaf_of?.forEach((leaf, g) => leaf >= 0 && this.leaves[leaf].push(g));
     this._hang();
   }
 
@@ -61,7 +64,30 @@ export class AnimatedSplat {
       turned[4 * g + 2] = w * c - x * d + y * a + z * b;
       turned[4 * g + 3] = w * d + x * c - y * b + z * a;
     }
+    this.leaf_vertex?.forEach((_, leaf) => this._flutter(leaf, phase));
     return { means, quaternions: turned, scales: sizes };
+  }
+
+  /** A leaf's Gaussians turn about a vertex, by the sum of its tones and the angle atan |θ|. */
+  _flutter(leaf, phase) {
+    const { means, turned, leaf_size: sizes, flutter_tones: tones } = this;
+    const wave = (at, row) => tones[at] && Math.cos(2 * Math.PI * (tones[at] * phase + tones[at + row] / 256));
+    const [flap, twist] = [1, 2].map((row) => [0, 3, 6, 9].reduce((sum, tone) => sum + wave(12 * leaf + tone, row), 0));
+    const axis = (of) => of.subarray(3 * leaf, 3 * leaf + 3);
+    const [a, d] = [axis(this.flutter_axis), axis(this.turn_direction)];
+    const theta = [0, 1, 2].map((i) => Math.SQRT1_2 * sizes[leaf] * (FLAP_RAD * flap * a[i] + TWIST_RAD * twist * d[i]));
+    const c = 1 / Math.sqrt(1 + dot(theta, theta));
+    const [w, s] = [Math.sqrt((1 + c) / 2), c / Math.sqrt(2 + 2 * c)];
+    const [x, y, z] = theta.map((part) => s * part);
+    const m = matrix([w, x, y, z]);
+    const foot = this.places.subarray(3 * this.leaf_vertex[leaf], 3 * this.leaf_vertex[leaf] + 3);
+    for (const g of this.leaves[leaf]) {
+      const arm = [0, 1, 2].map((i) => means[3 * g + i] - foot[i]);
+      for (let i = 0; i < 3; i++) means[3 * g + i] = foot[i] + dot(m.slice(3 * i, 3 * i + 3), arm);
+      const [e, f, h, k] = turned.subarray(4 * g, 4 * g + 4);
+      const product = [w * e - x * f - y * h - z * k, w * f + x * e + y * k - z * h];
+      turned.set([...product, w * h - x * k + y * e + z * f, w * k + x * h - y * f + z * e], 4 * g);
+    }
   }
 
   /** What does not change: frames of the faces at rest, and where each Gaussian is from its place on its face. */

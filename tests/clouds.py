@@ -1,9 +1,15 @@
 """Small clouds of Gaussians."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from dynamictree.gaussian.binding import Binding, Leaves
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.rig.flutter import Flutter, sample_flutter
 from dynamictree.rotation import unit_quaternions
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.voxel.grid import VoxelGrid
 
 
 def cloud_at(
@@ -21,3 +27,15 @@ def cloud_at(
         opacity=rows(opacity),
         sh=rows(0, 1, 3) if sh is None else np.asarray(sh, np.float32),
     )
+
+
+def with_two_leaves(binding: Binding, num_frames: int) -> tuple[Binding, Flutter]:
+    """Of three Gaussians one in each of two leaves, which flutter in a storm of 30 m/s about two vertices."""
+    leaf_of = np.where(binding.moving, np.arange(binding.cloud.num_gaussians) % 3 - 1, -1).astype(np.int32)
+    grid = VoxelGrid(coords=np.zeros((1, 3), np.int32), resolution=8, origin_m=(0.0, 0.0, 0.0), voxel_size_m=1.0)
+    still = SparseVoxelSpectrum(
+        grid=grid, coefficients=np.zeros((1, 1, 3), np.complex64), num_frames=num_frames, wind=Wind(speed_m_s=30.0)
+    )
+    flutter = sample_flutter(np.eye(3, dtype=np.float32)[:2], np.full(2, 0.2), np.ones(2, int), np.ones(2), still)
+    vertex = binding.triangles[[0, -1], [1, 2]]
+    return replace(binding, leaves=Leaves(of=leaf_of, vertex=vertex)), flutter

@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
+from dynamictree.gaussian.animate import NO_FLUTTER, LeafTurns
 from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import TurbulentWind, iter_turbulent_sums, turbulent_wind
@@ -15,7 +17,7 @@ from dynamictree.rig.flutter import Flutter, flutter_of, fluttering
 from dynamictree.rig.rig import Rig
 from dynamictree.rig.skin import skin_of
 from dynamictree.skin import Skin, SkinSummary
-from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.spectrum import SparseVoxelSpectrum
 
 Report = Callable[[float], None]
 """Receives the completed share in [0, 1]; its exceptions propagate."""
@@ -28,11 +30,9 @@ def iter_turbulent_turns(
     rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"], flutter: Flutter
 ) -> Iterator[Float32[np.ndarray, "B 3"]]:
     """Yield the turns of the bones in turbulent wind at each time [rad]; gusts make leaves flutter more."""
-    modes = flutter.modes(rig.skeleton.directions, rig.turns.shape[1])
-    leaves = iter_motion(modes, times_s / flutter.period_s, rig.num_frames)
-    sums = iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames)
-    for (theta, turn), more, speed in zip(sums, leaves, wind.speeds_m_s(times_s), strict=True):
-        yield rig.in_wind(theta, turn) + flutter.sizes(np.array([speed]))[:, None] * more
+    leaves = flutter.theta(times_s / flutter.period_s, wind.speeds_m_s(times_s)[:, None], rig.num_frames)
+    for (theta, turn), more in zip(iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames), leaves, strict=True):
+        yield rig.in_wind(theta, turn) + more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,7 @@ class MovingTree:
     params: ExportParams
     binding: Binding | None = None
     captured: bool = False  # whether pictures show the splat of the binding, or the mesh
+    leaves: Flutter | None = None  # flutter of the binding's leaves
 
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:
@@ -100,13 +101,26 @@ class MovingTree:
             report(done / len(self.phases))
             yield self.rig.displacement(theta, self.mesh.vertices, self.rig.vertices)
 
+    def leaf_turns(self) -> LeafTurns:
+        """Yield the rotation of each leaf of the binding, frame by frame [rad]."""
+        if self.leaves is None:
+            return NO_FLUTTER
+        if self.params.wind_mode == "loop":
+            return self.leaves.theta(self.phases, repeat(self.leaves.gusts_m_s), self.spectrum.num_frames)
+        speeds = self._turbulence.speeds_m_s(self.phases * self.spectrum.period_s)[:, None]
+        return self.leaves.theta(self.phases, speeds, self.spectrum.num_frames)
+
+    @cached_property
+    def _turbulence(self) -> TurbulentWind:
+        return turbulent_wind(self.spectrum, seed=self.spectrum.seed)
+
     def _turns(self) -> Iterator[Float32[np.ndarray, "B 3"]]:
         if self.params.wind_mode == "loop":
             yield from self.fluttering.theta(self.phases)
             return
         yield from iter_turbulent_turns(
             self.rig,
-            turbulent_wind(self.spectrum, seed=self.spectrum.seed),
+            self._turbulence,
             self.phases * self.spectrum.period_s,
             flutter_of(self.rig, self.spectrum, self.params.flutter),
         )

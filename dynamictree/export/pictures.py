@@ -117,7 +117,7 @@ def _draw_splat(tree: MovingTree, binding: Binding, report: Report) -> Iterator[
     shot, side = tree.params.shot, tree.params.shot.side_px
     scene = SplatScene.of(binding, ground=shot.ground, grey_still=shot.grey_still)
     behind: tuple[Camera, Backdrop] | None = None
-    poses = iter_poses(scene.binding, tree.frames(report))
+    poses = iter_poses(scene.binding, tree.frames(report), tree.leaf_turns())
     for pose, camera in zip(poses, cameras_of(shot, scene.bounds, len(tree.phases)), strict=True):
         if behind is None or behind[0] is not camera:
             behind = (camera, scene.backdrop(camera, (side, side)))

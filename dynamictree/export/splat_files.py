@@ -7,14 +7,14 @@ from dynamictree.formats.motion.html import write_splat_html
 from dynamictree.formats.motion.splat_sequence import iter_splat_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
-from dynamictree.gaussian.animate import AnimatedSplat
+from dynamictree.gaussian.animate import AnimatedSplat, iter_poses
 
 
 def write_splat_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """Write a splat PLY file per frame, in a ZIP."""
     assert tree.binding is not None
-    frames = tree.frames(report)
-    write_stored_zip(stream, iter_splat_files(tree.binding, frames, first_number=tree.params.first_frame))
+    frames, turns = tree.frames(report), tree.leaf_turns()
+    write_stored_zip(stream, iter_splat_files(tree.binding, frames, turns, first_number=tree.params.first_frame))
 
 
 def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -22,7 +22,8 @@ def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     from dynamictree.formats.motion.usd_splat import write_splat_usdz
 
     assert tree.binding is not None
-    write_splat_usdz(tree.binding, tree.frames(report), stream, fps=tree.params.fps)
+    poses = iter_poses(tree.binding, tree.frames(report), tree.leaf_turns())
+    write_splat_usdz(tree.binding.cloud, poses, stream, fps=tree.params.fps)
 
 
 def write_compact_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -42,5 +43,9 @@ def write_splat_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None
 def _animated(tree: MovingTree) -> AnimatedSplat:
     assert tree.binding is not None
     return AnimatedSplat(
-        binding=tree.binding, coefficients=tree.coefficients, num_frames=tree.spectrum.num_frames, fps=tree.loop_fps
+        binding=tree.binding,
+        coefficients=tree.coefficients,
+        num_frames=tree.spectrum.num_frames,
+        fps=tree.loop_fps,
+        flutter=tree.leaves,
     )

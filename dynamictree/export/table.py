@@ -37,6 +37,7 @@ SPEED = frozenset({"speed"})
 FLUTTER = frozenset({"flutter"})
 FRAMES = SPEED | FLUTTER | {"wind_mode", "num_frames", "fps", "loop", "first_frame"}
 DETAIL = frozenset({"share", "sh_degree"})
+PLAYED = SPEED | FLUTTER | DETAIL
 SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 SKIN = SPEED | FLUTTER | {"joints"}
@@ -93,10 +94,8 @@ PRODUCTS: dict[Format, Product] = {
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),
     "motion": Product("Motion, every frame", "motion.safetensors", "mesh", FRAMES, write=write_displacements),
     "splat-ply": Product("Splat sequence", "splat.ply.zip", "splat", FRAMES | DETAIL, write=write_splat_sequence),
-    "splat": Product(
-        "Animated splat", "tree.animated-splat.safetensors", "splat", SPEED | DETAIL, write=write_compact_splat
-    ),
-    "html-splat": Product("Web page of a splat", "tree-splat.html", "splat", SPEED | DETAIL, write=write_splat_page),
+    "splat": Product("Animated splat", "tree.animated-splat.safetensors", "splat", PLAYED, write=write_compact_splat),
+    "html-splat": Product("Web page of a splat", "tree-splat.html", "splat", PLAYED, write=write_splat_page),
     "usd-splat": Product("USD splat", "tree-splat.usdz", "splat", FRAMES | DETAIL, "pxr", "usd", write=write_usd_splat),
     "png": Product("Preview picture", "preview.png", "pictures", DETAIL | SHOT, write=write_sheet),
     "webp": Product("Preview, animated", "preview.webp", "pictures", FRAMES | DETAIL | SHOT, write_film=write_webp),

@@ -14,6 +14,7 @@ from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.formats.tensors.rig import read_rig, write_rig
 from dynamictree.gaussian.animate import reduced_splat
 from dynamictree.gaussian.binding import Binding, bind
+from dynamictree.gaussian.leaves import flutter_leaves
 from dynamictree.mesh import AnyMesh, TriangleMesh, triangle_mesh
 from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.requests import CloudParams, ExportParams, Format
@@ -63,6 +64,9 @@ def write_products(
     report(0.0)
     rig = stored_rig(mesh, spectrum, recall, lambda done: report(RIG_SHARE * done))
     report(RIG_SHARE)
+    leaves = None
+    if binding is not None and capture is not None:
+        binding, leaves = flutter_leaves(binding, rig, spectrum, params.flutter)
     tree = MovingTree(
         mesh=mesh,
         spectrum=spectrum,
@@ -70,6 +74,7 @@ def write_products(
         params=params,
         binding=None if binding is None else reduced_splat(binding, share=params.share, sh_degree=params.sh_degree),
         captured=capture is not None,
+        leaves=leaves,
     )
     paths = {name: folder / PRODUCTS[name].file_name for name in formats}
     _write(tree, paths, lambda done: report(RIG_SHARE + (1 - RIG_SHARE) * done), on_facts or (lambda name, facts: None))

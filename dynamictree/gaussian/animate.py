@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
@@ -10,7 +11,12 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail, level_rows
 from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
+from dynamictree.rig.flutter import Flutter
 from dynamictree.spectrum import displacement_at, iter_motion
+
+LeafTurns = Iterable[Float32[np.ndarray, "M 3"] | None]
+"""θ of each leaf of a binding, frame by frame [rad]; None where nothing flutters."""
+NO_FLUTTER: LeafTurns = repeat(None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +27,7 @@ class AnimatedSplat:
     coefficients: Complex64[np.ndarray, "N K 3"]  # spectrum of the binding's vertices [m]
     num_frames: int  # number of frames T of the spectrum
     fps: float
+    flutter: Flutter | None = None  # of the binding's leaves
 
     def __post_init__(self) -> None:
         if len(self.coefficients) != len(self.binding.vertices):
@@ -46,16 +53,20 @@ class AnimatedSplat:
         return iter_motion(self.coefficients, phases, self.num_frames)
 
 
-def iter_poses(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[Pose]:
+def iter_poses(
+    binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]], leaf_turns: LeafTurns = NO_FLUTTER
+) -> Iterator[Pose]:
     """Yield one pose per frame; the displacements of the mesh's vertices [m] are consumed one by one."""
     deformer = Deformer(binding)
-    for displacement in displacements:
-        yield deformer.pose(displacement)
+    for displacement, turns in zip(displacements, leaf_turns, strict=False):
+        yield deformer.pose(displacement, turns)
 
 
-def iter_splat_frames(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[GaussianCloud]:
+def iter_splat_frames(
+    binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]], leaf_turns: LeafTurns = NO_FLUTTER
+) -> Iterator[GaussianCloud]:
     """Yield one cloud per frame, with colours rotated like their Gaussians: the paper's output."""
-    for pose in iter_poses(binding, displacements):
+    for pose in iter_poses(binding, displacements, leaf_turns):
         yield apply_pose(binding.cloud, pose)
 
 
@@ -71,7 +82,8 @@ def reduced_splat(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -
     if cloud.num_gaussians == binding.cloud.num_gaussians:
         return replace(binding, cloud=cloud)
     rows = level_rows(binding.cloud, share)
-    return replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows])
+    leaves = None if binding.leaves is None else replace(binding.leaves, of=binding.leaves.of[rows])
+    return replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows], leaves=leaves)
 
 
 def without_idle_vertices(splat: AnimatedSplat) -> AnimatedSplat:
@@ -87,4 +99,7 @@ def without_idle_vertices(splat: AnimatedSplat) -> AnimatedSplat:
         triangles=corner.reshape(-1, 3).astype(np.int32),
         face_of=face_of,
     )
+    if (leaves := binding.leaves) is not None:
+        vertex = np.searchsorted(used, leaves.vertex).astype(np.int32)
+        compact = replace(compact, leaves=replace(leaves, vertex=vertex))
     return replace(splat, binding=compact, coefficients=np.ascontiguousarray(splat.coefficients[used]))

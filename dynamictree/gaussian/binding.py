@@ -18,6 +18,14 @@ STILL = -1
 
 
 @dataclass(frozen=True, kw_only=True)
+class Leaves:
+    """Leaves of a cloud (`leaves.py`): each rotates about a vertex of the mesh."""
+
+    of: Int32[np.ndarray, " G"]  # number of each Gaussian's leaf, or STILL
+    vertex: Int32[np.ndarray, " M"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Binding:
     """Cloud at rest, bound to triangles. Corners 0 and 1 are the longest edge of each triangle."""
 
@@ -26,6 +34,7 @@ class Binding:
     triangles: Int32[np.ndarray, "U 3"]  # faces with bound Gaussians
     face_of: Int32[np.ndarray, " G"]  # row of `triangles`, or STILL
     weights: Float32[np.ndarray, "G 3"]  # barycentric weights
+    leaves: Leaves | None = None  # None where no Gaussian flutters
 
     def __post_init__(self) -> None:
         if len(self.face_of) != self.cloud.num_gaussians or len(self.weights) != self.cloud.num_gaussians:

@@ -18,7 +18,7 @@ from dynamictree.gaussian.deform_kernel import BLOCK, turn_faces, turn_gaussians
 from dynamictree.gaussian.turn import turn_sh_fast
 from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES, LANES
 from dynamictree.parallel import in_bands
-from dynamictree.rotation import matrix_quaternions, quaternion_products
+from dynamictree.rotation import matrix_quaternions, quaternion_matrices, quaternion_products
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +65,18 @@ class Deformer:
         self._rest = _in_blocks(self._gaussian_rest(frames, face_of))
         self._face_of = _padded(np.where(binding.face_of == STILL, np.int32(still), face_of))
 
-    def pose(self, displacement: Float32[np.ndarray, "N 3"], *, out: Pose | None = None) -> Pose:
+    def pose(
+        self,
+        displacement: Float32[np.ndarray, "N 3"],
+        leaf_turns: Float32[np.ndarray, "M 3"] | None = None,
+        *,
+        out: Pose | None = None,
+    ) -> Pose:
         """Compute the Gaussians' pose for a displacement of the mesh's vertices.
 
         Args:
             displacement: displacement of every vertex from rest [m].
+            leaf_turns: rotation θ of each leaf [rad]; by default leaves do not flutter.
             out: contiguous memory to write to, which is also returned; newly allocated by default.
 
         Raises:
@@ -87,7 +94,22 @@ class Deformer:
         flat = [part.reshape(-1) for part in parts]
         streamed = all(part.ctypes.data % CACHE_LINE_BYTES == 0 for part in flat)
         in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, *flat, streamed)
+        if leaf_turns is not None:
+            self._flutter(posed, moved, leaf_turns)
         return posed
+
+    def _flutter(
+        self, pose: Pose, displacement: Float32[np.ndarray, "N 3"], leaf_turns: Float32[np.ndarray, "M 3"]
+    ) -> None:
+        """Rotate each leaf's Gaussians about its vertex."""
+        leaves = self.binding.leaves
+        assert leaves is not None
+        rows = np.flatnonzero(leaves.of != STILL)
+        leaf, turns = leaves.of[rows], _half_turns(leaf_turns)
+        vertex = (self.binding.vertices + displacement)[leaves.vertex]
+        arms = pose.means[rows] - vertex[leaf]
+        pose.means[rows] = vertex[leaf] + np.einsum("gij,gj->gi", quaternion_matrices(turns)[leaf], arms)
+        pose.quaternions[rows] = quaternion_products(turns[leaf], pose.quaternions[rows])
 
     def _gaussian_rest(
         self, frames: Float64[np.ndarray, "U 3 3"], face_of: Int32[np.ndarray, " G"]
@@ -132,6 +154,12 @@ def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64
     across = np.cross(normal, along)
     flat = np.stack([length[:, 0], (second * along).sum(axis=1), (second * across).sum(axis=1)], axis=1)
     return np.stack([along, across, normal], axis=2), flat
+
+
+def _half_turns(theta: Float32[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 4"]:
+    """Return the quaternions (w, x, y, z) of rotations by θ [rad], with angles of atan |θ| as of a rig's bones."""
+    cosine = 1 / np.sqrt(1 + (theta**2).sum(axis=1, keepdims=True))
+    return np.concatenate([np.sqrt((1 + cosine) / 2), theta * cosine / np.sqrt(2 + 2 * cosine)], axis=1)
 
 
 def _bound_points(binding: Binding) -> Float64[np.ndarray, "G 3"]:

@@ -141,13 +141,9 @@ def _motion(tree: ServedTree) -> dict[str, np.ndarray]:
         "turn_step_rad": step_rad.astype(np.float32),
         "turn_parent": rig.skeleton.parent,
         "turn_foot_m": rig.skeleton.foot_m,
-        "turn_direction": rig.skeleton.directions,
         "turn_bone": rig.vertices.rows[:, 0],
         "turn_share": rig.vertices.shares[:, 1],
-        "flutter_axis": flutter.axis,
-        "flutter_tones": flutter.tones,
-        "flutter_critical_m_s": flutter.critical_m_s,
-        "flutter_share": flutter.share,
+        **flutter.tensors,
     }
 
 

@@ -12,12 +12,14 @@ from playwright.sync_api import Browser, Page
 from benchmarks._read_exports import z_up
 from dynamictree import method
 from dynamictree.export.write import write_products
-from dynamictree.gaussian.animate import iter_poses, reduced_splat
+from dynamictree.formats.motion.html import write_splat_html
+from dynamictree.gaussian.animate import AnimatedSplat, iter_poses, reduced_splat
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.clouds import with_two_leaves
 
 FRAMES = (0, 31, 77)
 Opened = Callable[[Path], Page]
@@ -104,12 +106,19 @@ def test_the_page_plays_the_motion_from_disk(opened: Opened, swaying: Swaying, t
         assert np.abs(moved - swaying.frames[frame]).max() < 1e-4
 
 
-def test_the_page_plays_a_splat_from_disk(opened: Opened, swaying: Swaying, tmp_path: Path) -> None:
-    params = ExportParams(formats=("html-splat",), share=0.1)
-    page = opened(write_products(swaying.mesh, swaying.spectrum, params, tmp_path)["html-splat"])
-    page.wait_for_function("player.gaussians.drawn", timeout=60_000)
+def test_the_page_plays_a_splat_with_leaves_from_disk(opened: Opened, swaying: Swaying, tmp_path: Path) -> None:
     binding = reduced_splat(splats_of_mesh(swaying.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
-    truth = list(iter_poses(binding, iter_motion(swaying.coefficients, np.array(FRAMES) / 100)))
+    binding, flutter = with_two_leaves(binding, 100)
+    splat = AnimatedSplat(binding=binding, coefficients=swaying.coefficients, num_frames=100, fps=24.0, flutter=flutter)
+    with (tmp_path / "tree.html").open("wb") as stream:
+        write_splat_html(splat, stream, title="a tree")
+    page = opened(tmp_path / "tree.html")
+    page.wait_for_function("player.gaussians.drawn", timeout=60_000)
+    phases = np.array(FRAMES) / 100
+    turns = flutter.theta(phases, [flutter.gusts_m_s] * 3, 100)
+    truth = list(iter_poses(binding, iter_motion(swaying.coefficients, phases), turns))
+    calm = next(iter_poses(binding, iter_motion(swaying.coefficients, phases)))
+    assert np.linalg.norm(truth[0].means - calm.means, axis=1).max() > 0.05
     assert np.linalg.norm(truth[1].means - truth[2].means, axis=1).max() > 0.05
     for frame, pose in zip(FRAMES, truth, strict=True):
         places = np.array(page.evaluate(GAUSSIANS, frame / 24))

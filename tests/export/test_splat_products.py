@@ -30,7 +30,7 @@ from dynamictree.source import Source
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.up_axis import up_rotation
 from dynamictree.voxel.voxelize import voxelize
-from tests.clouds import cloud_at
+from tests.clouds import cloud_at, with_two_leaves
 from tests.formats.meshes import written
 from tests.formats.stored import animated_splat
 
@@ -231,20 +231,31 @@ def test_too_large_a_splat_is_refused_before_a_byte_is_written(
     assert [path for path in tmp_path.iterdir() if path.stat().st_size] == []
 
 
-def test_usd_has_every_pose_of_the_splat(capture: Capture, moving: Moving, animated: Write) -> None:
-    params = ExportParams(formats=("usd-splat",), num_frames=4)
+def test_usd_and_ply_have_every_pose_of_the_splat_and_its_leaves(
+    capture: Capture, moving: Moving, animated: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    params = ExportParams(formats=("usd-splat", "splat-ply"), num_frames=4)
     path = animated(capture, params, [])["usd-splat"]
     stated = min_sequence_bytes(("usd-splat",), 4, params, cloud=(3000, 0))["usd-splat"]
     assert 1 < path.stat().st_size / stated < 1.3
     half = ExportParams(formats=("usd-splat",), share=0.5)
     assert min_sequence_bytes(("usd-splat",), 4, half, cloud=(3000, 0)) == {"usd-splat": stated // 2}
-    stage = Usd.Stage.Open(str(path))
+    monkeypatch.setattr("dynamictree.export.write.flutter_leaves", lambda binding, *_: with_two_leaves(binding, 4))
+    paths = animated(capture, params, [])
+    stage = Usd.Stage.Open(str(paths["usd-splat"]))
     splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Tree/Splat"))
     assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     binding = bind(capture.cloud, moving[0], mask=moving_part(capture, CloudParams(box_m=BOX)))
-    poses = list(iter_poses(binding, method.move(moving[1], moving[0], num_frames=4)))
+    binding, flutter = with_two_leaves(binding, 4)
+    turns = list(flutter.theta(np.arange(4) / 4, [flutter.gusts_m_s] * 4, 4))
+    assert np.abs(turns[0] - turns[2]).max() > 0.05
+    poses = list(iter_poses(binding, method.move(moving[1], moving[0], num_frames=4), turns))
     assert np.abs(poses[0].means - poses[2].means).max() > 0.025
+    with zipfile.ZipFile(paths["splat-ply"]) as archive:
+        frames = [read_cloud(io.BytesIO(archive.read(name)), file_type="ply") for name in archive.namelist()]
+    for frame, pose in zip(frames, poses, strict=True):
+        np.testing.assert_allclose(frame.means, pose.means, atol=1e-5)
     for code, pose in enumerate(poses):
         np.testing.assert_allclose(np.array(splat.GetPositionsAttr().Get(code)), pose.means, atol=1e-6)
         np.testing.assert_allclose(np.array(splat.GetScaleshAttr().Get(code)), pose.scales, rtol=1e-3)

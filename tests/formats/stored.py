@@ -10,7 +10,7 @@ from safetensors.numpy import load
 
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.gaussian.animate import AnimatedSplat
-from dynamictree.gaussian.binding import Binding
+from dynamictree.gaussian.binding import Binding, Leaves
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.rotation import unit_quaternions
 from dynamictree.source import Source
@@ -30,6 +30,7 @@ def animated_splat(content: bytes) -> AnimatedSplat:
         triangles=tensors["triangles"],
         face_of=tensors["face_of"],
         weights=floats["weights"],
+        leaves=Leaves(of=tensors["leaf_of"], vertex=tensors["leaf_vertex"]) if "leaf_of" in tensors else None,
     )
     coefficients = np.ascontiguousarray(floats["coefficients"]).view(np.complex64)[..., 0]
     return AnimatedSplat(

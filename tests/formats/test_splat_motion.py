@@ -24,7 +24,7 @@ from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.mesh import TriangleMesh
 from dynamictree.source import Source
-from tests.clouds import cloud_at
+from tests.clouds import cloud_at, with_two_leaves
 from tests.formats.meshes import written
 from tests.formats.stored import animated_splat, archive_of
 
@@ -50,7 +50,14 @@ def splat() -> AnimatedSplat:
     cloud = replace(cloud, source=Source(up_axis="-Y", scale=0.01))
     coefficients = (rng.normal(size=(2, 400, 3, 3)) * 0.02).astype(np.float32)
     smooth = np.sin(vertices[:, :1, None] * 2) * (coefficients[0, :1] + 1j * coefficients[1, :1])
-    return AnimatedSplat(binding=bind(cloud, mesh), coefficients=smooth.astype(np.complex64), num_frames=20, fps=24.0)
+    binding, flutter = with_two_leaves(bind(cloud, mesh), 20)
+    return AnimatedSplat(
+        binding=binding, coefficients=smooth.astype(np.complex64), num_frames=20, fps=24.0, flutter=flutter
+    )
+
+
+def leaf_turns(splat: AnimatedSplat, phase: float) -> np.ndarray:
+    return next(splat.flutter.theta(np.array([phase]), [splat.flutter.gusts_m_s], splat.num_frames))
 
 
 def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
@@ -99,8 +106,9 @@ def test_the_compact_file_plays_the_same_motion(splat: AnimatedSplat) -> None:
     assert len(again.binding.vertices) == len(np.unique(again.binding.triangles)) < len(splat.binding.vertices)
     assert again.binding.cloud.source.up_axis == "-Y"
     for phase in (0.0, 0.31, 0.77):
-        ours = Deformer(splat.binding).pose(splat.displacement(phase))
-        theirs = Deformer(again.binding).pose(again.displacement(phase))
+        turns = leaf_turns(splat, phase)
+        ours = Deformer(splat.binding).pose(splat.displacement(phase), turns)
+        theirs = Deformer(again.binding).pose(again.displacement(phase), turns)
         np.testing.assert_allclose(theirs.means, ours.means, atol=5e-4)  # float16 of centimetres
         np.testing.assert_allclose(theirs.scales, ours.scales, rtol=1e-2)
     np.testing.assert_allclose(again.binding.cloud.sh, splat.binding.cloud.sh, atol=2e-3)
@@ -118,8 +126,11 @@ def test_the_player_for_other_engines_shows_the_same_pose(splat: AnimatedSplat, 
     again = animated_splat(path.read_bytes())
     code = PLAYER.replace("REFERENCE", REFERENCE.as_uri())
     played = json.loads(subprocess.check_output(["node", "--input-type=module", "-e", code, str(path)], text=True))
-    pose = Deformer(again.binding).pose(again.displacement(0.31))
-    assert np.abs(pose.means - again.binding.cloud.means).max() > 1e-2
+    pose = Deformer(again.binding).pose(again.displacement(0.31), leaf_turns(splat, 0.31))
+    calm = Deformer(again.binding).pose(again.displacement(0.31))
+    far = np.linalg.norm(pose.means - calm.means, axis=1)
+    assert far[again.binding.leaves.of >= 0].mean() > 1e-2
+    assert not far[again.binding.leaves.of < 0].any()
     np.testing.assert_allclose(np.reshape(played["means"], (-1, 3)), pose.means, atol=5e-5)  # weights are halves
     np.testing.assert_allclose(np.reshape(played["scales"], (-1, 3)), pose.scales, rtol=1e-4)
     same = np.abs((np.reshape(played["quaternions"], (-1, 4)) * pose.quaternions).sum(axis=1))

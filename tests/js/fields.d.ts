@@ -43,13 +43,14 @@ declare module "../../web/draw/copies.js" {
 
 declare module "../../web/draw/splat.js" {
   interface SplatView {
-    box: any; harmonics: any; mesh: any; renderer: any; stage: Stage; textures: any; uniforms: any; values: any;
+    box: any; harmonics: any; mesh: any; renderer: any; splat: any; stage: Stage; textures: any; uniforms: any;
+    values: any;
   }
 }
 
 declare module "../../web/draw/tree.js" {
   interface Tree {
-    group: any; jointMotion: Float32Array; q: Float32Array; stage: Stage; surface: any; turn: number;
+    air: any; group: any; jointMotion: Float32Array; q: Float32Array; stage: Stage; surface: any; turn: number;
   }
 }
 

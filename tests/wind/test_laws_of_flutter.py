@@ -43,7 +43,7 @@ def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np
     )
     flutter = flutter_of(rig, spectrum)
     sizes = flutter.sizes(gust_speeds(Wind(speed_m_s=speed_m_s, gust=gust)))
-    return (sizes[:, None, None] * flutter.modes(skeleton.directions, 1))[-len(TWIG) :]
+    return (sizes[:, None, None] * flutter.modes())[-len(TWIG) :]
 
 
 def test_leaves_have_frequencies_of_their_own_in_the_measured_range(rng) -> None:

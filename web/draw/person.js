@@ -16,11 +16,9 @@ export class Person {
   constructor(stage) {
     this.stage = stage;
     const right = OUTLINE.map(([x, y]) => new THREE.Vector2(x, y));
-    const left = OUTLINE.slice(0, -1)
-      .reverse()
-      .map(([x, y]) => new THREE.Vector2(-x, y));
+    const left = right.slice(0, -1).map(({ x, y }) => new THREE.Vector2(-x, y));
     const crotch = [new THREE.Vector2(-0.005, 0.46), new THREE.Vector2(0.005, 0.46)];
-    const geometry = new THREE.ShapeGeometry(new THREE.Shape([...right, ...left, ...crotch]));
+    const geometry = new THREE.ShapeGeometry(new THREE.Shape([...right, ...left.reverse(), ...crotch]));
     const material = new THREE.MeshBasicMaterial({
       color: 0x5c6765,
       side: THREE.DoubleSide,

@@ -13,15 +13,8 @@ const COLOR_AT = { 2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30 };
 export async function readText([{ content }]) {
   const lines = (await content.slice(0, TEXT_BYTES).text()).split("\n");
   const step = Math.ceil(lines.length / MOST_DRAWN);
-  const points = lines
-    .filter((_, i) => i % step === 0)
-    .map((line) =>
-      line
-        .trim()
-        .split(/[\s,;]+/, 3)
-        .map(Number),
-    );
-  const read = points.filter((point) => point.length === 3 && point.every(Number.isFinite));
+  const points = lines.filter((_, i) => i % step === 0).map((line) => line.match(/[^\s,;]+/g)?.slice(0, 3) ?? []);
+  const read = points.map((point) => point.map(Number)).filter((p) => p.length === 3 && p.every(Number.isFinite));
   return { object: pointsOf(geometryOf(read)) };
 }
 
@@ -45,12 +38,9 @@ export async function readLas([{ content }]) {
   const brightest = colors.flat().reduce((most, value) => Math.max(most, value), 0);
   if (brightest) {
     const unit = brightest > 255 ? 65535 : 255; // many programs write bytes
-    const linear = colors.flatMap((rgb) =>
-      new THREE.Color()
-        .fromArray(rgb.map((x) => x / unit))
-        .convertSRGBToLinear()
-        .toArray(),
-    );
+    const linear = colors.flatMap(([r, g, b]) => [
+      ...new THREE.Color(r / unit, g / unit, b / unit).convertSRGBToLinear(),
+    ]);
     geometry.setAttribute("color", new THREE.Float32BufferAttribute(linear, 3));
   }
   return { object: pointsOf(geometry) };

@@ -1,6 +1,8 @@
 // A cloud of Gaussians that hangs on a mesh, drawn by Spark: the rules of docs/formats-splat.md in Spark's own shader.
 
 import * as THREE from "three";
+import { flutterOf } from "../motion/flutter.js";
+import { halfTurn } from "../motion/swing.js";
 import { readTensors } from "../motion/tensors.js";
 import { rowOf } from "../motion/vectors.js";
 import { floats, texture, WIDTH } from "./field.js";
@@ -18,6 +20,7 @@ export function readSplat(buffer) {
     harmonics: shape.sh[1],
     frames: Number(metadata.num_frames),
     fps: Number(metadata.fps),
+    wind: JSON.parse(metadata.wind ?? "null"),
   };
 }
 
@@ -43,8 +46,7 @@ export class SplatView {
   static async make(stage, splat, surface, uniforms) {
     const spark = await import("@sparkjsdev/spark");
     const view = new SplatView();
-    view.stage = stage;
-    view.uniforms = uniforms;
+    Object.assign(view, { stage, splat, uniforms });
     view.box = new THREE.Box3().setFromArray(splat.means);
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
     view.textures = texturesOf(splat, surface, view.harmonics);
@@ -76,11 +78,8 @@ export class SplatView {
       moved: dynoSampler2D(this.uniforms.moved.value),
       poses: dynoSampler2D(this.uniforms.poses.value),
       bent: dynoFloat(0),
-      corners: dynoSampler2D(this.textures.corners),
-      rest: dynoSampler2D(this.textures.rest),
-      joints: dynoSampler2D(this.textures.joints),
-      sh: dynoSampler2D(this.textures.sh),
       eye: dynoVec3(new THREE.Vector3()),
+      ...Object.fromEntries(Object.entries(this.textures).map(([name, texels]) => [name, dynoSampler2D(texels)])),
     };
   }
 
@@ -97,19 +96,29 @@ export class SplatView {
   }
 
   /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
-  evaluate(q, turn) {
+  evaluate(q, turn, air) {
     if (!this.drawn) this.renderer.activeSplats = 0; // else another's is drawn until this one is sorted
     const { camera, radius } = this.stage;
     const { position } = camera;
     const now = [turn, ...q].join();
     // the controls compute the camera's place anew in each frame, which moves it in its last digits
     const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
-    if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
+    const flutters = this._flutter(air);
+    if (now === this.before && stays && !flutters && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
     this.values.eye.value.copy(position);
     this.values.bent.value = this.uniforms.bent.value;
     this.values.poses.value = this.uniforms.poses.value;
     this.mesh.updateVersion();
+  }
+
+  /** Turn the leaves; whether the air moves them. */
+  _flutter(air) {
+    const { leaves } = this.textures;
+    const count = this.splat.leaf_vertex?.length ?? 0;
+    for (let l = 0; air && l < count; l++) leaves.image.data.set(halfTurn(flutterOf(this.splat, l, air)), 4 * l);
+    leaves.needsUpdate = true;
+    return count > 0 && Boolean(air?.speeds.some(Boolean));
   }
 
   dispose() {
@@ -134,13 +143,18 @@ function harmonicsTexture({ G, harmonics, sh }, count) {
 }
 
 function texturesOf(splat, surface, harmonics) {
-  const { G, face_of, triangles, weights } = splat;
+  const { G, face_of, leaf_of, leaf_vertex, triangles, weights } = splat;
   const rows = rowsOnSurface(splat, surface);
   const corners = floats(8 * G);
+  const leaves = floats(4 * (leaf_vertex?.length ?? 0));
+  for (const [l, v] of leaf_vertex?.entries() ?? []) leaves[4 * l + 3] = rows[v];
   for (let g = 0; g < G; g++) {
     const face = face_of[g];
     if (face < 0) continue; // stays still: its fourth number is 0
-    corners.set([...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g)], 8 * g);
+    corners.set(
+      [...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g), 1 + (leaf_of?.[g] ?? -1)],
+      8 * g,
+    );
   }
   const rest = floats(4 * surface.N);
   const joints = floats(4 * surface.N);
@@ -149,7 +163,7 @@ function texturesOf(splat, surface, harmonics) {
     joints.set(rowOf(surface.joints, v), 4 * v);
   }
   const sh = harmonicsTexture(splat, harmonics);
-  return { corners: texture(corners), rest: texture(rest), joints: texture(joints), sh };
+  return { corners: texture(corners), rest: texture(rest), joints: texture(joints), leaves: texture(leaves), sh };
 }
 
 /** The surface's vertex in the place of each of the splat's, which are of the same mesh. */

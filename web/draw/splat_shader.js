@@ -65,13 +65,13 @@ vec4 treeTurn(mat3 m) { // rotation to quaternion x, y, z, w
   return normalize(vec4(m[2][0] + m[0][2], m[1][2] + m[2][1], s.z, m[0][1] - m[1][0]));
 }
 ${colourShader(harmonics)}
-Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sampler2D corners, sampler2D rest, sampler2D joints, sampler2D sh, vec3 eye) {
+Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, sampler2D corners, sampler2D rest, sampler2D joints, sampler2D leaves, sampler2D sh, float bent, vec3 eye) {
   vec4 corner = treeTexel(corners, 2 * g.index);
   if (corner.w < 0.5) {
     g.rgba.rgb = treeColour(sh, g.index, g.center, mat3(1.0), eye);
     return g;
   }
-  vec3 weight = treeTexel(corners, 2 * g.index + 1).xyz;
+  vec4 weight = treeTexel(corners, 2 * g.index + 1); // and one more than its leaf
   vec3 v[3], w[3];
   for (int i = 0; i < 3; i++) {
     int at = int(corner[i] + 0.5);
@@ -96,20 +96,20 @@ Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sample
     g.scales[i] *= clamp(length(D * quatVec(g.quaternion, axis)), 0.25, 4.0);
   }
   g.quaternion = quatQuat(treeTurn(R), g.quaternion);
+  if (weight.w > 0.5) { // a leaf turns about a vertex
+    vec4 leaf = treeTexel(leaves, int(weight.w - 0.5)), turned = vec4(leaf.xyz, sqrt(1.0 - dot(leaf.xyz, leaf.xyz)));
+    int at = int(leaf.w + 0.5);
+    vec3 foot = treeVertex(at, treeTexel(rest, at).xyz, moved, poses, bent, joints);
+    g.center = foot + quatVec(turned, g.center - foot);
+    g.quaternion = quatQuat(turned, g.quaternion);
+    for (int i = 0; i < 3; i++) R[i] = quatVec(turned, R[i]);
+  }
   g.rgba.rgb = treeColour(sh, g.index, g.center, R, eye);
   return g;
 }`;
 
-const INPUTS = {
-  moved: "sampler2D",
-  poses: "sampler2D",
-  bent: "float",
-  corners: "sampler2D",
-  rest: "sampler2D",
-  joints: "sampler2D",
-  sh: "sampler2D",
-  eye: "vec3",
-};
+const TEXTURES = ["moved", "poses", "corners", "rest", "joints", "leaves", "sh"];
+const INPUTS = { ...Object.fromEntries(TEXTURES.map((name) => [name, "sampler2D"])), bent: "float", eye: "vec3" };
 
 export function modifier({ Dyno, Gsplat, dynoBlock }, values, harmonics) {
   const names = ["gsplat", ...Object.keys(INPUTS)];

@@ -26,7 +26,7 @@ export class Tree {
       coloured: { value: 0 },
     };
     this.groups = []; // of pulls: { seed, bend }
-    Object.assign(this, { view: "surface", q: null, turn: 0 });
+    Object.assign(this, { view: "surface", q: null, turn: 0, air: null });
   }
 
   get moves() {
@@ -204,7 +204,7 @@ export class Tree {
     if (renderer.shadowMap.needsUpdate) this.shadowed = sampleMotion(this);
     this.field.render(renderer);
     this.copies?.prepare(renderer);
-    if (this.splat?.visible) this.splat.evaluate(this.q, this.turn);
+    if (this.splat?.visible) this.splat.evaluate(this.q, this.turn, this.air);
   }
 
   /** Where a voxel is now [m]. */

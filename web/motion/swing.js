@@ -58,13 +58,17 @@ export function binSizes(surface, k, vertices) {
   return sizes.map(Math.sqrt);
 }
 
-/** A bone's turn: its axis times the sine of half the angle. */
+/** Of a bone, see `halfTurn`. */
 function halfTurnOf({ turn_shapes, turn_step_rad, turn_direction }, b, q, turn, leaf) {
   const direction = rowOf(turn_direction, b);
   const own = scaled(modeSum(turn_shapes, b, q), turn_step_rad[b]);
   const across = cross(direction, turnedUpright(cross(own, direction), turn));
-  const theta = plus(plus(across, scaled(direction, dot(own, direction))), leaf);
-  const c = 1 / Math.sqrt(1 + dot(theta, theta)); // cosine of the angle, atan |theta|
+  return halfTurn(plus(plus(across, scaled(direction, dot(own, direction))), leaf));
+}
+
+/** Of a turn by an angle of atan |theta|: its axis times the sine of half the angle. */
+export function halfTurn(theta) {
+  const c = 1 / Math.sqrt(1 + dot(theta, theta)); // cosine of the angle
   return scaled(theta, c / Math.sqrt(2 + 2 * c));
 }
 

@@ -1,6 +1,7 @@
 // The scene of a page that plays the loop of an animated splat: +Z up, metres.
 
 import { floats, texture } from "field";
+import { gustyAir } from "flutter";
 import { windCoordinates } from "modes";
 import { readSplat, SplatView } from "splat";
 import * as THREE from "three";
@@ -18,10 +19,11 @@ export async function show(content, { scene, renderer, camera }) {
   const view = await SplatView.make(stage, splat, surface, uniforms);
   const period = splat.frames / splat.fps;
   const seek = (seconds) => {
-    const q = windCoordinates(splat.K, (seconds / period) % 1);
+    const phase = (seconds / period) % 1;
+    const q = windCoordinates(splat.K, phase);
     displace(splat, q, texels);
     uniforms.moved.value.needsUpdate = true;
-    view.evaluate(q, 0);
+    view.evaluate(q, 0, splat.wind && gustyAir(splat.wind, phase));
   };
   return { box, view: new THREE.Vector3(0.38, -0.9, 0.2), up: new THREE.Vector3(0, 0, 1), seek, splat, gaussians: view };
 }

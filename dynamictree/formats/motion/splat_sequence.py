@@ -12,7 +12,7 @@ from jaxtyping import Float32, Float64
 
 from dynamictree.formats.splat.activations import log_from_scales
 from dynamictree.formats.splat.ply import ply_header, ply_rows
-from dynamictree.gaussian.animate import iter_poses
+from dynamictree.gaussian.animate import NO_FLUTTER, LeafTurns, iter_poses
 from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.deform import Pose
@@ -20,7 +20,11 @@ from dynamictree.up_axis import up_rotation
 
 
 def iter_splat_files(
-    binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]], *, first_number: int = 0
+    binding: Binding,
+    displacements: Iterable[Float32[np.ndarray, "N 3"]],
+    leaf_turns: LeafTurns = NO_FLUTTER,
+    *,
+    first_number: int = 0,
 ) -> Iterator[tuple[str, tuple[bytes, ...]]]:
     """Yield name and content, in parts, of frame_0000.ply, …, in the cloud's order.
 
@@ -31,7 +35,9 @@ def iter_splat_files(
     header = ply_header(source.cloud.num_gaussians, source.cloud.sh.shape[1])
     rows = ply_rows(source.cloud)
     moved = ((displacement @ to_source).astype(np.float32) for displacement in displacements)
-    for number, pose in enumerate(iter_poses(source, moved), first_number):
+    axes = up_rotation(binding.cloud.source.up_axis).astype(np.float32)
+    turned = (None if turns is None else turns @ axes for turns in leaf_turns)
+    for number, pose in enumerate(iter_poses(source, moved, turned), first_number):
         yield f"frame_{number:04d}.ply", (header, _frame(source, pose, rows))
 
 

@@ -7,20 +7,16 @@ from collections.abc import Iterable
 from typing import BinaryIO
 
 import numpy as np
-from jaxtyping import Float32
 
 from dynamictree.formats.motion.usd import ROOT, packed_stage
-from dynamictree.gaussian.animate import iter_poses
-from dynamictree.gaussian.binding import Binding
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.deform import Pose
 
 
-def write_splat_usdz(
-    binding: Binding, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, fps: float
-) -> None:
-    """Write a time code per frame, from 0; `frames` are displacements of the binding's vertices [m]."""
+def write_splat_usdz(cloud: GaussianCloud, poses: Iterable[Pose], stream: BinaryIO, *, fps: float) -> None:
+    """Write a time code per pose of a cloud, from 0."""
     from pxr import UsdGeom, UsdVol, Vt
 
-    cloud = binding.cloud
     with packed_stage(stream, fps) as (stage, _):
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, ROOT).GetPrim())
         splat = UsdVol.ParticleField3DGaussianSplat.Define(stage, f"{ROOT}/Splat")
@@ -31,7 +27,7 @@ def write_splat_usdz(
         positions, extent = splat.CreatePositionsAttr(), splat.CreateExtentAttr()
         orientations, scales = splat.CreateOrientationshAttr(), splat.CreateScaleshAttr()
         frame = 0
-        for frame, pose in enumerate(iter_poses(binding, frames)):
+        for frame, pose in enumerate(poses):
             xyzw = np.ascontiguousarray(pose.quaternions[:, [1, 2, 3, 0]], np.float16)  # as Gf stores a quaternion
             positions.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(pose.means)), frame)
             orientations.Set(Vt.QuathArray.FromNumpy(xyzw), frame)

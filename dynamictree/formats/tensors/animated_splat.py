@@ -4,6 +4,9 @@ The format is described in docs/formats-splat.md. Everything is in metres and +Z
 of SH degree 3 takes about 85 MB, its 100 frames as PLY 12.4 GB.
 """
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 from jaxtyping import Float32, Shaped
 
@@ -46,6 +49,10 @@ def write_animated_splat(splat: AnimatedSplat, stream: ByteWriter) -> None:
         "source_up_axis": cloud.source.up_axis,
         "source_scale": repr(float(cloud.source.scale)),
     }
+    if (flutter := compact.flutter) is not None and (leaves := binding.leaves) is not None:
+        tensors |= {"leaf_of": leaves.of, "leaf_vertex": leaves.vertex, **flutter.tensors}
+        tensors["leaf_size"] = flutter.sizes(flutter.gusts_m_s)
+        metadata["wind"] = json.dumps(asdict(flutter.wind))
     write_tensors(stream, tensors, metadata)
 
 
