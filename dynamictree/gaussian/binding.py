@@ -6,12 +6,12 @@ face. Gaussians far from every face, or outside the moving part, are not bound a
 
 from dataclasses import dataclass
 
+import igl
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.mesh import Surface
 
 STILL = -1
@@ -66,16 +66,36 @@ def bind(cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | 
     rows = np.arange(cloud.num_gaussians) if mask is None else np.flatnonzero(mask)
     reach = _own_reach(cloud.scales[rows], extent)
     triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
-    nearest = nearest_faces(cloud.means[rows], mesh.vertices, triangles, reach)
-    if (nearest.faces == STILL).all():
+    nearest, nearest_weights = _nearest(cloud.means[rows], mesh.vertices, triangles, reach)
+    if (nearest == STILL).all():
         raise InputError(
             f"no Gaussian is within {reach.max(initial=0):.3g} m of the mesh and in the part that moves; "
             "are cloud and mesh in the same axes and units?"
         )
     face_of = np.full(cloud.num_gaussians, STILL, np.int32)
     weights = np.zeros((cloud.num_gaussians, 3), np.float32)
-    face_of[rows], weights[rows] = nearest.faces, nearest.weights
+    face_of[rows], weights[rows] = nearest, nearest_weights
     return _compact(cloud, mesh.vertices, triangles, face_of, weights)
+
+
+def _nearest(
+    points: Float32[np.ndarray, "G 3"],
+    vertices: Float32[np.ndarray, "N 3"],
+    triangles: Int32[np.ndarray, "F 3"],
+    reach_m: Float64[np.ndarray, " G"],
+) -> tuple[Int32[np.ndarray, " G"], Float32[np.ndarray, "G 3"]]:
+    """Find each point's nearest triangle, or STILL if none is within its reach, and the barycentric weights there."""
+    points_at_once = 500_000  # 100 MB
+    face_of, weights = np.empty(len(points), np.int32), np.empty((len(points), 3), np.float32)
+    places, corners, tree = vertices.astype(np.float64), triangles.astype(np.int64), igl.AABB()
+    tree.init(places, corners)
+    for start in range(0, len(points), points_at_once):
+        some = slice(start, start + points_at_once)
+        squared, nearest, place = tree.squared_distance(places, corners, points[some].astype(np.float64))
+        own = igl.barycentric_coordinates(place, *(places[corner] for corner in corners[nearest].T)).clip(0, 1)
+        face_of[some] = np.where(squared <= reach_m[some] ** 2, nearest, STILL)
+        weights[some] = own / own.sum(axis=1, keepdims=True)
+    return face_of, weights
 
 
 def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.ndarray, " G"]:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +14,6 @@ from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.gaussian.deform_kernel import COLLAPSED, MAX_STRETCH
 from dynamictree.gaussian.harmonics import harmonics, turn_sh
-from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.gaussian.turn import harmonic_values, turn_sh_fast
 from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES
 from dynamictree.mesh import TriangleMesh
@@ -165,23 +163,6 @@ def test_floaters_and_what_the_mask_leaves_out_stay_still(cloud: GaussianCloud, 
     for name in ("means", "scales", "quaternions"):
         np.testing.assert_array_equal(getattr(pose, name)[still], getattr(scene, name)[still])
     assert np.abs(pose.means[binding.moving] - scene.means[binding.moving]).max() > 0.05
-
-
-def test_the_nearest_face_is_the_nearest(rng) -> None:
-    shape = trimesh.creation.icosphere(subdivisions=2)
-    sliver = np.array([[3, 0, 0], [3, 0, 1e-5], [9, 1, 0.0]])  # a face through many cells
-    vertices = np.concatenate([shape.vertices, sliver]).astype(np.float32)
-    faces = np.concatenate([shape.faces, [[len(shape.vertices) + i for i in range(3)]]]).astype(np.int32)
-    points = (rng.normal(size=(400, 3)) * [3, 1, 1] + [1, 0, 0]).astype(np.float32)
-    whole = trimesh.Trimesh(vertices, faces, process=False)
-    _, distances, _ = trimesh.proximity.closest_point_naive(whole, points)
-    nearest = nearest_faces(points, vertices, faces, 2.0)
-    near = distances < 2.0 - 1e-6
-    np.testing.assert_array_equal(nearest.faces >= 0, near)
-    corners = vertices[faces[nearest.faces[near]]]
-    places = np.einsum("gc,gcx->gx", nearest.weights[near], corners)
-    np.testing.assert_allclose(np.linalg.norm(places - points[near], axis=1), distances[near], atol=1e-5)
-    np.testing.assert_allclose(nearest.weights[near].sum(axis=1), 1, atol=1e-5)
 
 
 def test_gaussians_made_on_a_face_stay_on_it(mesh: TriangleMesh, cloud: GaussianCloud, rng) -> None:
