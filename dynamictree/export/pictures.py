@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, UInt8
 
 from dynamictree.color import STILL_SHARE, greyed, linear_to_srgb
 from dynamictree.export.moving_tree import MovingTree, Report
-from dynamictree.gaussian.animate import AnimatedSplat, iter_poses, reduced_splat
+from dynamictree.gaussian.animate import iter_poses, reduced_splat
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud, area_m2
 from dynamictree.gaussian.deform import Deformer, Pose
@@ -27,6 +27,7 @@ from dynamictree.render.contact_sheet import (
     sway_amplitude,
 )
 from dynamictree.render.video import Picture
+from dynamictree.spectrum import displacement_at, iter_motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,20 +128,18 @@ def _draw_splat(tree: MovingTree, binding: Binding, report: Report) -> Iterator[
 def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.ndarray, "A B 3"]:
     """Draw one picture, the amplitude of the sway in colours, and frames in a row."""
     scene = SplatScene.of(binding, ground=tree.params.shot.ground)
-    num_frames = tree.spectrum.num_frames
-    splat = AnimatedSplat(
-        binding=scene.binding, coefficients=tree.coefficients, num_frames=num_frames, fps=tree.spectrum.fps
-    )
+    num_frames, coefficients = tree.spectrum.num_frames, tree.coefficients
     deformer, camera = Deformer(scene.binding), _camera(tree, scene, 1.0)
-    rest = deformer.pose(splat.displacement(0.0))
-    amplitude = _gaussian_amplitudes(scene.binding, sway_amplitude(tree.coefficients, num_frames))
+    rest = deformer.pose(displacement_at(coefficients, 0.0, num_frames))
+    amplitude = _gaussian_amplitudes(scene.binding, sway_amplitude(coefficients, num_frames))
     moving = scene.binding.moving
     still = scene.picture(camera, STILL_PX, rest, scene.backdrop(camera, STILL_PX))
     report(0.3)
     small = _camera(tree, scene, STRIP_PX[0] / STRIP_PX[1])
     backdrop = scene.backdrop(small, STRIP_PX)
     phases = np.arange(NUM_STRIP) / NUM_STRIP
-    strip = [scene.picture(small, STRIP_PX, deformer.pose(frame), backdrop) for frame in splat.displacements(phases)]
+    frames = iter_motion(coefficients, phases, num_frames)
+    strip = [scene.picture(small, STRIP_PX, deformer.pose(frame), backdrop) for frame in frames]
     report(0.6)
     standing = f" ({np.count_nonzero(~moving):,} stand still)" if not moving.all() else ""
     sheet = ContactSheet(

@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import repeat
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64
+from jaxtyping import Complex64, Float32
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail, level_rows
 from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.rig.flutter import Flutter
-from dynamictree.spectrum import displacement_at, iter_motion
 
 LeafTurns = Iterable[Float32[np.ndarray, "M 3"] | None]
 """θ of each leaf of a binding, frame by frame [rad]; None where nothing flutters."""
@@ -28,29 +27,6 @@ class AnimatedSplat:
     num_frames: int  # number of frames T of the spectrum
     fps: float
     flutter: Flutter | None = None  # of the binding's leaves
-
-    def __post_init__(self) -> None:
-        if len(self.coefficients) != len(self.binding.vertices):
-            raise InputError(
-                f"the spectrum is of {len(self.coefficients)} vertices, the mesh has {len(self.binding.vertices)}"
-            )
-        if not 1 <= self.coefficients.shape[1] <= self.num_frames // 2 + 1:
-            raise InputError(f"{self.coefficients.shape[1]} frequencies do not fit in {self.num_frames} frames")
-        if not (np.isfinite(self.fps) and self.fps > 0):
-            raise InputError(f"fps is {self.fps}; it must be positive and finite")
-
-    @property
-    def period_s(self) -> float:
-        """Length of the loop [s]."""
-        return self.num_frames / self.fps
-
-    def displacement(self, phase: float) -> Float32[np.ndarray, "N 3"]:
-        """Compute the displacement of the mesh's vertices at a phase in [0, 1] of the loop [m]."""
-        return displacement_at(self.coefficients, phase, self.num_frames)
-
-    def displacements(self, phases: Float64[np.ndarray, " M"]) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Yield the displacement of the mesh's vertices for each phase [m]."""
-        return iter_motion(self.coefficients, phases, self.num_frames)
 
 
 def iter_poses(

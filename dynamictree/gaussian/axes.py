@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.harmonics import turn_sh
+from dynamictree.gaussian.turn import turn_sh_fast
 from dynamictree.rotation import matrix_quaternions, quaternion_products
 from dynamictree.up_axis import up_rotation
 
@@ -39,5 +39,5 @@ def transform_cloud(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], 
         means=(cloud.means @ rotation.T * scale).astype(np.float32),
         quaternions=quaternion_products(turn, cloud.quaternions),
         scales=(cloud.scales * scale).astype(np.float32),
-        sh=turn_sh(cloud.sh, rotation[None]),
+        sh=turn_sh_fast(cloud.sh, np.tile(turn, (cloud.num_gaussians, 1))),
     )

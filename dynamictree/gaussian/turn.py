@@ -1,4 +1,4 @@
-"""Fast rotation of spherical harmonics: compiled counterpart of `harmonics.turn_sh`, one pass on all cores."""
+"""Rotation of spherical harmonics: f'(d) = f(Rᵀ d) at enough directions d, in one pass on all cores."""
 
 from typing import no_type_check
 
