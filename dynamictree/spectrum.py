@@ -127,17 +127,6 @@ def to_motion(
     return np.fft.irfft(spectrum, n=num_frames, axis=0, norm="forward").astype(np.float32)
 
 
-def displacement_at(
-    coefficients: Complex64[np.ndarray, "N K 3"], phase: float, num_frames: int = NUM_FRAMES
-) -> Float32[np.ndarray, "N 3"]:
-    """Compute the displacement at any phase of the loop, also between frames; 0 and 1 are the same [m]."""
-    turn = bin_weights(coefficients.shape[1], num_frames) * np.exp(
-        2j * np.pi * phase * np.arange(coefficients.shape[1])
-    )
-    displacement: Float32[np.ndarray, "N 3"] = np.einsum("nkc,k->nc", coefficients, turn.astype(np.complex64)).real
-    return displacement
-
-
 def iter_motion(
     coefficients: Complex64[np.ndarray, "N K 3"], phases: Float64[np.ndarray, " M"], num_frames: int = NUM_FRAMES
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:

@@ -27,7 +27,7 @@ from dynamictree.render.contact_sheet import (
     sway_amplitude,
 )
 from dynamictree.render.video import Picture
-from dynamictree.spectrum import displacement_at, iter_motion
+from dynamictree.spectrum import iter_motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.
     scene = SplatScene.of(binding, ground=tree.params.shot.ground)
     num_frames, coefficients = tree.spectrum.num_frames, tree.coefficients
     deformer, camera = Deformer(scene.binding), _camera(tree, scene, 1.0)
-    rest = deformer.pose(displacement_at(coefficients, 0.0, num_frames))
+    rest = deformer.pose(next(iter_motion(coefficients, np.zeros(1), num_frames)))
     amplitude = _gaussian_amplitudes(scene.binding, sway_amplitude(coefficients, num_frames))
     moving = scene.binding.moving
     still = scene.picture(camera, STILL_PX, rest, scene.backdrop(camera, STILL_PX))

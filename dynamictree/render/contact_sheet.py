@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.parallel import on_cores
 from dynamictree.render.picture import Renderer, RenderSettings
-from dynamictree.spectrum import NUM_FRAMES, bin_weights, displacement_at, iter_motion
+from dynamictree.spectrum import NUM_FRAMES, bin_weights, iter_motion
 
 STILL_PX, SWAY_PX = (800, 800), (480, 800)
 """Width and height of the large picture, and of the sway picture beside it."""
@@ -55,7 +55,7 @@ def draw_contact_sheet(
     amplitude = sway_amplitude(coefficients, num_frames)
     stands = mesh.still_vertices
     sheet = ContactSheet(
-        still=still_renderer.picture(displacement_at(coefficients, 0.0, num_frames)),
+        still=still_renderer.picture(next(iter_motion(coefficients, np.zeros(1), num_frames))),
         sway=_sway_picture(mesh, amplitude),
         strip=_frames_in_a_row(still_renderer, coefficients, num_frames),
         title=f"{mesh.num_vertices:,} vertices, {mesh.num_faces:,} faces, {mesh.height_text} high",

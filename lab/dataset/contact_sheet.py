@@ -7,7 +7,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from dynamictree.render import Camera, Renderer, RenderSettings, amplitude_colors, sway_amplitude
-from dynamictree.spectrum import displacement_at
+from dynamictree.spectrum import iter_motion
 from lab.dataset.sample import Sample
 
 CELL_PX = 150
@@ -37,7 +37,7 @@ def motion_strip(sample: Sample) -> UInt8[np.ndarray, "H W 3"]:
     look = RenderSettings(width=CELL_PX, height=CELL_PX)
     renderer = Renderer(sample.mesh, look)
     camera = Camera.orbit(sample.mesh.vertices, aspect=1.0)
-    frames = [displacement_at(sample.coefficients, step / STRIP) for step in range(STRIP)]
+    frames = iter_motion(sample.coefficients, np.arange(STRIP) / STRIP)
     moving = [renderer.picture(frame, camera=camera) for frame in frames]
     return np.concatenate([renderer.picture(camera=camera), _sway_picture(sample, camera), *moving], axis=1)
 
