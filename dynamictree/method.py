@@ -11,7 +11,6 @@ Importing this module loads no torch; `generate` does.
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import repeat
 from typing import Literal
 
 import numpy as np
@@ -65,7 +64,7 @@ def animate_splat(
     rig = rig_of(mesh, spectrum)
     binding, leaves = flutter_leaves(bind(cloud, mesh), rig, spectrum, flutter)
     phases = np.linspace(0, 1, num_frames or spectrum.num_frames, endpoint=False)
-    turns = leaves.theta(phases, repeat(leaves.gusts_m_s), spectrum.num_frames) if leaves else NO_FLUTTER
+    turns = leaves.theta(phases, spectrum.num_frames) if leaves else NO_FLUTTER
     moved = _moved(fluttering(rig, spectrum, flutter), mesh, phases)
     yield from iter_splat_frames(binding, moved, turns)
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import repeat
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
@@ -30,7 +29,7 @@ def iter_turbulent_turns(
     rig: Rig, wind: TurbulentWind, times_s: Float64[np.ndarray, " T"], flutter: Flutter
 ) -> Iterator[Float32[np.ndarray, "B 3"]]:
     """Yield the turns of the bones in turbulent wind at each time [rad]; gusts make leaves flutter more."""
-    leaves = flutter.theta(times_s / flutter.period_s, wind.speeds_m_s(times_s)[:, None], rig.num_frames)
+    leaves = flutter.theta(times_s / flutter.period_s, rig.num_frames, wind.speeds_m_s(times_s))
     for (theta, turn), more in zip(iter_turbulent_sums(rig.turns, wind, times_s, rig.num_frames), leaves, strict=True):
         yield rig.in_wind(theta, turn) + more
 
@@ -105,10 +104,9 @@ class MovingTree:
         """Yield the rotation of each leaf of the binding, frame by frame [rad]."""
         if self.leaves is None:
             return NO_FLUTTER
-        if self.params.wind_mode == "loop":
-            return self.leaves.theta(self.phases, repeat(self.leaves.gusts_m_s), self.spectrum.num_frames)
-        speeds = self._turbulence.speeds_m_s(self.phases * self.spectrum.period_s)[:, None]
-        return self.leaves.theta(self.phases, speeds, self.spectrum.num_frames)
+        times_s, in_loop = self.phases * self.spectrum.period_s, self.params.wind_mode == "loop"
+        speeds_m_s = None if in_loop else self._turbulence.speeds_m_s(times_s)
+        return self.leaves.theta(self.phases, self.spectrum.num_frames, speeds_m_s)
 
     @cached_property
     def _turbulence(self) -> TurbulentWind:

@@ -9,7 +9,7 @@ from jaxtyping import Complex64, Float32
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
-from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail, level_rows
+from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail
 from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.rig.flutter import Flutter
 
@@ -54,10 +54,8 @@ def reduced_splat(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -
     """
     if not 0 <= sh_degree <= 3:
         raise InputError(f"sh_degree is {sh_degree}; 0 to 3 are allowed")
-    cloud = level_of_detail(binding.cloud, share).with_sh_degree(sh_degree)
-    if cloud.num_gaussians == binding.cloud.num_gaussians:
-        return replace(binding, cloud=cloud)
-    rows = level_rows(binding.cloud, share)
+    cloud, rows = level_of_detail(binding.cloud, share)
+    cloud = cloud.with_sh_degree(sh_degree)
     leaves = None if binding.leaves is None else replace(binding.leaves, of=binding.leaves.of[rows])
     return replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows], leaves=leaves)
 

@@ -135,8 +135,8 @@ def in_box(
     return inside
 
 
-def level_of_detail(cloud: GaussianCloud, share: float) -> GaussianCloud:
-    """Return a level of detail: a cloud with about `share` of the Gaussians that looks alike from afar.
+def level_of_detail(cloud: GaussianCloud, share: float) -> tuple[GaussianCloud, Int[np.ndarray, " M"]]:
+    """Return a level of detail and its ascending rows: about `share` of the Gaussians, which look alike from afar.
 
     A Gaussian remains with a probability in proportion to its visible area (opacity times area), and is enlarged by
     the inverse of its probability, so that the covered area stays about the same everywhere.
@@ -147,22 +147,17 @@ def level_of_detail(cloud: GaussianCloud, share: float) -> GaussianCloud:
     if not 0 < share <= 1:
         raise InputError(f"the level of detail is {share:g}; it is a share of the Gaussians, above 0 and at most 1")
     if share == 1:
-        return cloud
-    rows = level_rows(cloud, share)
-    subset = cloud.subset(rows)
-    growth = 1 / np.sqrt(_probabilities(cloud, share)[rows])
-    return replace(subset, scales=subset.scales * growth[:, None].astype(np.float32))
+        return cloud, np.arange(cloud.num_gaussians)
+    chances = _probabilities(cloud, share)
+    taken = np.floor(np.cumsum(chances) + 0.5)  # systematic sampling (Madow 1949), exact count
+    rows = np.flatnonzero(np.diff(taken, prepend=0.0) > 0)
+    subset, growth = cloud.subset(rows), 1 / np.sqrt(chances[rows])
+    return replace(subset, scales=subset.scales * growth[:, None].astype(np.float32)), rows
 
 
 def level_count(num_gaussians: int, share: float) -> int:
     """Return the number of Gaussians in a level of detail."""
     return max(1, round(num_gaussians * share))
-
-
-def level_rows(cloud: GaussianCloud, share: float) -> Int[np.ndarray, " M"]:
-    """Return the rows of the Gaussians in a level of detail, in ascending order."""
-    taken = np.floor(np.cumsum(_probabilities(cloud, share)) + 0.5)  # systematic sampling (Madow 1949), exact count
-    return np.flatnonzero(np.diff(taken, prepend=0.0) > 0)
 
 
 def _probabilities(cloud: GaussianCloud, share: float) -> Float64[np.ndarray, " G"]:

@@ -9,8 +9,9 @@ a sum of tones, half of which the leaves of a twig share. In gusty wind onset is
 the gusts. Files for the page and for engines have the same few numbers per leaf, and their readers evaluate this sum.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Complex64, Float, Float32, Float64, Int, Int64, UInt8
@@ -67,10 +68,14 @@ class Flutter:
         return modes
 
     def theta(
-        self, phases: Float64[np.ndarray, " M"], speeds_m_s: Iterable[Float64[np.ndarray, " G"]], num_frames: int
+        self, phases: Float64[np.ndarray, " M"], num_frames: int, speeds_m_s: Float64[np.ndarray, " M"] | None = None
     ) -> Iterator[Float32[np.ndarray, "B 3"]]:
-        """Yield θ at phases of a loop of T frames [rad], each in air of its own speeds; the phases are in periods."""
-        for turns, speeds in zip(iter_motion(self.modes(), phases, num_frames), speeds_m_s, strict=False):
+        """Yield θ at phases of a loop of T frames [rad], each in air of its own speed; by default in the loop's gusts.
+
+        The phases are in periods.
+        """
+        air = repeat(self.gusts_m_s) if speeds_m_s is None else speeds_m_s[:, None]
+        for turns, speeds in zip(iter_motion(self.modes(), phases, num_frames), air, strict=False):
             yield self.sizes(speeds)[:, None] * turns
 
 

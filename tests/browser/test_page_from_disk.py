@@ -115,7 +115,7 @@ def test_the_page_plays_a_splat_with_leaves_from_disk(opened: Opened, swaying: S
     page = opened(tmp_path / "tree.html")
     page.wait_for_function("player.gaussians.drawn", timeout=60_000)
     phases = np.array(FRAMES) / 100
-    turns = flutter.theta(phases, [flutter.gusts_m_s] * 3, 100)
+    turns = flutter.theta(phases, 100)
     truth = list(iter_poses(binding, iter_motion(swaying.coefficients, phases), turns))
     calm = next(iter_poses(binding, iter_motion(swaying.coefficients, phases)))
     assert np.linalg.norm(truth[0].means - calm.means, axis=1).max() > 0.05

@@ -248,7 +248,7 @@ def test_usd_and_ply_have_every_pose_of_the_splat_and_its_leaves(
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     binding = bind(capture.cloud, moving[0], mask=moving_part(capture, CloudParams(box_m=BOX)))
     binding, flutter = with_two_leaves(binding, 4)
-    turns = list(flutter.theta(np.arange(4) / 4, [flutter.gusts_m_s] * 4, 4))
+    turns = list(flutter.theta(np.arange(4) / 4, 4))
     assert np.abs(turns[0] - turns[2]).max() > 0.05
     poses = list(iter_poses(binding, method.move(moving[1], moving[0], num_frames=4), turns))
     assert np.abs(poses[0].means - poses[2].means).max() > 0.025

@@ -62,7 +62,7 @@ def displacement_of(splat: AnimatedSplat, phase: float) -> np.ndarray:
 
 
 def leaf_turns(splat: AnimatedSplat, phase: float) -> np.ndarray:
-    return next(splat.flutter.theta(np.array([phase]), [splat.flutter.gusts_m_s], splat.num_frames))
+    return next(splat.flutter.theta(np.array([phase]), splat.num_frames))
 
 
 def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
