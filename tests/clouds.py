@@ -29,13 +29,17 @@ def cloud_at(
     )
 
 
-def with_two_leaves(binding: Binding, num_frames: int) -> tuple[Binding, Flutter]:
-    """Of three Gaussians one in each of two leaves, which flutter in a storm of 30 m/s about two vertices."""
-    leaf_of = np.where(binding.moving, np.arange(binding.cloud.num_gaussians) % 3 - 1, -1).astype(np.int32)
+def still_spectrum(num_frames: int = 100) -> SparseVoxelSpectrum:
+    """One voxel that does not move, of a tree in leaf in a storm of 30 m/s."""
     grid = VoxelGrid(coords=np.zeros((1, 3), np.int32), resolution=8, origin_m=(0.0, 0.0, 0.0), voxel_size_m=1.0)
-    still = SparseVoxelSpectrum(
-        grid=grid, coefficients=np.zeros((1, 1, 3), np.complex64), num_frames=num_frames, wind=Wind(speed_m_s=30.0)
-    )
-    flutter = sample_flutter(np.eye(3, dtype=np.float32)[:2], np.full(2, 0.2), np.ones(2, int), np.ones(2), still)
-    vertex = binding.triangles[[0, -1], [1, 2]]
-    return replace(binding, leaves=Leaves(of=leaf_of, vertex=vertex)), flutter
+    nothing, storm = np.zeros((1, 1, 3), np.complex64), Wind(speed_m_s=30.0)
+    return SparseVoxelSpectrum(grid=grid, coefficients=nothing, num_frames=num_frames, wind=storm, foliage=1.0)
+
+
+def with_two_leaves(binding: Binding, num_frames: int) -> tuple[Binding, Flutter]:
+    """Of three Gaussians one in each of two leaves, which flutter in a storm about two vertices."""
+    leaf_of = np.where(binding.moving, np.arange(binding.cloud.num_gaussians) % 3 - 1, -1).astype(np.int32)
+    leaves = Leaves(of=leaf_of, vertex=binding.triangles[[0, -1], [1, 2]])
+    directions = np.eye(3, dtype=np.float32)[:2]
+    flutter = sample_flutter(directions, np.full(2, 0.2), np.ones(2, int), np.ones(2), still_spectrum(num_frames))
+    return replace(binding, leaves=leaves), flutter

@@ -7,7 +7,6 @@ from itertools import repeat
 import numpy as np
 from jaxtyping import Complex64, Float32
 
-from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail
 from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
@@ -50,10 +49,8 @@ def reduced_splat(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -
     """Reduce a bound cloud: fewer Gaussians (see `cloud.level_of_detail`), fewer harmonics, the same motion.
 
     Raises:
-        InputError: the share is not in (0, 1], or the degree not in 0 to 3.
+        InputError: the share is not in (0, 1].
     """
-    if not 0 <= sh_degree <= 3:
-        raise InputError(f"sh_degree is {sh_degree}; 0 to 3 are allowed")
     cloud, rows = level_of_detail(binding.cloud, share)
     cloud = cloud.with_sh_degree(sh_degree)
     leaves = None if binding.leaves is None else replace(binding.leaves, of=binding.leaves.of[rows])

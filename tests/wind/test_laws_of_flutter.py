@@ -1,5 +1,7 @@
 """Laws of flutter: when it sets in, how fast it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from jaxtyping import Complex64
@@ -8,8 +10,7 @@ from dynamictree.requests import Wind
 from dynamictree.rig.flutter import flutter_of
 from dynamictree.rig.pose import Skeleton, Weights
 from dynamictree.rig.rig import Rig
-from dynamictree.spectrum import SparseVoxelSpectrum, to_motion
-from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.spectrum import to_motion
 from dynamictree.wind.flutter import (
     FASTEST_HZ,
     FLAP_RAD,
@@ -20,6 +21,7 @@ from dynamictree.wind.flutter import (
     leaf_frequencies,
 )
 from lab.dataset.wind import resonance, unit_turns
+from tests.clouds import still_spectrum
 
 NUM_FRAMES, FRAME_S = 200, 1 / 24
 NUM_TWIGS, LEAVES_PER_TWIG = 300, 2
@@ -34,14 +36,7 @@ def turns(speed_m_s: float, *, seed: int = 0, gust: float = 0.3) -> Complex64[np
     vertices = Weights(rows=np.zeros((1, 2), np.int32), shares=np.float32([[1, 0]]))
     turns = np.zeros((len(parent), 1, 3), np.complex64)
     rig = Rig(skeleton=skeleton, turns=turns, vertices=vertices, voxels=vertices, num_frames=NUM_FRAMES)
-    spectrum = SparseVoxelSpectrum(
-        grid=VoxelGrid(coords=np.zeros((1, 3), np.int32), resolution=8, origin_m=(0.0, 0.0, 0.0), voxel_size_m=1.0),
-        coefficients=np.zeros((1, 1, 3), np.complex64),
-        num_frames=NUM_FRAMES,
-        seed=seed,
-        foliage=1.0,
-    )
-    flutter = flutter_of(rig, spectrum)
+    flutter = flutter_of(rig, replace(still_spectrum(NUM_FRAMES), seed=seed))
     sizes = flutter.sizes(gust_speeds(Wind(speed_m_s=speed_m_s, gust=gust)))
     return (sizes[:, None, None] * flutter.modes())[-len(TWIG) :]
 
