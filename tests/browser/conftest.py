@@ -99,6 +99,7 @@ class Viewer:
     page: Page
     name: str
     complaints: list[str] = field(default_factory=list)
+    expects: tuple[str, ...] = ()  # of these the console may complain
 
     def open(self, url: str) -> None:
         """Go to the page, and wait until its script has run."""
@@ -205,7 +206,7 @@ def steady(viewer: Viewer) -> np.ndarray:
 
 @pytest.fixture
 def view(browser: Browser, request: pytest.FixtureRequest) -> Iterator[object]:
-    """Open the page: width, height, scheme, touch."""
+    """Open the page: width, height, scheme, touch; its console may not complain of anything unexpected."""
     opened: list[Viewer] = []
 
     def open_page(
@@ -230,6 +231,7 @@ def view(browser: Browser, request: pytest.FixtureRequest) -> Iterator[object]:
     yield open_page
     for viewer in opened:
         viewer.page.context.close()
+        assert [line for line in viewer.complaints if not any(part in line for part in viewer.expects)] == []
 
 
 @pytest.fixture

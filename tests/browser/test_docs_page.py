@@ -24,4 +24,3 @@ def test_the_api_page_lists_every_operation_and_runs_one(url, view, axe) -> None
     page.locator("[id$=createJob] .opblock-summary-control").click()
     expect(page.locator("[id$=createJob] pre.microlight").first).to_be_visible()
     assert axe(page) == []
-    assert viewer.complaints == []  # nothing was stopped by the content policy

@@ -139,7 +139,6 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
         assert all(row["shadow"] for row in of), "it moves away under its shadow"
         assert seen["release_px"] <= seen["largest_step_px"] + 2, "it jumps where it is let go"
     assert figures(rows[0])["left_px"] < 0.5 * PULL_PX, "it does not ring out"
-    assert viewer.complaints == []
 
 
 def file_of(name: str, folder: Path, samples: Path) -> Path:

@@ -34,7 +34,6 @@ def test_a_tree_sways_and_answers_a_pull_before_any_upload(view, url, width, hei
     expect(page.locator("#grip")).to_be_hidden()
     viewer.wait_sharp()
     assert httpx.get(f"{url}/v1/jobs", timeout=60).json()["data"] == before
-    assert viewer.complaints == []
 
 
 GAPS = """async () => {
@@ -70,7 +69,6 @@ def test_with_shift_a_place_stays_and_another_is_pulled(view: Open, url: str) ->
     assert max(gaps) < 1, "px"
     page.mouse.up()
     expect(page.locator(".grip:visible")).to_have_count(0)
-    assert viewer.complaints == []
 
 
 def test_the_tree_is_there_again_after_another(view: Open, url: str) -> None:
