@@ -7,7 +7,7 @@ from itertools import repeat
 import numpy as np
 from jaxtyping import Complex64, Float32
 
-from dynamictree.gaussian.binding import STILL, Binding
+from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud, level_of_detail
 from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.rig.flutter import Flutter
@@ -55,22 +55,3 @@ def reduced_splat(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -
     cloud = cloud.with_sh_degree(sh_degree)
     leaves = None if binding.leaves is None else replace(binding.leaves, of=binding.leaves.of[rows])
     return replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows], leaves=leaves)
-
-
-def without_idle_vertices(splat: AnimatedSplat) -> AnimatedSplat:
-    """Remove vertices and faces that carry no Gaussian, before storing."""
-    binding = splat.binding
-    faces, face_row = np.unique(binding.face_of[binding.moving], return_inverse=True)
-    used, corner = np.unique(binding.triangles[faces], return_inverse=True)
-    face_of = binding.face_of.copy()
-    face_of[face_of != STILL] = face_row
-    compact = replace(
-        binding,
-        vertices=np.ascontiguousarray(binding.vertices[used]),
-        triangles=corner.reshape(-1, 3).astype(np.int32),
-        face_of=face_of,
-    )
-    if (leaves := binding.leaves) is not None:
-        vertex = np.searchsorted(used, leaves.vertex).astype(np.int32)
-        compact = replace(compact, leaves=replace(leaves, vertex=vertex))
-    return replace(splat, binding=compact, coefficients=np.ascontiguousarray(splat.coefficients[used]))

@@ -94,22 +94,13 @@ class Deformer:
         flat = [part.reshape(-1) for part in parts]
         streamed = all(part.ctypes.data % CACHE_LINE_BYTES == 0 for part in flat)
         in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, *flat, streamed)
-        if leaf_turns is not None:
-            self._flutter(posed, moved, leaf_turns)
+        if leaf_turns is not None and (leaves := self.binding.leaves) is not None:
+            rows = np.flatnonzero(leaves.of != STILL)
+            leaf, turns, foot = leaves.of[rows], _half_turns(leaf_turns), (self.binding.vertices + moved)[leaves.vertex]
+            arms = posed.means[rows] - foot[leaf]
+            posed.means[rows] = foot[leaf] + np.einsum("gij,gj->gi", quaternion_matrices(turns)[leaf], arms)
+            posed.quaternions[rows] = quaternion_products(turns[leaf], posed.quaternions[rows])
         return posed
-
-    def _flutter(
-        self, pose: Pose, displacement: Float32[np.ndarray, "N 3"], leaf_turns: Float32[np.ndarray, "M 3"]
-    ) -> None:
-        """Rotate each leaf's Gaussians about its vertex."""
-        leaves = self.binding.leaves
-        assert leaves is not None
-        rows = np.flatnonzero(leaves.of != STILL)
-        leaf, turns = leaves.of[rows], _half_turns(leaf_turns)
-        vertex = (self.binding.vertices + displacement)[leaves.vertex]
-        arms = pose.means[rows] - vertex[leaf]
-        pose.means[rows] = vertex[leaf] + np.einsum("gij,gj->gi", quaternion_matrices(turns)[leaf], arms)
-        pose.quaternions[rows] = quaternion_products(turns[leaf], pose.quaternions[rows])
 
     def _gaussian_rest(
         self, frames: Float64[np.ndarray, "U 3 3"], face_of: Int32[np.ndarray, " G"]

@@ -13,7 +13,8 @@ from jaxtyping import Float32, Shaped
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import NumericsError
 from dynamictree.formats.tensors.container import write_tensors
-from dynamictree.gaussian.animate import AnimatedSplat, without_idle_vertices
+from dynamictree.gaussian.animate import AnimatedSplat
+from dynamictree.gaussian.binding import STILL
 
 FORMAT = "animated-splat"
 VERSION = "1"
@@ -26,18 +27,21 @@ def write_animated_splat(splat: AnimatedSplat, stream: ByteWriter) -> None:
     Raises:
         NumericsError: a coefficient or harmonic is not finite, or too large for float16.
     """
-    compact = without_idle_vertices(splat)
-    binding, cloud = compact.binding, compact.binding.cloud
-    parts = np.stack([compact.coefficients.real, compact.coefficients.imag], axis=-1)  # [N, K, 3, 2]
+    binding, cloud = splat.binding, splat.binding.cloud
+    faces, face_of = np.unique(binding.face_of, return_inverse=True)  # those that carry a Gaussian
+    first = int(faces[0] == STILL)
+    used, corner = np.unique(binding.triangles[faces[first:]], return_inverse=True)
+    coefficients = splat.coefficients[used]
+    parts = np.stack([coefficients.real, coefficients.imag], axis=-1)  # [N, K, 3, 2]
     tensors: dict[str, Shaped[np.ndarray, ...]] = {
         "means": cloud.means,
         "scales": cloud.scales,
         "quaternions": cloud.quaternions.astype(np.float16),
         "opacity": cloud.opacity.astype(np.float16),
         "sh": _halves("sh", cloud.sh),
-        "vertices": binding.vertices,
-        "triangles": binding.triangles,
-        "face_of": binding.face_of,
+        "vertices": binding.vertices[used],
+        "triangles": corner.reshape(-1, 3).astype(np.int32),
+        "face_of": (face_of - first).astype(np.int32),
         "weights": binding.weights.astype(np.float16),
         "coefficients": _halves("coefficients", parts),
     }
@@ -49,8 +53,9 @@ def write_animated_splat(splat: AnimatedSplat, stream: ByteWriter) -> None:
         "source_up_axis": cloud.source.up_axis,
         "source_scale": repr(float(cloud.source.scale)),
     }
-    if (flutter := compact.flutter) is not None and (leaves := binding.leaves) is not None:
-        tensors |= {"leaf_of": leaves.of, "leaf_vertex": leaves.vertex, **flutter.tensors}
+    if (flutter := splat.flutter) is not None and (leaves := binding.leaves) is not None:
+        vertex = np.searchsorted(used, leaves.vertex).astype(np.int32)
+        tensors |= {"leaf_of": leaves.of, "leaf_vertex": vertex, **flutter.tensors}
         tensors["leaf_size"] = flutter.sizes(flutter.gusts_m_s)
         metadata["wind"] = json.dumps(asdict(flutter.wind))
     write_tensors(stream, tensors, metadata)
