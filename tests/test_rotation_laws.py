@@ -24,11 +24,6 @@ def _rotations(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.concatenate([some, near, half, np.eye(3)[None]])
 
 
-def _directions(rng: np.random.Generator, count: int) -> np.ndarray:
-    directions = rng.normal(size=(count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
 def test_a_matrix_becomes_a_quaternion_and_back(rng) -> None:
     rotations = _rotations(rng, 200)
     quaternions = matrix_quaternions(rotations)
@@ -61,7 +56,7 @@ def test_turned_harmonics_show_the_same_to_an_eye_that_turned(rng, degree: int) 
     rotations = _rotations(rng, 40)
     sh = rng.normal(size=(40, (degree + 1) ** 2, 3)).astype(np.float32)
     turned = turn_sh_fast(sh, matrix_quaternions(rotations).astype(np.float32))
-    directions = _directions(rng, 20)
+    directions = _rotations(rng, 20)[:, 0]
     for i, rotation in enumerate(rotations):
         before = harmonics(directions, degree) @ sh[i]
         after = harmonics(directions @ rotation.T, degree) @ turned[i]

@@ -7,8 +7,7 @@ from playwright.sync_api import expect
 
 
 def test_the_api_page_lists_every_operation_and_runs_one(url, view, axe) -> None:
-    viewer = view(1280, 900)
-    page = viewer.page
+    page = view(1280, 900).page
     document = httpx.get(f"{url}/openapi.json").json()
     paths = [*document["paths"].values(), *document["webhooks"].values()]
     operations = [operation for path in paths for operation in path.values()]

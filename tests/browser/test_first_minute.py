@@ -161,8 +161,7 @@ def test_the_card_of_a_job_grows_beside_the_tree(view: Open, url: str, tree: Pat
 
 
 def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, url: str, job_id: str) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
+    page = view(900, 620).page
     waiting: list[object] = []
     page.route("**/v1/spectra/*/modes*", lambda route: waiting.append(route) or None)
     page.goto(f"{url}/#job={job_id}")

@@ -1,13 +1,13 @@
 """Pages that play from disk in a real Chromium, without a server, where the spectrum has vertices and Gaussians."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from jaxtyping import Complex64, Float32
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 
 from benchmarks._read_exports import z_up
 from dynamictree import method
@@ -19,6 +19,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
+from tests.browser.conftest import Open
 from tests.clouds import with_two_leaves
 
 FRAMES = (0, 31, 77)
@@ -81,21 +82,17 @@ def swaying() -> Swaying:
 
 
 @pytest.fixture
-def opened(browser: Browser) -> Iterator[Opened]:
-    """Opens a page from disk, without a network; nothing may be complained of."""
-    page = browser.new_page(viewport={"width": 320, "height": 320}, offline=True)
-    problems: list[str] = []
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+def opened(view: Open) -> Opened:
+    """Opens a page from disk, without a network."""
 
     def _open(path: Path) -> Page:
+        page = view(320, 320).page
+        page.context.set_offline(True)
         page.goto(path.as_uri())
-        page.wait_for_function("window.player", timeout=60_000)
+        page.wait_for_function("window.player")
         return page
 
-    yield _open
-    page.close()
-    assert not problems
+    return _open
 
 
 def test_the_page_plays_the_motion_from_disk(opened: Opened, swaying: Swaying, tmp_path: Path) -> None:
@@ -115,8 +112,7 @@ def test_the_page_plays_a_splat_with_leaves_from_disk(opened: Opened, swaying: S
     page = opened(tmp_path / "tree.html")
     page.wait_for_function("player.gaussians.drawn", timeout=60_000)
     phases = np.array(FRAMES) / 100
-    turns = flutter.theta(phases, 100)
-    truth = list(iter_poses(binding, iter_motion(swaying.coefficients, phases), turns))
+    truth = list(iter_poses(binding, iter_motion(swaying.coefficients, phases), flutter.theta(phases, 100)))
     calm = next(iter_poses(binding, iter_motion(swaying.coefficients, phases)))
     assert np.linalg.norm(truth[0].means - calm.means, axis=1).max() > 0.05
     assert np.linalg.norm(truth[1].means - truth[2].means, axis=1).max() > 0.05

@@ -231,9 +231,7 @@ def test_too_large_a_splat_is_refused_before_a_byte_is_written(
     assert [path for path in tmp_path.iterdir() if path.stat().st_size] == []
 
 
-def test_usd_and_ply_have_every_pose_of_the_splat_and_its_leaves(
-    capture: Capture, moving: Moving, animated: Write, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_usd_and_ply_have_every_pose_and_leaf(capture, moving: Moving, animated: Write, monkeypatch) -> None:
     params = ExportParams(formats=("usd-splat", "splat-ply"), num_frames=4)
     path = animated(capture, params, [])["usd-splat"]
     stated = min_sequence_bytes(("usd-splat",), 4, params, cloud=(3000, 0))["usd-splat"]

@@ -67,9 +67,7 @@ def spectrum(capture: Capture) -> SparseVoxelSpectrum:
     coefficients = np.zeros((len(grid), 3, 3), np.complex64)
     coefficients[:, 1, 0] = 0.05 * grid.centres_m[:, 2] ** 2
     coefficients[:, 2, 1] = 0.02j * grid.centres_m[:, 2]
-    return SparseVoxelSpectrum(
-        grid=grid, coefficients=coefficients, fps=24.0, num_frames=24, model="test", wind=Wind(speed_m_s=15.0)
-    )
+    return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, num_frames=24, wind=Wind(speed_m_s=15.0))
 
 
 def test_every_format_of_a_request_is_a_product_with_its_own_file() -> None:

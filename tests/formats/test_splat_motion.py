@@ -21,8 +21,9 @@ from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_splat_frames, reduced_splat
 from dynamictree.gaussian.binding import bind
-from dynamictree.gaussian.deform import Deformer
+from dynamictree.gaussian.deform import Deformer, Pose
 from dynamictree.mesh import TriangleMesh
+from dynamictree.rig.flutter import Flutter
 from dynamictree.source import Source
 from dynamictree.spectrum import iter_motion
 from tests.clouds import cloud_at, with_two_leaves
@@ -50,19 +51,14 @@ def splat() -> AnimatedSplat:
     )
     cloud = replace(cloud, source=Source(up_axis="-Y", scale=0.01))
     coefficients = (rng.normal(size=(2, 400, 3, 3)) * 0.02).astype(np.float32)
-    smooth = np.sin(vertices[:, :1, None] * 2) * (coefficients[0, :1] + 1j * coefficients[1, :1])
+    smooth = np.complex64(np.sin(vertices[:, :1, None] * 2) * (coefficients[0, :1] + 1j * coefficients[1, :1]))
     binding, flutter = with_two_leaves(bind(cloud, mesh), 20)
-    return AnimatedSplat(
-        binding=binding, coefficients=smooth.astype(np.complex64), num_frames=20, fps=24.0, flutter=flutter
-    )
+    return AnimatedSplat(binding=binding, coefficients=smooth, num_frames=20, fps=24.0, flutter=flutter)
 
 
-def displacement_of(splat: AnimatedSplat, phase: float) -> np.ndarray:
-    return next(iter_motion(splat.coefficients, np.array([phase]), splat.num_frames))
-
-
-def leaf_turns(splat: AnimatedSplat, phase: float) -> np.ndarray:
-    return next(splat.flutter.theta(np.array([phase]), splat.num_frames))
+def posed(splat: AnimatedSplat, phase: float, flutter: Flutter | None) -> Pose:
+    frame = next(iter_motion(splat.coefficients, np.array([phase]), splat.num_frames))
+    return Deformer(splat.binding).pose(frame, flutter and next(flutter.theta(np.array([phase]), splat.num_frames)))
 
 
 def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
@@ -111,9 +107,7 @@ def test_the_compact_file_plays_the_same_motion(splat: AnimatedSplat) -> None:
     assert len(again.binding.vertices) == len(np.unique(again.binding.triangles)) < len(splat.binding.vertices)
     assert again.binding.cloud.source.up_axis == "-Y"
     for phase in (0.0, 0.31, 0.77):
-        turns = leaf_turns(splat, phase)
-        ours = Deformer(splat.binding).pose(displacement_of(splat, phase), turns)
-        theirs = Deformer(again.binding).pose(displacement_of(again, phase), turns)
+        ours, theirs = (posed(one, phase, splat.flutter) for one in (splat, again))
         np.testing.assert_allclose(theirs.means, ours.means, atol=5e-4)  # float16 of centimetres
         np.testing.assert_allclose(theirs.scales, ours.scales, rtol=1e-2)
     np.testing.assert_allclose(again.binding.cloud.sh, splat.binding.cloud.sh, atol=2e-3)
@@ -131,9 +125,8 @@ def test_the_player_for_other_engines_shows_the_same_pose(splat: AnimatedSplat, 
     again = animated_splat(path.read_bytes())
     code = PLAYER.replace("REFERENCE", REFERENCE.as_uri())
     played = json.loads(subprocess.check_output(["node", "--input-type=module", "-e", code, str(path)], text=True))
-    pose = Deformer(again.binding).pose(displacement_of(again, 0.31), leaf_turns(splat, 0.31))
-    calm = Deformer(again.binding).pose(displacement_of(again, 0.31))
-    far = np.linalg.norm(pose.means - calm.means, axis=1)
+    pose = posed(again, 0.31, splat.flutter)
+    far = np.linalg.norm(pose.means - posed(again, 0.31, None).means, axis=1)
     assert far[again.binding.leaves.of >= 0].mean() > 1e-2
     assert not far[again.binding.leaves.of < 0].any()
     np.testing.assert_allclose(np.reshape(played["means"], (-1, 3)), pose.means, atol=5e-5)  # weights are halves

@@ -1,6 +1,7 @@
 """Readable twin of the renderer and its gradient: every Gaussian at every pixel, in double precision, by autograd."""
 
 from dataclasses import dataclass
+from math import factorial
 
 import numpy as np
 import torch
@@ -43,19 +44,11 @@ def harmonics(d: Tensor, degree: int) -> Tensor:
             legendre = np.polynomial.legendre.Legendre.basis(level).convert(kind=np.polynomial.Polynomial)
             coefficients = (legendre.deriv(size) if size else legendre).coef
             along = sum(float(c) * z**power for power, c in enumerate(coefficients))
-            around = (torch.complex(x, y) ** size) if size else torch.complex(torch.ones_like(x), torch.zeros_like(x))
-            norm = np.sqrt((2 * level + 1) / (4 * np.pi) * _factorial(level - size) / _factorial(level + size))
-            if m < 0:
-                rows.append((-1) ** size * np.sqrt(2) * norm * along * around.imag)
-            elif m > 0:
-                rows.append((-1) ** size * np.sqrt(2) * norm * along * around.real)
-            else:
-                rows.append(norm * along * torch.ones_like(x))
+            around = torch.complex(x, y) ** size if size else torch.ones_like(torch.complex(x, y))
+            norm = np.sqrt((2 * level + 1) / (4 * np.pi) * factorial(level - size) / factorial(level + size))
+            norm *= (-1) ** size * np.sqrt(2) if m else 1
+            rows.append(norm * along * (around.imag if m < 0 else around.real))
     return torch.stack(rows, dim=-1)
-
-
-def _factorial(n: int) -> float:
-    return float(np.prod(np.arange(1, n + 1)))
 
 
 def draw_slowly(

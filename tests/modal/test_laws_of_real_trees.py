@@ -11,7 +11,6 @@ from dynamictree.modal.real_trees import free_omega, natural_damping, natural_fr
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system, with_physics
 from dynamictree.spectrum import SparseVoxelSpectrum
-from dynamictree.voxel.grid import VoxelGrid
 
 # height class [m], 10th and 90th percentile [Hz]; of models of scanned trees to 12 m, then of measured broadleaves
 BANDS = [
@@ -28,12 +27,7 @@ def scaled(spectrum: SparseVoxelSpectrum, height_m: float) -> SparseVoxelSpectru
     """The same tree at another height."""
     grid = spectrum.grid
     factor = height_m / ((np.ptp(grid.coords[:, 2]) + 1) * grid.voxel_size_m)
-    larger = VoxelGrid(
-        coords=grid.coords,
-        resolution=grid.resolution,
-        origin_m=tuple(factor * x for x in grid.origin_m),
-        voxel_size_m=factor * grid.voxel_size_m,
-    )
+    larger = replace(grid, origin_m=tuple(factor * x for x in grid.origin_m), voxel_size_m=factor * grid.voxel_size_m)
     return SparseVoxelSpectrum(grid=larger, coefficients=(factor * spectrum.coefficients).astype(np.complex64))
 
 

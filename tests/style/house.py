@@ -5,14 +5,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_239,
-    "lines in lab": 6_095,
-    "lines in service, jobs and worker": 13_382,
+    "lines in dynamictree": 32_226,
+    "lines in lab": 6_094,
+    "lines in service, jobs and worker": 13_376,
     "lines in tests": 35_782,
     "names bound to numbers in dynamictree": 560,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
-    "lines of documents": 2_988,
+    "lines of documents": 2_986,
 }
 _MOST_ARGUMENTS = 6
 _COMPILED = ("compiled", "compiled_fused", "compiled_reordered", "intrinsic")
