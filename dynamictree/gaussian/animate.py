@@ -25,7 +25,7 @@ class AnimatedSplat:
     coefficients: Complex64[np.ndarray, "N K 3"]  # spectrum of the binding's vertices [m]
     num_frames: int  # number of frames T of the spectrum
     fps: float
-    flutter: Flutter | None = None  # of the binding's leaves
+    flutter: Flutter | None = None  # flutter of the leaves
 
 
 def iter_poses(

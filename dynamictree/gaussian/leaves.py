@@ -31,7 +31,7 @@ def flutter_leaves(
     # 10.13031/2013.27838): 89 % of a houseplant have more, nothing of bare wood
     least_green = 0.05
     cloud, skeleton, places = binding.cloud, rig.skeleton, binding.vertices.astype(np.float64)
-    foot = _leaves(rig, places)  # of each vertex: the bone at the foot of its leaf, or the ground
+    foot = _leaves(rig, places)  # bone at the foot of each vertex's leaf, or the ground
     of = np.where(binding.moving, foot[binding.triangles[binding.face_of, 0]], 0)
     colour = np.clip(0.5 + SH_0 * cloud.sh[:, 0], 0, 1) * cloud.opacity[:, None]
     red, green, blue = (np.bincount(of, channel, len(skeleton)) for channel in colour.T)
@@ -53,11 +53,11 @@ def flutter_leaves(
 
 def _leaves(rig: Rig, places: Float64[np.ndarray, "N 3"]) -> Int64[np.ndarray, " N"]:
     """Return the bone at the foot of each vertex's leaf, or the ground."""
-    most_vertices = 12_000  # that decide which bones lie along which: as many as a cloud's own mesh has, 0.1 s
+    most_vertices = 12_000  # vertices that decide which bones lie along which: all of a cloud's own mesh, 0.1 s
     # extent of a leaf, and distance between its sides, relative to the tree's extent: at 0.012 blades stay in pieces
     longest, thickest = 0.2, 0.018
     whole_m, count = float(np.linalg.norm(np.ptp(places, axis=0))), len(rig.skeleton)
-    foot = _feet(rig, places, longest * whole_m)  # of each bone
+    foot = _feet(rig, places, longest * whole_m)  # row per bone
     begins = np.bincount(foot, minlength=count) > 0
     begins[0] = False
     some = slice(None, None, -(-len(places) // most_vertices))
@@ -69,12 +69,12 @@ def _leaves(rig: Rig, places: Float64[np.ndarray, "N 3"]) -> Int64[np.ndarray, "
     touching = csr_array((np.ones(near.shape[1]), (piece[near[0]], near[1])), shape=(count, count)).tocoo()
     along = begins[touching.col] & (touching.data > 0.5 * np.bincount(piece, minlength=count)[touching.row])
     edges = csr_array((along[along].astype(np.int8), (touching.row[along], touching.col[along])), shape=(count, count))
-    merged = connected_components(edges, directed=False)[1][np.where(foot > 0, foot, np.arange(count))]  # of each bone
+    merged = connected_components(edges, directed=False)[1][np.where(foot > 0, foot, np.arange(count))]  # row per bone
     first = np.zeros(count, np.int64)
     first[merged[begins][::-1]] = np.flatnonzero(begins)[::-1]  # nearest to the ground
     low, high = part_bounds(merged[bone], places[some])
     long = np.flatnonzero(np.linalg.norm(high - low, axis=1) > longest * whole_m)
-    leaf = np.where(np.isin(merged, long), foot, first[merged])  # of each bone
+    leaf = np.where(np.isin(merged, long), foot, first[merged])  # row per bone
     leaf[0] = 0
     by_stem = np.bincount(leaf[bone], np.bincount(one, leaf[bone[other]] == 0, len(bone)) > 0, count)  # vertices
     leaf[by_stem[leaf] > 2 / 3 * np.bincount(leaf[bone], minlength=count)[leaf]] = 0

@@ -35,7 +35,7 @@ class Flutter:
     critical_m_s: Float32[np.ndarray, " B"]
     share: Float32[np.ndarray, " B"]
     period_s: float
-    wind: Wind  # of the loop
+    wind: Wind  # wind of the loop
 
     @property
     def gusts_m_s(self) -> Float64[np.ndarray, " G"]:

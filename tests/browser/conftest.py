@@ -99,7 +99,7 @@ class Viewer:
     page: Page
     name: str
     complaints: list[str] = field(default_factory=list)
-    expects: tuple[str, ...] = ()  # of these the console may complain
+    expects: tuple[str, ...] = ()  # words that the console may say
 
     def open(self, url: str) -> None:
         """Go to the page, and wait until its script has run."""

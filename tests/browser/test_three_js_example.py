@@ -24,7 +24,7 @@ def test_the_example_draws_a_tree_that_moves(view: Open, tmp_path: Path) -> None
     (tmp_path / "web").symlink_to(ROOT / "web")
     (tmp_path / "index.html").write_text(HTML % (three, three, example))
     viewer = view(320, 240)
-    page, viewer.expects = viewer.page, ("404",)  # of a favicon
+    page, viewer.expects = viewer.page, ("404",)  # an icon of the page
     with web_server(tmp_path) as origin:
         page.goto(origin)
         page.wait_for_selector("canvas")
