@@ -87,6 +87,7 @@ def test_what_is_no_tree_is_reported_before_it_is_sent(view: Open, url: str, tre
 
 def test_a_tree_that_leaves_takes_its_shadow_along(view: Open, url: str, tmp_path: Path) -> None:
     viewer = view(900, 620)
+    viewer.expects = ("422",)
     viewer.open(url)
     viewer.page.wait_for_selector("body[data-live=true]", state="attached")
     viewer.wait_frames(8)

@@ -104,15 +104,14 @@ def test_a_page_of_another_origin_shows_a_tree_of_a_service_with_keys(view, brow
 
 
 def test_other_sites_get_no_frame(view: Open, url: str, site: Site) -> None:
-    page = view(700, 560).page
-    refused: list[str] = []
-    page.on("console", lambda line: refused.append(line.text))
-    page.goto(site.write(f"<iframe src='{url}/embed'></iframe><iframe src='{url}/'></iframe>"))
+    viewer = view(700, 560)
+    viewer.expects = ("frame-ancestors",)
+    viewer.page.goto(site.write(f"<iframe src='{url}/embed'></iframe><iframe src='{url}/'></iframe>"))
     for _ in range(60):
-        if sum("frame-ancestors" in line for line in refused) == 2:
+        if len(viewer.complaints) == 2:
             return
-        page.wait_for_timeout(500)
-    raise AssertionError(refused)
+        viewer.page.wait_for_timeout(500)
+    raise AssertionError(viewer.complaints)
 
 
 def test_the_example_stands_in_a_transparent_frame(view: Open, url: str) -> None:

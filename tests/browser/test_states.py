@@ -53,7 +53,7 @@ def test_two_trees_dropped_both_begin(view: Open, url: str, tree: Path, tmp_path
 
 def test_a_break_of_the_connection_keeps_the_card(view: Open, url: str, tree: Path) -> None:
     viewer = view(900, 620)
-    page = viewer.page
+    page, viewer.expects = viewer.page, ("ERR_INTERNET_DISCONNECTED",)
     viewer.open(url)
     page.set_input_files("#files", str(tree))
     expect(page.locator("#stages li")).not_to_have_count(0)

@@ -73,6 +73,7 @@ def test_with_shift_a_place_stays_and_another_is_pulled(view: Open, url: str) ->
 
 def test_the_tree_is_there_again_after_another(view: Open, url: str) -> None:
     viewer = view(900, 620)
+    viewer.expects = ("404",)
     viewer.open(f"{url}/#job=01ARZ3NDEKTSV4RRFFQ69G5FAV")
     alert = viewer.page.get_by_role("alert")
     expect(alert).to_be_visible()

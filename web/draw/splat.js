@@ -98,13 +98,11 @@ export class SplatView {
   /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
   evaluate(q, turn, air) {
     if (!this.drawn) this.renderer.activeSplats = 0; // else another's is drawn until this one is sorted
-    const { camera, radius } = this.stage;
-    const { position } = camera;
-    const now = [turn, ...q].join();
+    const { position } = this.stage.camera;
+    const now = [turn, ...q, this._flutter(air)].join();
     // the controls compute the camera's place anew in each frame, which moves it in its last digits
-    const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
-    const flutters = this._flutter(air);
-    if (now === this.before && stays && !flutters && !this.uniforms.bent.value && !this.values.bent.value) return;
+    const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * this.stage.radius;
+    if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
     this.values.eye.value.copy(position);
     this.values.bent.value = this.uniforms.bent.value;
@@ -112,13 +110,13 @@ export class SplatView {
     this.mesh.updateVersion();
   }
 
-  /** Turn the leaves; whether the air moves them. */
+  /** Turn the leaves; returns the phase where the air moves them. */
   _flutter(air) {
     const { leaves } = this.textures;
     const count = this.splat.leaf_vertex?.length ?? 0;
     for (let l = 0; air && l < count; l++) leaves.image.data.set(halfTurn(flutterOf(this.splat, l, air)), 4 * l);
     leaves.needsUpdate = true;
-    return count > 0 && Boolean(air?.speeds.some(Boolean));
+    return count && air?.speeds.some(Boolean) ? air.phase : 0;
   }
 
   dispose() {
@@ -143,16 +141,16 @@ function harmonicsTexture({ G, harmonics, sh }, count) {
 }
 
 function texturesOf(splat, surface, harmonics) {
-  const { G, face_of, leaf_of, leaf_vertex, triangles, weights } = splat;
+  const { G, face_of, leaf_of = [], leaf_vertex = [], triangles, weights } = splat;
   const rows = rowsOnSurface(splat, surface);
   const corners = floats(8 * G);
-  const leaves = floats(4 * (leaf_vertex?.length ?? 0));
-  for (const [l, v] of leaf_vertex?.entries() ?? []) leaves[4 * l + 3] = rows[v];
+  const leaves = floats(4 * leaf_vertex.length);
+  for (const [l, v] of leaf_vertex.entries()) leaves[4 * l + 3] = rows[v];
   for (let g = 0; g < G; g++) {
     const face = face_of[g];
     if (face < 0) continue; // stays still: its fourth number is 0
     corners.set(
-      [...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g), 1 + (leaf_of?.[g] ?? -1)],
+      [...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g), 1 + (leaf_of[g] ?? -1)],
       8 * g,
     );
   }

@@ -58,7 +58,6 @@ export function binSizes(surface, k, vertices) {
   return sizes.map(Math.sqrt);
 }
 
-/** Of a bone, see `halfTurn`. */
 function halfTurnOf({ turn_shapes, turn_step_rad, turn_direction }, b, q, turn, leaf) {
   const direction = rowOf(turn_direction, b);
   const own = scaled(modeSum(turn_shapes, b, q), turn_step_rad[b]);
