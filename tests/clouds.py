@@ -39,7 +39,6 @@ def still_spectrum(num_frames: int = 100) -> SparseVoxelSpectrum:
 def with_two_leaves(binding: Binding, num_frames: int) -> tuple[Binding, Flutter]:
     """Of three Gaussians one in each of two leaves, which flutter in a storm about two vertices."""
     leaf_of = np.where(binding.moving, np.arange(binding.cloud.num_gaussians) % 3 - 1, -1).astype(np.int32)
-    leaves = Leaves(of=leaf_of, vertex=binding.triangles[[0, -1], [1, 2]])
-    directions = np.eye(3, dtype=np.float32)[:2]
-    flutter = sample_flutter(directions, np.full(2, 0.2), np.ones(2, int), np.ones(2), still_spectrum(num_frames))
-    return replace(binding, leaves=leaves), flutter
+    across = np.eye(3, dtype=np.float32)[:2]
+    flutter = sample_flutter(across, np.full(2, 0.2), np.ones(2, int), np.ones(2), still_spectrum(num_frames))
+    return replace(binding, leaves=Leaves(of=leaf_of, vertex=binding.triangles[[0, -1], [1, 2]])), flutter

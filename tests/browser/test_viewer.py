@@ -229,8 +229,7 @@ def test_a_key_is_asked_for_where_one_is_needed(view: Open, tmp_path: Path) -> N
     server.start()
     try:
         viewer = view(700, 560)
-        viewer.expects = ("401",)
-        page = viewer.page
+        page, viewer.expects = viewer.page, ("401",)
         viewer.open(url)
         expect(page.locator("#key-dialog")).to_be_hidden()
         page.locator("#open-jobs").click()

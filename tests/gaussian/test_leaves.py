@@ -27,18 +27,17 @@ def plant() -> tuple[Rig, np.ndarray, np.ndarray]:
     of_stem = np.where(np.abs(stem[:, 2] - 0.28) < 0.02, BARK, np.where(is_spur, SPUR, STEM))
     places = np.concatenate([stem, neck, blade, blade - [0, 0, 0.005]]).astype(np.float32)
     bone = np.concatenate([of_stem, np.repeat([NECK, BLADE, UNDERSIDE], [3, len(blade), len(blade)])]).astype(np.int32)
-    foot = np.zeros((7, 3), np.float32)
-    foot[NECK] = [0.05, 0, 0.5]
+    foot = np.float32([[0, 0, 0], [0, 0, 0], [0.05, 0, 0.5], *[[0, 0, 0]] * 4])
     parent = np.array([-1, 0, STEM, STEM, STEM, NECK, SPUR], np.int32)
     skeleton = Skeleton(parent=parent, foot_m=foot, reach_m=foot + 1, in_surface=np.arange(7) > 0)
-    carriers = Weights(rows=np.stack([bone, bone], axis=1), shares=np.tile(np.float32([1, 0]), (len(bone), 1)))
+    hung = Weights(rows=np.stack([bone, bone], axis=1), shares=np.tile(np.float32([1, 0]), (len(bone), 1)))
     turns = np.zeros((7, 1, 3), np.complex64)
-    return Rig(skeleton=skeleton, turns=turns, vertices=carriers, voxels=carriers, num_frames=100), places, bone
+    return Rig(skeleton=skeleton, turns=turns, vertices=hung, voxels=hung, num_frames=100), places, bone
 
 
 def bound(places: np.ndarray, colour: tuple[float, float, float]) -> Binding:
     row = np.arange(len(places), dtype=np.int32)
-    triangles = (row[:, None] + np.arange(3, dtype=np.int32)) % np.int32(len(row))
+    triangles = np.int32((row[:, None] + np.arange(3)) % len(row))
     weights = np.tile(np.float32([1, 0, 0]), (len(row), 1))
     cloud = cloud_at(places, sh=np.tile(colour, (len(row), 1, 1)))
     return Binding(cloud=cloud, vertices=places, triangles=triangles, face_of=row, weights=weights)

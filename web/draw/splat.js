@@ -141,7 +141,7 @@ function harmonicsTexture({ G, harmonics, sh }, count) {
 }
 
 function texturesOf(splat, surface, harmonics) {
-  const { G, face_of, leaf_of = [], leaf_vertex = [], triangles, weights } = splat;
+  const { G, face_of, leaf_of = new Int32Array(splat.G).fill(-1), leaf_vertex = [], triangles, weights } = splat;
   const rows = rowsOnSurface(splat, surface);
   const corners = floats(8 * G);
   const leaves = floats(4 * leaf_vertex.length);
@@ -149,10 +149,7 @@ function texturesOf(splat, surface, harmonics) {
   for (let g = 0; g < G; g++) {
     const face = face_of[g];
     if (face < 0) continue; // stays still: its fourth number is 0
-    corners.set(
-      [...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g), 1 + (leaf_of[g] ?? -1)],
-      8 * g,
-    );
+    corners.set([...rowOf(triangles, face).map((v) => rows[v]), 1, ...rowOf(weights, g), 1 + leaf_of[g]], 8 * g);
   }
   const rest = floats(4 * surface.N);
   const joints = floats(4 * surface.N);
