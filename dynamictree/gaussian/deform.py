@@ -96,7 +96,9 @@ class Deformer:
         in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, *flat, streamed)
         if leaf_turns is not None and (leaves := self.binding.leaves) is not None:
             rows = np.flatnonzero(leaves.of != STILL)
-            leaf, turns, foot = leaves.of[rows], _half_turns(leaf_turns), (self.binding.vertices + moved)[leaves.vertex]
+            leaf, foot = leaves.of[rows], (self.binding.vertices + moved)[leaves.vertex]
+            cosine = 1 / np.sqrt(1 + (leaf_turns**2).sum(axis=1, keepdims=True))  # an angle of atan |θ|
+            turns = np.concatenate([np.sqrt((1 + cosine) / 2), leaf_turns * cosine / np.sqrt(2 + 2 * cosine)], axis=1)
             arms = posed.means[rows] - foot[leaf]
             posed.means[rows] = foot[leaf] + np.einsum("gij,gj->gi", quaternion_matrices(turns)[leaf], arms)
             posed.quaternions[rows] = quaternion_products(turns[leaf], posed.quaternions[rows])
@@ -145,12 +147,6 @@ def rest_frames(binding: Binding) -> tuple[Float64[np.ndarray, "U 3 3"], Float64
     across = np.cross(normal, along)
     flat = np.stack([length[:, 0], (second * along).sum(axis=1), (second * across).sum(axis=1)], axis=1)
     return np.stack([along, across, normal], axis=2), flat
-
-
-def _half_turns(theta: Float32[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 4"]:
-    """Return the quaternions (w, x, y, z) of rotations by θ [rad], with angles of atan |θ| as of a rig's bones."""
-    cosine = 1 / np.sqrt(1 + (theta**2).sum(axis=1, keepdims=True))
-    return np.concatenate([np.sqrt((1 + cosine) / 2), theta * cosine / np.sqrt(2 + 2 * cosine)], axis=1)
 
 
 def _bound_points(binding: Binding) -> Float64[np.ndarray, "G 3"]:

@@ -42,12 +42,17 @@ def test_only_ends_turn_and_only_above_the_spectrum(rig: Rig, spectrum: SparseVo
     assert (modes != flutter_modes(rig, replace(spectrum, seed=spectrum.seed + 1), 1.0)).any()
 
 
-def test_long_cards_and_ends_of_stems_turn_less_and_one_surface_not_at_all(rig, spectrum) -> None:
+def test_long_cards_and_ends_of_stems_turn_less_forks_and_one_surface_not_at_all(rig, spectrum) -> None:
     bones, modes = rig.skeleton, flutter_modes(rig, spectrum, 1.0)
     few = replace(rig, skeleton=replace(bones, reach_m=bones.reach_m * 99))
     assert 0 < np.abs(flutter_modes(few, spectrum, 1.0)).max() < 0.5 * np.abs(modes).max()
     bent = replace(rig, vertices=replace(rig.vertices, shares=np.full_like(rig.vertices.shares, 0.5)))
     np.testing.assert_allclose(flutter_modes(bent, spectrum, 1.0), 0.3 * modes, rtol=1e-5)
+    ends = np.abs(modes).max(axis=(1, 2)) > 0
+    forks = ends & (np.bincount(bones.above[ends], minlength=len(bones))[bones.above] > 1)
+    feet = np.where(forks[:, None], (bones.foot_m + bones.reach_m)[bones.above], bones.foot_m)  # one surface that forks
+    moved = flutter_modes(replace(rig, skeleton=replace(bones, foot_m=feet)), spectrum, 1.0)
+    np.testing.assert_array_equal(moved, np.where(forks[:, None, None], 0, modes))
     whole = replace(rig, skeleton=replace(bones, in_surface=np.ones(len(bones), np.bool_)))
     assert not flutter_modes(whole, spectrum, 1.0).any()
 

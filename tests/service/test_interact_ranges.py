@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynamictree.request_model import LARGEST
-from dynamictree.requests import InteractParams
 from service.http.request_headers import SAFETENSORS
 from service.interact.forces import InteractRequest
 from tests.service.pushed import client, grown, poke, post, spectrum, spectrum_id  # noqa: F401
@@ -66,11 +65,6 @@ def refused_or_finite(client: TestClient, spectrum_id: str, *forces: object, **o
     assert response.status_code == 200, (response.json()["code"], response.json()["detail"])
     for name, array in read_binary(response).items():
         assert np.isfinite(array).all(), name
-
-
-def test_every_range_has_ends() -> None:
-    assert all(ends(name)[0] >= 0 for name in RANGES)
-    assert {"damping_ratio", "frequency_hz", "mass_kg", "falloff_m"} < InteractParams.model_fields.keys()
 
 
 def test_the_ends_of_all_ranges_together(client: TestClient, spectrum_id: str, poke: dict) -> None:  # noqa: F811
