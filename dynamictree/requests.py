@@ -253,7 +253,7 @@ class ExportParams(Request):
         ge=0,
         le=2,
         description="Flutter of leaves at frequencies above the spectrum's, up to 8 Hz: 0 is none, 1 as in nature at "
-        "this wind speed. Morph targets, `rig` and `splat` have none",
+        "this wind speed. Morph targets and `rig` have none",
     )
     formats: (
         tuple[Annotated[Format, BeforeValidator(lambda name: "glb" if name == "glb-skinned" else name)], ...] | None

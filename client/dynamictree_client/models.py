@@ -930,7 +930,7 @@ class AnimateParams(DiffuseParams):
     # Refuse frames that are not a whole number of periods, except in turbulent wind
     loop: bool = True
     # Flutter of leaves at frequencies above the spectrum's, up to 8 Hz: 0 is none, 1 as in nature at this wind
-    # speed. Morph targets, `rig` and `splat` have none
+    # speed. Morph targets and `rig` have none
     flutter: float = 1.0
     # Files to write; by default ply, glb, png of a mesh or photos, splat, png of a splat or scan
     formats: (
