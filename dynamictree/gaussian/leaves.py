@@ -16,6 +16,7 @@ from dynamictree.gaussian.binding import STILL, Binding, Leaves
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import part_bounds
 from dynamictree.rig.flutter import Flutter, sample_flutter
+from dynamictree.rig.pose import GROUND
 from dynamictree.rig.rig import Rig
 from dynamictree.spectrum import SparseVoxelSpectrum
 
@@ -56,14 +57,14 @@ def _leaves(rig: Rig, places: Float64[np.ndarray, "N 3"]) -> Int64[np.ndarray, "
     most_vertices = 12_000  # vertices that decide which bones lie along which: all of a cloud's own mesh, 0.1 s
     # extent of a leaf, and distance between its sides, relative to the tree's extent: at 0.012 blades stay in pieces
     longest, thickest = 0.2, 0.018
-    whole_m, count = float(np.linalg.norm(np.ptp(places, axis=0))), len(rig.skeleton)
-    foot = _feet(rig, places, longest * whole_m)  # row per bone
+    foot, tree_m = _feet(rig, places, longest)  # row per bone
+    count = len(foot)
     begins = np.bincount(foot, minlength=count) > 0
     begins[0] = False
     some = slice(None, None, -(-len(places) // most_vertices))
     bone = rig.vertices.rows[some, 0]
     piece = np.where(foot > 0, foot, np.arange(count))[bone]  # a leaf, or a bone of no leaf
-    pairs = cKDTree(places[some]).query_pairs(thickest * whole_m, output_type="ndarray")
+    pairs = cKDTree(places[some]).query_pairs(thickest * tree_m, output_type="ndarray")
     one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
     near = np.unique(np.stack([one, piece[other]])[:, piece[one] != piece[other]], axis=1)  # vertex, another piece
     touching = csr_array((np.ones(near.shape[1]), (piece[near[0]], near[1])), shape=(count, count)).tocoo()
@@ -73,17 +74,16 @@ def _leaves(rig: Rig, places: Float64[np.ndarray, "N 3"]) -> Int64[np.ndarray, "
     first = np.zeros(count, np.int64)
     first[merged[begins][::-1]] = np.flatnonzero(begins)[::-1]  # nearest to the ground
     low, high = part_bounds(merged[bone], places[some])
-    long = np.flatnonzero(np.linalg.norm(high - low, axis=1) > longest * whole_m)
+    long = np.flatnonzero(np.linalg.norm(high - low, axis=1) > longest * tree_m)
     leaf = np.where(np.isin(merged, long), foot, first[merged])  # row per bone
     leaf[0] = 0
     by_stem = np.bincount(leaf[bone], np.bincount(one, leaf[bone[other]] == 0, len(bone)) > 0, count)  # vertices
     leaf[by_stem[leaf] > 2 / 3 * np.bincount(leaf[bone], minlength=count)[leaf]] = 0
-    result: Int64[np.ndarray, " N"] = leaf[rig.vertices.rows[:, 0]]
-    return result
+    return np.asarray(leaf[rig.vertices.rows[:, 0]])
 
 
-def _feet(rig: Rig, places: Float64[np.ndarray, "N 3"], longest_m: float) -> Int64[np.ndarray, " B"]:
-    """Return, for each bone, the narrow bone above it that carries no other narrow bone, or the ground."""
+def _feet(rig: Rig, places: Float64[np.ndarray, "N 3"], longest: float) -> tuple[Int64[np.ndarray, " B"], float]:
+    """Return the narrow bone, carrying no other, above each bone (or the ground), and the largest tree's extent [m]."""
     narrow_share = 1 / 3  # width of a leaf's foot relative to its blade; ends of bones would fray, a blade has several
     skeleton, bone = rig.skeleton, rig.vertices.rows[:, 0]
     low, high = part_bounds(bone, places)
@@ -97,11 +97,12 @@ def _feet(rig: Rig, places: Float64[np.ndarray, "N 3"], longest_m: float) -> Int
         np.maximum.at(high, above, high[level])
         np.maximum.at(widest_m, above, widest_m[level])
     extent_m = np.linalg.norm(np.maximum(high - low, 0), axis=1)
-    narrow = skeleton.in_surface & (width_m <= narrow_share * widest_m) & (extent_m <= longest_m)
+    tree_m = float(extent_m[1:][skeleton.above[1:] == GROUND].max())
+    narrow = skeleton.in_surface & (width_m <= narrow_share * widest_m) & (extent_m <= longest * tree_m)
     carries = np.zeros(len(skeleton), np.bool_)  # a narrow bone
     for level in reversed(skeleton.levels):
         np.logical_or.at(carries, skeleton.above[level], narrow[level] | carries[level])
     foot = np.where(narrow & ~carries, np.arange(len(skeleton)), 0)
     for level in skeleton.levels:
         foot[level] = np.where(foot[level] > 0, foot[level], foot[skeleton.above[level]])
-    return foot
+    return foot, tree_m
