@@ -4,6 +4,7 @@ The options of the command line, the bodies of HTTP requests and the cache keys 
 models, so a new parameter is added in one of the two modules and nowhere else. They need only pydantic.
 """
 
+import re
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -41,24 +42,22 @@ CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
 Integrator = Literal["exact", "symplectic-euler", "explicit-euler"]
 WindMode = Literal["loop", "turbulent"]
 TURBULENT_FRAMES: dict[Format, int] = {
-    "ply": MAX_TURBULENT_FRAMES,
-    "motion": MAX_TURBULENT_FRAMES,
-    "splat-ply": MAX_TURBULENT_FRAMES,
+    **dict.fromkeys(("ply", "motion", "splat-ply", "png"), MAX_TURBULENT_FRAMES),
+    **dict.fromkeys(("webp", "usd", "usd-splat", "alembic", "vat"), MAX_FRAMES),
     "mp4": MAX_TURBULENT_FILM_FRAMES,
-    "webp": MAX_FRAMES,
-    "png": MAX_TURBULENT_FRAMES,
-    "usd": MAX_FRAMES,
-    "usd-splat": MAX_FRAMES,
-    "alembic": MAX_FRAMES,
-    "vat": MAX_FRAMES,
 }
 """Most frames of a turbulent motion by format; formats that are not listed store only one period."""
 Resolution = Literal[32, 64, 128, 256, 512]
-UpAxis = Annotated[
-    str,
-    StringConstraints(max_length=80, pattern=f"^([+-]?[XYZxyz]|{DIRECTION_PATTERN})$"),
-    AfterValidator(lambda axis: f"+{axis.upper()}" if len(axis) == 1 else axis.upper()),
-]
+_AXIS_PATTERN = f"^([+-]?[XYZxyz]|{DIRECTION_PATTERN})$"
+
+
+def _up_axis(axis: str) -> str:
+    if re.fullmatch(_AXIS_PATTERN, axis) is None:
+        raise ValueError("Input should be X, Y or Z with a sign, or a direction such as 0.17,-0.97,0.17")
+    return f"+{axis.upper()}" if len(axis) == 1 else axis.upper()
+
+
+UpAxis = Annotated[str, Field(max_length=80, json_schema_extra={"pattern": _AXIS_PATTERN}), AfterValidator(_up_axis)]
 """One of +X, -X, +Y, -Y, +Z and -Z, with an optional +, or a direction."""
 
 
