@@ -31,15 +31,16 @@ def flutter_leaves(
     # excess green (2 g - r - b) / (r + g + b), which separates plants from soil (Woebbecke et al. 1995, doi:
     # 10.13031/2013.27838): 89 % of a houseplant have more, nothing of bare wood
     least_green = 0.05
+    least_spread = 0.02  # spread of the excess; a scan without colours, which is shaded in one, has 0.007
     cloud, skeleton, places = binding.cloud, rig.skeleton, binding.vertices.astype(np.float64)
     foot = _leaves(rig, places)  # bone at the foot of each vertex's leaf, or the ground
     of = np.where(binding.moving, foot[binding.triangles[binding.face_of, 0]], 0)
-    colour = np.clip(0.5 + SH_0 * cloud.sh[:, 0], 0, 1) * cloud.opacity[:, None]
-    red, green, blue = (np.bincount(of, channel, len(skeleton)) for channel in colour.T)
-    is_leaf = 2 * green - red - blue > least_green * (red + green + blue)
+    red, green, blue = np.clip(0.5 + SH_0 * cloud.sh[:, 0], 1e-3, 1).T
+    excess = (2 * green - red - blue) / (red + green + blue)
+    is_leaf = np.bincount(of, cloud.opacity * (excess - least_green), len(skeleton)) > 0
     is_leaf[0] = False
     leaf = np.flatnonzero(is_leaf)
-    if not len(leaf):
+    if len(leaf) == 0 or np.ptp(np.quantile(excess[binding.moving], (0.1, 0.9))) < least_spread:
         return binding, None
     carriers = np.unique(binding.triangles)
     order = carriers[np.argsort(np.linalg.norm(places - skeleton.foot_m[foot], axis=1)[carriers], kind="stable")]
@@ -97,7 +98,7 @@ def _feet(rig: Rig, places: Float64[np.ndarray, "N 3"], longest: float) -> tuple
         np.maximum.at(high, above, high[level])
         np.maximum.at(widest_m, above, widest_m[level])
     extent_m = np.linalg.norm(np.maximum(high - low, 0), axis=1)
-    tree_m = float(extent_m[1:][skeleton.above[1:] == GROUND].max())
+    tree_m = float(extent_m[1:][skeleton.above[1:] == GROUND].max(initial=0))
     narrow = skeleton.in_surface & (width_m <= narrow_share * widest_m) & (extent_m <= longest * tree_m)
     carries = np.zeros(len(skeleton), np.bool_)  # a narrow bone
     for level in reversed(skeleton.levels):

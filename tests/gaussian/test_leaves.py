@@ -35,25 +35,26 @@ def plant() -> tuple[Rig, np.ndarray, np.ndarray]:
     return Rig(skeleton=skeleton, turns=turns, vertices=hung, voxels=hung, num_frames=100), places, bone
 
 
-def bound(places: np.ndarray, colour: tuple[float, float, float]) -> Binding:
+def bound(places: np.ndarray, bone: np.ndarray, stem: object, rest: object) -> Binding:
     row = np.arange(len(places), dtype=np.int32)
     triangles = np.int32((row[:, None] + np.arange(3)) % len(row))
     weights = np.tile(np.float32([1, 0, 0]), (len(row), 1))
-    cloud = cloud_at(places, sh=np.tile(colour, (len(row), 1, 1)))
+    cloud = cloud_at(places, sh=np.where((bone == STEM)[:, None], stem, rest)[:, None])
     return Binding(cloud=cloud, vertices=places, triangles=triangles, face_of=row, weights=weights)
 
 
 def test_a_leaf_is_both_sides_of_a_blade_with_its_stalk(plant) -> None:
     rig, places, bone = plant
-    binding, flutter = flutter_leaves(bound(places, GREEN), rig, still_spectrum(), 1.0)
+    binding, flutter = flutter_leaves(bound(places, bone, BROWN, GREEN), rig, still_spectrum(), 1.0)
     np.testing.assert_array_equal(binding.leaves.of, np.where(np.isin(bone, (NECK, BLADE, UNDERSIDE)), 0, STILL))
     np.testing.assert_allclose(places[binding.leaves.vertex], [[0.05, 0, 0.5]], atol=0.02)
     np.testing.assert_allclose(flutter.direction, [[1, 0, 0]], atol=0.1)
     np.testing.assert_allclose(flutter.share, 1)
 
 
-def test_wood_has_no_leaves_and_larger_leaves_turn_less(plant) -> None:
-    rig, places, _ = plant
-    assert flutter_leaves(bound(places, BROWN), rig, still_spectrum(), 1.0)[1] is None
+def test_no_leaves_are_brown_or_in_one_colour_and_larger_leaves_turn_less(plant) -> None:
+    rig, places, bone = plant
+    for colours in ((GREEN, BROWN), (GREEN, GREEN)):
+        assert flutter_leaves(bound(places, bone, *colours), rig, still_spectrum(), 1.0)[1] is None
     tall = replace(rig, skeleton=replace(rig.skeleton, foot_m=10 * rig.skeleton.foot_m))
-    assert 0.2 < flutter_leaves(bound(10 * places, GREEN), tall, still_spectrum(), 2.0)[1].share[0] < 0.6
+    assert 0.2 < flutter_leaves(bound(10 * places, bone, BROWN, GREEN), tall, still_spectrum(), 2.0)[1].share[0] < 0.6
