@@ -90,9 +90,9 @@ class TurbulentWind:
 
 
 def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind | None = None) -> TurbulentWind:
-    """Create turbulent wind for a spectrum's bins; the same seed gives the same wind, by default the spectrum's.
+    """Create turbulent wind for a spectrum's bins; the same seed gives the same wind.
 
-    The spectrum's height and foliage determine damping and natural frequency.
+    The spectrum's height and foliage determine damping and natural frequency; `wind` is by default the spectrum's.
     """
     largest_gust = 0.9  # largest deviation of the drag's factor from 1
     slowest_wind_m_s = 0.5

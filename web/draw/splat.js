@@ -113,10 +113,10 @@ export class SplatView {
   /** Turn the leaves; returns the phase where the air moves them. */
   _flutter(air) {
     const { leaves } = this.textures;
-    const count = this.splat.leaf_vertex?.length ?? 0;
-    for (let l = 0; air && l < count; l++) leaves.image.data.set(halfTurn(flutterOf(this.splat, l, air)), 4 * l);
-    leaves.needsUpdate = true;
-    return count && air?.speeds.some(Boolean) ? air.phase : 0;
+    const count = air ? (this.splat.leaf_vertex?.length ?? 0) : 0;
+    for (let l = 0; l < count; l++) leaves.image.data.set(halfTurn(flutterOf(this.splat, l, air)), 4 * l);
+    leaves.needsUpdate = count > 0; // a texture is sent again only then
+    return count && air.speeds.some(Boolean) ? air.phase : 0;
   }
 
   dispose() {
