@@ -61,7 +61,7 @@ def turns_of(
     skeleton = bones.skeleton
     turns = np.zeros((len(skeleton), 3))
     for reach, coordinates in zip(reaches, q, strict=True):
-        own = np.einsum("bmc,m->bc", bones.shapes, coordinates.astype(np.complex64)).real.astype(np.float64)
+        own = np.tensordot(bones.shapes, coordinates.astype(np.complex64), axes=(1, 0)).real.astype(np.float64)
         if reach is not None:
             foot = skeleton.foot_m.astype(np.float64)
             own = _local(skeleton.above, foot, reach.end_m, reach.weights, reach.kind, own)

@@ -106,10 +106,10 @@ def carried(
     """Compute the displacement of points at one moment of the poses [m]."""
     rotation = stance.rotation[moment]
     shift = stance.place_m[moment] - np.einsum("bij,bj->bi", rotation, skeleton.foot_m)  # x' = Σ w (R x + shift)
+    less_one = np.dstack([rotation - np.eye(3), shift])  # (R - 1) x + shift retains the digits of small motions
     moved = np.empty((len(points), 3), np.float32)
-    less_one = rotation - np.eye(3)  # (R - 1) x + shift retains the digits of small motions
-    arrays = less_one, shift, points, weights.rows, weights.shares
-    in_bands(_carry, len(points), *arrays, moved, rows_per_thread=1000)
+    m = less_one.reshape(-1, 12)
+    in_bands(_carry, len(points), m, points, weights.rows, weights.shares, moved, rows_per_thread=1000)
     return moved
 
 
@@ -137,14 +137,14 @@ def _pose(first, end, above, foot, theta, rotation, place):
 
 @compiled
 @no_type_check
-def _carry(first, end, less_one, shift, points, rows, shares, moved):
+def _carry(first, end, m, points, rows, shares, moved):
     for n in range(first, end):
-        x, y, z = points[n]
-        for i in range(3):
-            total = 0.0
-            for j in range(rows.shape[1]):
-                w = shares[n, j]
-                if w > 0:
-                    r = less_one[rows[n, j], i]
-                    total += w * (r[0] * x + r[1] * y + r[2] * z + shift[rows[n, j], i])
-            moved[n, i] = total
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        u = v = w = 0.0
+        for j in range(rows.shape[1]):
+            b, share = rows[n, j], shares[n, j]
+            if share > 0:
+                u += share * (m[b, 0] * x + m[b, 1] * y + m[b, 2] * z + m[b, 3])
+                v += share * (m[b, 4] * x + m[b, 5] * y + m[b, 6] * z + m[b, 7])
+                w += share * (m[b, 8] * x + m[b, 9] * y + m[b, 10] * z + m[b, 11])
+        moved[n, 0], moved[n, 1], moved[n, 2] = u, v, w
