@@ -1,5 +1,6 @@
 """Scene of the interaction benchmarks: a generated tree with many vertices and Gaussians."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,8 +8,10 @@ import numpy as np
 from dynamictree.gaussian.binding import Binding, bind_to_faces
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh, edges_of
-from dynamictree.modal.frames import VertexFrames
+from dynamictree.modal.bones import turns_of
+from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import ModalSystem, modal_system
+from dynamictree.rig.pose import carried, poses
 from dynamictree.rig.rig import rig_of
 from dynamictree.spectrum import SparseVoxelSpectrum
 from lab.dataset.sample import make_sample, voxel_spectrum
@@ -26,9 +29,9 @@ class Scene:
     spectrum: SparseVoxelSpectrum
     system: ModalSystem
 
-    def vertex_frames(self) -> VertexFrames:
-        """Return the basis of the vertices for modal coordinates."""
-        return VertexFrames(rig_of(self.mesh, self.spectrum), self.mesh.vertices)
+    def tree(self) -> InteractiveTree:
+        """Return the tree with its rig."""
+        return InteractiveTree(self.system, rig_of(self.mesh, self.spectrum), self.mesh)
 
 
 def scene() -> Scene:
@@ -38,6 +41,21 @@ def scene() -> Scene:
     while mesh.num_vertices < NUM_VERTICES:
         mesh = _split(mesh, min(NUM_VERTICES, mesh.num_vertices + mesh.num_faces))
     return Scene(mesh=mesh, spectrum=spectrum, system=modal_system(spectrum))
+
+
+def bent_by(tree: InteractiveTree) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function from coordinates [1, M] to the displacement of the vertices [N, 3] [m], as of /v1/interact."""
+    assert tree.rig is not None
+    assert tree.mesh is not None
+    rig, vertices, still = tree.rig, tree.mesh.vertices, np.zeros((len(tree.joints.parent), 3))
+
+    def displacement(q: np.ndarray) -> np.ndarray:
+        turns = turns_of(tree.bones, [None], q).astype(np.float32)
+        return carried(
+            rig.skeleton, tree.joints.bent(poses(rig.skeleton, turns[None]), still), 0, vertices, rig.vertices
+        )
+
+    return displacement
 
 
 def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS, *, in_face_order: bool = True) -> Binding:

@@ -1,6 +1,6 @@
 """Accuracy of pulled vertices over HTTP: 500 random places on ten trees, pulled by a tenth of the height.
 
-Each pull is a client's request (`start=held`, `warp=true`) to a separate API, once for `vertices` and once for the
+Each pull is a client's request (`start=held`) to a separate API, once for `vertices` and once for the
 coordinates alone, which is timed. Measured: the distance of the drawn vertex from its target and from `reached_m`, as
 shares of the pull; the motion of parts that neither carry the place nor hang on it, and their own bending; and the
 growth of edges.
@@ -97,7 +97,7 @@ def _pull_errors(
         direction = rng.normal(size=3)
         wanted = pull_m * direction / np.linalg.norm(direction)
         drag = {"kind": "drag", "at": {"vertex": int(vertex)}, "displacement_m": wanted.tolist()}
-        body = {"spectrum_id": spectrum_id, "forces": [drag], "num_frames": 1, "start": "held", "warp": True}
+        body = {"spectrum_id": spectrum_id, "forces": [drag], "num_frames": 1, "start": "held"}
         answer = client.post("/v1/interact", json=body | {"output": "vertices"})
         moved = load(answer.raise_for_status().content)["displacement"][0].astype(np.float64)
         began = time.perf_counter()

@@ -148,7 +148,7 @@ def _by_joints(tree: InteractiveTree, at: int, force: np.ndarray) -> np.ndarray:
     answer = Answer(
         groups=(group,), q=rest.q[None, None], bends=(rest.bend[None],), final=State.at_rest(0, 0), final_bends=()
     )
-    return next(tree.voxels(answer, warp=True)).astype(np.float64)
+    return next(tree.voxels(answer)).astype(np.float64)
 
 
 def beams_of(stems: Skeleton) -> Push:

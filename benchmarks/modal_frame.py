@@ -4,16 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks._interaction import gaussians_on, scene
+from benchmarks._interaction import bent_by, gaussians_on, scene
 from benchmarks._machine import machine, ratio_to_copy, time_calls, time_copy
 from benchmarks.deform_gaussians import frame_bytes
 from dynamictree.gaussian.deform import Deformer
-from dynamictree.modal.bones import turns_of
-from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
-from dynamictree.rig.pose import carried, poses
-from dynamictree.rig.rig import rig_of
 
 TARGET_MS = 8.0
 FLOOR_TARGET = 2.5  # ratio to the time of copying a frame's bytes
@@ -22,40 +18,32 @@ FLOOR_TARGET = 2.5  # ratio to the time of copying a frame's bytes
 def run() -> dict[str, object]:
     prepared = scene()
     system, mesh, grid = prepared.system, prepared.mesh, prepared.spectrum.grid
-    vertices = prepared.vertex_frames()
+    tree = prepared.tree()
+    displacement = bent_by(tree)
     deformer = Deformer(gaussians_on(mesh))
     shuffled = Deformer(gaussians_on(mesh, in_face_order=False))
     states = coordinates_after_impulse(system)
 
-    def plain() -> np.ndarray:
-        return vertices.displacement(next(states))
+    def vertices() -> np.ndarray:
+        return displacement(next(states))
 
     def all_in() -> object:
-        return deformer.pose(plain())
+        return deformer.pose(vertices())
 
-    rig = rig_of(mesh, prepared.spectrum)
-    tree = InteractiveTree(system, rig, mesh)
-    bends = np.zeros((len(tree.joints.parent), 3))
-
-    def bent() -> np.ndarray:
-        turns = turns_of(tree.bones, [None], next(states)).astype(np.float32)
-        stance = tree.joints.bent(poses(rig.skeleton, turns[None]), bends)
-        return carried(rig.skeleton, stance, 0, mesh.vertices, rig.vertices)
-
-    moved = plain()
+    moved, weights = vertices(), tree.rig.vertices
     figures = {
-        "vertices": time_calls(plain),
-        "vertices_bent": time_calls(bent),
+        "vertices": time_calls(vertices),
         "gaussians": time_calls(lambda: deformer.pose(moved)),
         "all_in": time_calls(all_in),
-        "all_in_gaussians_in_any_order": time_calls(lambda: shuffled.pose(plain())),
+        "all_in_gaussians_in_any_order": time_calls(lambda: shuffled.pose(vertices())),
     }
     return {
         "value": round(figures["all_in"].median_ms, 4),
         "unit": "ms/frame",
         "target": TARGET_MS,
         **ratio_to_copy(
-            figures["all_in"], time_copy(vertices.num_bytes + 12 * mesh.num_vertices + frame_bytes(deformer.binding))
+            figures["all_in"],
+            time_copy(weights.rows.nbytes + weights.shares.nbytes + 2 * moved.nbytes + frame_bytes(deformer.binding)),
         ),
         "over_floor_target": FLOOR_TARGET,
         "parts": {name: figure.rounded() for name, figure in figures.items()},
@@ -65,7 +53,7 @@ def run() -> dict[str, object]:
             "gaussians": len(deformer.binding.face_of),
             "voxels": len(grid),
             "modes": system.num_modes,
-            "bones": len(rig.skeleton),
+            "bones": len(tree.rig.skeleton),
         },
         **machine("numpy", "scipy", "numba"),
     }

@@ -7,7 +7,7 @@ cost). Our frame also moves 500,000 Gaussians. Warp uses one CPU thread.
 
 import numpy as np
 
-from benchmarks._interaction import SEED, SPECIES, gaussians_on, scene
+from benchmarks._interaction import SEED, SPECIES, bent_by, gaussians_on, scene
 from benchmarks._machine import machine, time_calls
 from benchmarks.modal_frame import coordinates_after_impulse
 from dynamictree.gaussian.deform import Deformer
@@ -62,15 +62,15 @@ def run() -> dict[str, object]:
     if newton is None:
         raise SystemExit("benchmarks: rod_rival needs Newton; pip install newton warp-lang")
     prepared = scene()
-    vertices = prepared.vertex_frames()
+    displacement = bent_by(prepared.tree())
     deformer, states = Deformer(gaussians_on(prepared.mesh)), coordinates_after_impulse(prepared.system)
     rods = RodTree(make_sample(SEED, SPECIES).skeleton)
-    ours = time_calls(lambda: deformer.pose(vertices.displacement(next(states))))
+    ours = time_calls(lambda: deformer.pose(displacement(next(states))))
     before = rods.state.body_q.numpy()[:, :3].copy()
     rival = time_calls(rods.frame)
     moved = np.linalg.norm(rods.state.body_q.numpy()[:, :3] - before, axis=1)
     assert np.isfinite(moved).all()
-    again = time_calls(lambda: deformer.pose(vertices.displacement(next(states))))
+    again = time_calls(lambda: deformer.pose(displacement(next(states))))
     return {
         "value": round(rival.median_ms / ours.median_ms, 1),
         "unit": "times",

@@ -204,9 +204,6 @@ class InteractParams(SwingParams):
     """How the answer of a tree to forces is computed."""
 
     integrator: Integrator = Field(default="exact", description="Method of time integration")
-    warp: bool = Field(
-        default=False, description="Bend without stretching; a drag by displacement holds its point in the bent shape"
-    )
 
 
 class Shot(Request):

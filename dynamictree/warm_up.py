@@ -21,7 +21,6 @@ from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Drag
-from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
@@ -46,8 +45,7 @@ def animate_mesh() -> None:
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
     tree = InteractiveTree(modal_system(spectrum), rig := rig_of(mesh, spectrum), mesh)
     pull = Drag(at=tree.contact_at_vertex(mesh.vertices, 24), displacement_m=(0.1, 0.0, 0.0))
-    answer = respond(tree.system, group_forces([pull], falloff_m=1.0), dt_s=0.1, num_frames=1, bent=tree)
-    next(tree.superposed(answer, VertexFrames(rig, mesh.vertices)))
+    answer = respond(tree.system, group_forces([pull], falloff_m=1.0), dt_s=0.1, num_frames=1, tree=tree)
     next(tree.bent(answer, mesh.vertices, rig.vertices))
     with TemporaryDirectory() as folder:
         for params in (PARAMS, ExportParams(wind_mode="turbulent", num_frames=2, formats=("motion",))):

@@ -190,7 +190,7 @@ class Force(Model):
     impulse_n_s: tuple[float, float, float] | None = None
     # Force of a drag [N]; alternative to displacement_m
     force_n: tuple[float, float, float] | None = None
-    # Displacement of the dragged point at rest [m]; with warp, in the bent shape
+    # Displacement of the dragged point at rest [m]
     displacement_m: tuple[float, float, float] | None = None
     # Velocity of wind [m/s]: one vector, or evenly spaced samples over the duration
     wind_m_s: list[float | list[float]] | None = None
@@ -243,7 +243,7 @@ class Interact(Model):
     # m in m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
     modal_mass_kg_m2: float
     groups: "list[Group]"
-    # Result of each drag by displacement, by group; empty without warp
+    # Result of each drag by displacement, by group
     reached: "list[Reached]"
     # The initial_state of the next call
     final_state: "State"
@@ -266,8 +266,6 @@ class InteractRequest(Model):
     falloff_m: float | None = None
     # Method of time integration
     integrator: Literal["exact", "symplectic-euler", "explicit-euler"] = "exact"
-    # Bend without stretching; a drag by displacement holds its point in the bent shape
-    warp: bool = False
     # The spectrum_id in a job's result
     spectrum_id: str
     forces: "list[Force] | None" = None
@@ -279,6 +277,8 @@ class InteractRequest(Model):
     # The final_state of an earlier call
     initial_state: "State | None" = None
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
+    # Without effect: the tree always bends in place of stretching
+    warp: Literal[True] | None = None
 
 
 class JobEventData(Model):

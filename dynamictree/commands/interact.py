@@ -1,12 +1,10 @@
 """`dynamictree interact`: push a tree and write how it swings."""
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from jaxtyping import Float32
 from safetensors.numpy import save
 
 from dynamictree.commands.input_files import load_mesh
@@ -19,14 +17,12 @@ from dynamictree.formats.mesh.ply_writer import iter_ply_files
 from dynamictree.formats.stored_zip import write_stored_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
-from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
-from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
 from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.system import ModalSystem, chosen_falloff_m, modal_system
 from dynamictree.requests import InteractParams, Reading
-from dynamictree.rig.rig import Rig, rig_of
+from dynamictree.rig.rig import rig_of
 
 FORMATS = ("modal", "motion", "ply")
 FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply": "frames-ply.zip"}
@@ -68,7 +64,7 @@ def interact(
 ) -> None:
     """Compute the response of a tree to forces: spectrum + forces → modal coordinates, moving mesh.
 
-    --warp needs --mesh; then the nearest vertex to the point is used, and --displacement moves it.
+    --displacement needs --mesh, in which the joints are found. With it, forces act at the vertex nearest to --point.
     """
     wanted = _formats(formats, has_mesh=mesh is not None)
     with open_input(spectrum) as stream:
@@ -84,7 +80,7 @@ def interact(
     rig = None if source is None else rig_of(source, sway)
     tree = InteractiveTree(system, rig, source)
     at = _contact(system, point, voxel, radius)
-    if source is not None and params.warp and point is not None:
+    if source is not None and point is not None:
         nearest = int(np.linalg.norm(source.vertices - np.asarray(point), axis=1).argmin())
         at = tree.contact_at_vertex(source.vertices, nearest, radius_m=radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
@@ -96,10 +92,9 @@ def interact(
         num_frames=frames,
         integrator=params.integrator,
         start="held" if held else "rest",
-        bent=tree if params.warp else None,
+        tree=tree,
     )
-    moved = None if source is None else _vertex_frames(tree, answer, source, warp=params.warp)
-    files = _write(answer, source, moved, output, wanted=wanted, fps=fps)
+    files = _write(answer, tree, output, wanted=wanted, fps=fps)
     facts = {
         "files": [str(path) for path in files],
         "num_frames": frames,
@@ -158,37 +153,19 @@ def _forces(
     return forces
 
 
-def _write(
-    answer: Answer,
-    mesh: TriangleMesh | None,
-    moved: Callable[[], Iterator[Float32[np.ndarray, "N 3"]]] | None,
-    output: Path,
-    *,
-    wanted: tuple[str, ...],
-    fps: float,
-) -> list[Path]:
+def _write(answer: Answer, tree: InteractiveTree, output: Path, *, wanted: tuple[str, ...], fps: float) -> list[Path]:
     with atomic_folder(output) as folder:
         for name in wanted:
             with (folder / FILE_NAMES[name]).open("wb") as stream:
                 if name == "modal":  # the same as from /v1/interact
                     stream.write(save(answer_tensors(answer), {"fps": repr(fps)}))
                     continue
+                mesh, rig = tree.mesh, tree.rig
                 assert mesh is not None
-                assert moved is not None
+                assert rig is not None
+                moved = tree.bent(answer, mesh.vertices, rig.vertices)
                 if name == "motion":
-                    write_motion(mesh, moved(), stream, num_frames=len(answer.q), fps=fps)
+                    write_motion(mesh, moved, stream, num_frames=len(answer.q), fps=fps)
                 else:
-                    write_stored_zip(stream, iter_ply_files(mesh, moved()))
+                    write_stored_zip(stream, iter_ply_files(mesh, moved))
     return [output / FILE_NAMES[name] for name in wanted]
-
-
-def _vertex_frames(
-    tree: InteractiveTree, answer: Answer, mesh: TriangleMesh, *, warp: bool
-) -> Callable[[], Iterator[Float32[np.ndarray, "N 3"]]]:
-    """Return a function that yields the displacement of the mesh's vertices, frame by frame [m]."""
-    assert tree.rig is not None
-    rig: Rig = tree.rig
-    if warp:
-        return lambda: tree.bent(answer, mesh.vertices, rig.vertices)
-    frames = VertexFrames(rig, mesh.vertices)
-    return lambda: tree.superposed(answer, frames)

@@ -23,11 +23,10 @@ from dynamictree.modal.force import (
 )
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.step import State
-from dynamictree.modal.system import ModalSystem, displacement
+from dynamictree.modal.system import ModalSystem
 
 if TYPE_CHECKING:  # modules that import numba
     from dynamictree.modal.bones import Bones
-    from dynamictree.modal.frames import VertexFrames
     from dynamictree.modal.joints import Joints
     from dynamictree.modal.reach import Reach
     from dynamictree.rig.pose import Weights
@@ -136,29 +135,9 @@ class InteractiveTree:
         ]
         return np.stack(rows) if rows else np.zeros((0, len(everywhere)), np.float32)
 
-    def voxels(self, answer: Answer, *, warp: bool = False) -> Iterator[Float32[np.ndarray, "V 3"]]:
+    def voxels(self, answer: Answer) -> Iterator[Float32[np.ndarray, "V 3"]]:
         """Yield the displacement of every voxel, frame by frame [m]."""
-        frames_at_once = 32  # frames per matrix product of plain superposition, 15 MB at 40,000 voxels
-        grid = self.system.grid
-        if warp:
-            yield from self.bent(answer, grid.centres_m, self.bones.voxels)
-            return
-        weights = self.weights(answer.groups)
-        for first in range(0, len(answer.q), frames_at_once):
-            some = answer.q[first : first + frames_at_once]
-            moved = np.zeros((len(some), len(grid), 3), np.float32)
-            for index, row in enumerate(weights):
-                moved += row[:, None] * displacement(self.system.shapes, some[:, index])
-            yield from moved
-
-    def superposed(self, answer: Answer, vertices: "VertexFrames") -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Yield the displacement of a mesh's vertices without warp, frame by frame [m]."""
-        weights = None
-        if any(group.locality for group in answer.groups):
-            one = np.ones(len(self.bones.skeleton))
-            weights = vertices.weights(np.stack([r.weights if r else one for r in self.reaches(answer.groups)]))
-        for q in answer.q:
-            yield vertices.displacement(q, weights)
+        return self.bent(answer, self.system.grid.centres_m, self.bones.voxels)
 
     def bent(
         self, answer: Answer, points: Float32[np.ndarray, "N 3"], weights: "Weights"

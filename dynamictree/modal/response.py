@@ -66,21 +66,25 @@ def respond(
     integrator: Integrator = "exact",
     start: Start | State = "rest",
     start_bends: Sequence[Bend] = (),
-    bent: InteractiveTree | None = None,
+    tree: InteractiveTree | None = None,
 ) -> Answer:
     """Compute the response: modal coordinates at times 0, dt, … and the state after the last step.
 
     The start is at rest; `held`: in equilibrium with the forces at time 0; `davis`: in the initial state of Davis et
     al.; or a state of these groups, with their bends.
 
-    With `bent`, the tree for bent shapes, drags by displacement are solved in the bent shape.
+    Drags by displacement and bends of a start need `tree` with its rig, whose joints they bend.
 
     Raises:
-        InputError: a force, dt or the start is invalid.
+        InputError: a force, dt or the start is invalid, or the rig is missing.
         UnstableTimestep: the integrator diverges at this dt.
     """
     step = STEPS[integrator](system, dt_s)
-    solved, aims, reached = _forces_and_bends(system, groups, dt_s, num_frames, None if start == "davis" else bent)
+    tree = tree or InteractiveTree(system)
+    if start != "davis":
+        solved, aims, reached = _forces_and_bends(system, groups, dt_s, num_frames, tree)
+    else:
+        solved, aims, reached = list(groups), [np.zeros((num_frames, 0, 3)) for _ in groups], ()
     pushed = np.zeros((num_frames, len(groups), system.num_modes), np.complex128)  # f, [T, G, M]
     for index, group in enumerate(solved):
         for force in group.forces:
@@ -101,7 +105,7 @@ def respond(
     q, final = run(step, begin, pushed / system.modal_mass)
     begun = [_first_bend(start_bends[index : index + 1], aim, pulled=start == "held") for index, aim in enumerate(aims)]
     swings = [
-        _bends(system, bent, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)
+        _bends(system, tree, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)
     ]
     return Answer(
         groups=tuple(groups),
@@ -114,11 +118,9 @@ def respond(
 
 
 def _forces_and_bends(
-    system: ModalSystem, groups: Sequence[ForceGroup], dt_s: float, num_frames: int, bent: InteractiveTree | None
+    system: ModalSystem, groups: Sequence[ForceGroup], dt_s: float, num_frames: int, tree: InteractiveTree
 ) -> tuple[list[ForceGroup], list[Float64[np.ndarray, "T n 3"]], tuple[Reached, ...]]:
-    """Return the forces on the modes, and the bends per step of drags by displacement in the bent shape."""
-    if bent is None:
-        return list(groups), [np.zeros((num_frames, 0, 3)) for _ in groups], ()
+    """Return the forces on the modes, and the bends per step of drags by displacement."""
     solved, aims, reached = [], [], []
     for group in groups:
         forces: list[Force] = []
@@ -127,7 +129,7 @@ def _forces_and_bends(
             if not isinstance(force, Drag) or force.displacement_m is None or force.force_n is not None:
                 forces.append(force)
                 continue
-            equilibrium = bent.hold(system, group, force)
+            equilibrium = tree.hold(system, group, force)
             reached.append(equilibrium.reached)
             if group.locality is None:
                 forces.append(force)
@@ -148,7 +150,7 @@ def _first_bend(given: Sequence[Bend], aim: Float64[np.ndarray, "T n 3"], *, pul
 
 def _bends(
     system: ModalSystem,
-    tree: InteractiveTree | None,
+    tree: InteractiveTree,
     group: ForceGroup,
     begin: Bend,
     pull: Float64[np.ndarray, "T m 3"],
@@ -158,8 +160,6 @@ def _bends(
         pull = np.zeros((len(pull), *begin.turn.shape))
     if pull.shape[1] == 0:
         return pull, begin
-    if tree is None:  # the bends are not shown, but continue to swing
-        return drive(joints_step(system, np.full(len(begin.turn), system.omega.min()), dt_s), begin, pull)
     chain = tree.chain(group)
     if not len(chain) == len(begin.turn) == pull.shape[1]:
         raise InputError(f"the state bends {len(begin.turn)} joints; {len(chain)} lie under this place")

@@ -61,9 +61,7 @@ class ForcePayload(Payload):
     at: AtPayload | None = Field(default=None, description="Place of an impulse or a drag; wind acts everywhere")
     impulse_n_s: Vector | None = Field(default=None, description="Impulse [N s]; only with kind impulse")
     force_n: Vector | None = Field(default=None, description="Force of a drag [N]; alternative to displacement_m")
-    displacement_m: Vector | None = Field(
-        default=None, description="Displacement of the dragged point at rest [m]; with warp, in the bent shape"
-    )
+    displacement_m: Vector | None = Field(default=None, description="Displacement of the dragged point at rest [m]")
     wind_m_s: Winds | None = Field(
         default=None, description="Velocity of wind [m/s]: one vector, or evenly spaced samples over the duration"
     )
@@ -123,6 +121,9 @@ class InteractRequest(InteractParams):
     )
     initial_state: StatePayload | None = Field(default=None, description="The final_state of an earlier call")
     output: Output = "modal"
+    warp: Literal[True] | None = Field(
+        default=None, deprecated=True, description="Without effect: the tree always bends in place of stretching"
+    )
 
 
 def library_force(force: ForcePayload, grid: VoxelGrid, vertex_contact: Callable[[int, float], Contact]) -> Force:

@@ -12,7 +12,6 @@ from dynamictree.modal.interactive_tree import InteractiveTree
 
 if TYPE_CHECKING:
     from dynamictree.gaussian.deform import Deformer  # imports numba
-    from dynamictree.modal.frames import VertexFrames  # imports numba
 
 BYTES_PER_VOXEL = 1500  # modal system; measured at K = 16
 BYTES_PER_VERTEX = 250  # mesh and rig
@@ -35,7 +34,6 @@ class ReadyTree:
     tree: InteractiveTree
     expires_at: float  # expiry time of the spectrum [s since 1970]
     mesh: TriangleMesh | None = None
-    frames: "VertexFrames | None" = None
     gaussians: BoundGaussians | None = None
 
     @property
@@ -44,6 +42,5 @@ class ReadyTree:
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
         extra_bytes = BYTES_PER_VERTEX * vertices + BYTES_PER_GAUSSIAN * gaussians
-        basis_bytes = 0 if self.frames is None else self.frames.num_bytes
         bone_bytes = 0 if self.tree.rig is None else 3 * self.tree.rig.turns.nbytes
-        return BYTES_PER_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes + bone_bytes
+        return BYTES_PER_VOXEL * len(self.tree.system.grid) + extra_bytes + bone_bytes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.force import Contact, contact_at_point
+from dynamictree.modal.force import Contact
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import ModalSystem, modal_system, with_physics
 from dynamictree.requests import ExportParams, SwingParams
@@ -26,7 +26,6 @@ from service.interact.stored_trees import (
 from service.services import Owned
 
 if TYPE_CHECKING:
-    from dynamictree.modal.frames import VertexFrames
     from dynamictree.rig.flutter import Flutter
     from dynamictree.rig.rig import Rig
 
@@ -56,16 +55,13 @@ class ServedTree:
             self.ready.mesh = load_source_mesh(self.owned, self.id)
         return self.ready.mesh
 
-    def vertex_contact(self, vertex: int, radius_m: float, *, bent: bool) -> Contact:
-        """Return the contact of a force at a vertex; if `bent`, a drag by displacement moves the vertex itself."""
+    def vertex_contact(self, vertex: int, radius_m: float) -> Contact:
+        """Return the contact of a force at a vertex."""
         mesh = self.mesh()
         if vertex >= mesh.num_vertices:
             detail = f"vertex {vertex} does not exist; the mesh has vertices 0 to {mesh.num_vertices - 1}"
             raise ProblemError("invalid-input", detail)
-        if bent:
-            return self.with_rig().contact_at_vertex(mesh.vertices, vertex, radius_m=radius_m)
-        x, y, z = mesh.vertices[vertex].tolist()
-        return contact_at_point(self.ready.tree.system.grid, (x, y, z), radius_m=radius_m)
+        return self.with_rig().contact_at_vertex(mesh.vertices, vertex, radius_m=radius_m)
 
     def flutter(self) -> "Flutter":
         """Return the flutter of the rig's bones, of the size that the job's files have."""
@@ -88,17 +84,9 @@ class ServedTree:
         return self.ready.tree.rig
 
     def with_rig(self) -> InteractiveTree:
-        """Return the tree with its rig, which localities and bends require."""
+        """Return the tree with its rig, which localities, bends and moving points require."""
         self.rig()
         return self.ready.tree
-
-    def frames(self) -> "VertexFrames":
-        """Return the basis that maps modal coordinates to the mesh's vertices."""
-        from dynamictree.modal.frames import VertexFrames  # imports numba
-
-        if self.ready.frames is None:
-            self.ready.frames = VertexFrames(self.rig(), self.mesh().vertices)
-        return self.ready.frames
 
     def gaussians(self) -> BoundGaussians:
         """Return the moving Gaussians of the source cloud, bound to its mesh."""

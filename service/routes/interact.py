@@ -6,7 +6,6 @@ import logging
 import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -100,9 +99,7 @@ class InteractPayload(Payload):
     mass_kg: float
     modal_mass_kg_m2: float = Field(description="m in m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
     groups: list[GroupPayload]
-    reached: list[ReachedPayload] = Field(
-        description="Result of each drag by displacement, by group; empty without warp"
-    )
+    reached: list[ReachedPayload] = Field(description="Result of each drag by displacement, by group")
     final_state: StatePayload = Field(description="The initial_state of the next call")
 
 
@@ -190,7 +187,14 @@ def _is_quick(body: InteractRequest) -> bool:
     """Return whether a response takes a few milliseconds and reads no files."""
     at_vertices = any(force.at is not None and force.at.vertex is not None for force in body.forces)
     groups = len(body.forces) + (0 if body.initial_state is None else len(body.initial_state.groups))
-    return body.output == "modal" and not (at_vertices or body.warp) and body.num_frames * max(groups, 1) <= MAX_QUICK
+    small = body.num_frames * max(groups, 1) <= MAX_QUICK
+    return body.output == "modal" and not (at_vertices or _bends_joints(body)) and small
+
+
+def _bends_joints(body: InteractRequest) -> bool:
+    """Return whether a response needs the rig, whose joints drags by displacement bend."""
+    before = [] if body.initial_state is None else body.initial_state.groups
+    return any(force.displacement_m for force in body.forces) or any(group.bend for group in before)
 
 
 def _prepared_response(body: InteractRequest, owned: Owned, media_type: str, left: threading.Event) -> Response:
@@ -217,9 +221,7 @@ def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: th
 def compute_response(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
     """Compute the tree's response to a request."""
     system = tree.system(body)
-    bent = tree.with_rig() if body.warp else None
-    at_vertex = partial(tree.vertex_contact, bent=body.warp)
-    forces = [library_force(force, system.grid, at_vertex) for force in body.forces]
+    forces = [library_force(force, system.grid, tree.vertex_contact) for force in body.forces]
     groups = group_forces(forces, falloff_m=chosen_falloff_m(system, body))
     begin: Start | State = body.start
     bends: tuple[Bend, ...] = ()
@@ -236,7 +238,7 @@ def compute_response(body: InteractRequest, tree: ServedTree) -> tuple[ModalSyst
             integrator=body.integrator,
             start=begin,
             start_bends=bends,
-            bent=bent,
+            tree=tree.with_rig() if _bends_joints(body) else None,
         )
     except UnstableTimestep as error:
         raise ProblemError(error.code, str(error), extra={"max_dt_s": error.max_dt_s}) from error
@@ -247,9 +249,9 @@ def _displacement(body: InteractRequest, tree: ServedTree, answer: Answer, left:
     """Return the displacement of voxels or vertices, [T, V or N, 3] [m]."""
     if body.output == "voxels":
         _refuse_costly(answer, len(tree.ready.tree.system.grid), 12)
-        return np.stack(list(_until_disconnected(tree.with_rig().voxels(answer, warp=body.warp), left)))
+        return np.stack(list(_until_disconnected(tree.with_rig().voxels(answer), left)))
     _refuse_costly(answer, tree.mesh().num_vertices, 12)
-    return np.stack(list(_until_disconnected(_iter_vertices(body, tree, answer), left)))
+    return np.stack(list(_until_disconnected(_iter_vertices(tree, answer), left)))
 
 
 def _until_disconnected(frames: Iterator[np.ndarray], left: threading.Event) -> Iterator[np.ndarray]:
@@ -264,12 +266,9 @@ def _until_disconnected(frames: Iterator[np.ndarray], left: threading.Event) -> 
         yield frame
 
 
-def _iter_vertices(body: InteractRequest, tree: ServedTree, answer: Answer) -> Iterator[Float32[np.ndarray, "N 3"]]:
+def _iter_vertices(tree: ServedTree, answer: Answer) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Iterate over the displacement of the mesh's vertices in each frame [m]."""
-    if body.warp:
-        yield from tree.with_rig().bent(answer, tree.mesh().vertices, tree.rig().vertices)
-    else:
-        yield from tree.with_rig().superposed(answer, tree.frames())
+    return tree.with_rig().bent(answer, tree.mesh().vertices, tree.rig().vertices)
 
 
 def _gaussians(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event) -> dict[str, np.ndarray]:
@@ -281,7 +280,7 @@ def _gaussians(body: InteractRequest, tree: ServedTree, answer: Answer, left: th
     shape = body.num_frames, len(moving.rows)
     means, quaternions, scales = (np.empty((*shape, width), np.float32) for width in (3, 4, 3))
     with moving.alone:
-        for frame, vertices in enumerate(_until_disconnected(_iter_vertices(body, tree, answer), left)):
+        for frame, vertices in enumerate(_until_disconnected(_iter_vertices(tree, answer), left)):
             out = Pose(means=means[frame], quaternions=quaternions[frame], scales=scales[frame])
             moving.deformer.pose(vertices, out=out)
     return {"rows": moving.rows, "means": means, "quaternions": quaternions, "scales": scales}

@@ -135,7 +135,7 @@ async def _receive(socket: WebSocket, opened: OpenMessage, tree: ServedTree, ses
         system=session.system,
         dt_s=session.step.dt_s,
         falloff_m=chosen_falloff_m(session.system, opened),
-        vertex_contact=partial(tree.vertex_contact, bent=True),
+        vertex_contact=tree.vertex_contact,
         grips=Grips(tree.with_rig, session.system),
     )
     while True:

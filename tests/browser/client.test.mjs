@@ -154,7 +154,6 @@ test("modes are those of the reference", async () => {
   const answer = await client.interact({
     spectrum_id: id,
     num_frames: 1,
-    warp: true,
     start: "held",
     forces: [{ kind: "drag", at: { voxel }, displacement_m: [0.1 * height, 0, 0] }],
   });

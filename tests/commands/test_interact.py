@@ -31,10 +31,11 @@ def interact(run, folder):
     return partial(run, "interact", folder / "tree.spectrum.safetensors")
 
 
-@pytest.mark.parametrize("warp", [[], ["--warp", "--locality", "none"]])
-def test_a_push_writes_coordinates_and_a_moving_mesh(interact, tmp_path, folder, warp):
+@pytest.mark.parametrize("locality", ["geodesic", "none"])
+def test_a_push_writes_coordinates_and_a_moving_mesh(interact, tmp_path, folder, locality):
     answer = interact("-o", tmp_path, "--mesh", folder / "tree.obj", "--format", "modal,motion,ply",
-        "--displacement", -0.5, 0, 0, "--up-axis", "+Z", "--held", "--duration", 0.1, "--frames", 12, "--json", *warp,
+        "--displacement", -0.5, 0, 0, "--up-axis", "+Z", "--held", "--duration", 0.1, "--frames", 12, "--json",
+        "--locality", locality,
     )  # fmt: skip
     assert json.loads(answer.stdout)["num_frames"] == 12
     assert {path.name for path in tmp_path.iterdir()} == {"frames-ply.zip", "modal.safetensors", "motion.safetensors"}
@@ -57,6 +58,7 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, tmp_path, folder,
         ([], "nothing pushes"),
         (["--impulse", 1, 0, 0, "--format", "glb"], "no format 'glb'"),
         (["--impulse", 1, 0, 0, "--format", "motion"], "--mesh"),
+        (["--displacement", 1, 0, 0], "without its mesh"),
         (["--impulse", 1, 0, 0, "--integrator", "verlet"], "--integrator is 'verlet': it should be 'exact'"),
         (["--impulse", 1, 0, 0, "--integrator", "explicit-euler"], "diverges"),
         (["--impulse", 1, 0, 0, "--point", 99, 0, 0], "outside of the tree"),

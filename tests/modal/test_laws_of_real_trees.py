@@ -64,7 +64,7 @@ def test_a_released_pull_rings_at_the_trees_own_frequency_and_damping(
     system = modal_system(scaled(spectrum, height_m))
     top = int(system.grid.coords[:, 2].argmax())
     at = contact_at_voxel(system.grid, top)
-    pull = Drag(at=at, displacement_m=(0.05 * height_m, 0.0, 0.0), duration_s=2 * DT_S)
+    pull = Drag(at=at, force_n=(1.0, 0.0, 0.0), duration_s=2 * DT_S)
     answer = respond(system, group_forces([pull], falloff_m=None), dt_s=DT_S, num_frames=60 * 240, start="held")
     x = (answer.q[2:, 0] @ system.shapes[top, :, 0]).real
     power = np.abs(np.fft.rfft(x)) ** 2

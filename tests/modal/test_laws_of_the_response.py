@@ -5,21 +5,17 @@ import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
-from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.interactive_tree import ForceGroup, Locality
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.step import State
-from dynamictree.modal.system import displacement
-from dynamictree.rig.rig import rig_of
-from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.modal.trees import rigged_fork
 
 DT_S = 1 / 60
 
 
-def voxels(tree, answer, *, warp=False):
+def voxels(tree, answer):
     """Every frame at once, [T, V, 3]."""
-    return np.stack(list(tree.voxels(answer, warp=warp)))
+    return np.stack(list(tree.voxels(answer)))
 
 
 @pytest.fixture(scope="module")
@@ -28,24 +24,8 @@ def tree():
     return pulled, parts
 
 
-@pytest.fixture(scope="module")
-def grown_tree():
-    sample = make_sample(3, "sapling")
-    spectrum = voxel_spectrum(sample)[1]
-    return sample.mesh, spectrum, rig_of(sample.mesh, spectrum)
-
-
 def knock(tree, row, vector=(0.0, 2.0, 0.0)):
     return Impulse(at=contact_at_voxel(tree.system.grid, int(row)), impulse_n_s=vector)
-
-
-def test_without_locality_and_warp_it_is_plain_superposition(tree):
-    tree, parts = tree
-    forces = [knock(tree, parts["right"][-1]), knock(tree, parts["left"][-1]), WindField(velocity_m_s=np.ones((1, 3)))]
-    groups = group_forces(forces, falloff_m=None)
-    assert [group.locality for group in groups] == [None]
-    answer = respond(tree.system, groups, dt_s=DT_S, num_frames=30)
-    np.testing.assert_allclose(voxels(tree, answer), displacement(tree.system.shapes, answer.q[:, 0]), atol=1e-6)
 
 
 def test_forces_at_one_voxel_are_one_group_and_wind_is_the_whole_trees(tree):
@@ -61,19 +41,18 @@ def test_the_poked_branch_swings_and_the_other_barely(tree):
     tree, parts = tree
     groups = group_forces([knock(tree, parts["right"][-1])], falloff_m=0.5)
     answer = respond(tree.system, groups, dt_s=DT_S, num_frames=60)
-    for warp in (False, True):
-        swing = np.abs(voxels(tree, answer, warp=warp)).max(axis=(0, 2))
-        assert swing[parts["left"][5:]].max() < 0.05 * swing[parts["right"][-1]]
+    swing = np.abs(voxels(tree, answer)).max(axis=(0, 2))
+    assert swing[parts["left"][5:]].max() < 0.05 * swing[parts["right"][-1]]
 
 
-def test_groups_add_up_in_space(tree):
+def test_small_groups_add_up_in_space(tree):
     tree, parts = tree
-    forces = [knock(tree, parts["right"][-1]), knock(tree, parts["left"][-2])]
+    forces = [knock(tree, row, (0.0, 0.02, 0.0)) for row in (parts["right"][-1], parts["left"][-2])]
     both, *apart = [
         voxels(tree, respond(tree.system, group_forces(chosen, falloff_m=0.5), dt_s=DT_S, num_frames=20))
         for chosen in (forces, forces[:1], forces[1:])
     ]
-    np.testing.assert_allclose(both, apart[0] + apart[1], atol=1e-6)
+    np.testing.assert_allclose(both, apart[0] + apart[1], atol=0.005 * np.abs(both).max())
 
 
 def test_a_call_goes_on_where_the_last_one_ended(tree):
@@ -118,18 +97,3 @@ def test_a_state_of_other_groups_is_refused(tree):
     groups = (ForceGroup(locality=Locality(seed_voxel=0, falloff_m=1.0)),)
     with pytest.raises(InputError, match="groups of"):
         respond(tree.system, groups, dt_s=DT_S, num_frames=5, start=State.at_rest(2, tree.system.num_modes))
-
-
-@pytest.mark.parametrize("local", [False, True])
-def test_vertex_frames_are_the_loop_of_the_rig_at_any_coordinates(grown_tree, rng, local):
-    mesh, spectrum, rig = grown_tree
-    vertices = VertexFrames(rig, mesh.vertices)
-    q = rng.normal(size=(2, spectrum.num_frequencies - 1, 2)).view(np.complex128)[..., 0]
-    at_vertices = 2 * rig.loop(mesh.vertices, rig.vertices)[:, 1:]
-    weights = rng.random((2, len(rig.skeleton))) if local else np.ones((2, len(rig.skeleton)))
-    of_vertices = (weights[:, rig.vertices.rows] * rig.vertices.shares).sum(axis=2)
-    expected = np.einsum("gn,gnc->nc", of_vertices, displacement(at_vertices, q))
-    frame = vertices.displacement(q, vertices.weights(weights) if local else None)
-    rms = np.sqrt((expected**2).mean())
-    assert np.abs(frame - expected).max() < 1e-3 * rms
-    assert np.sqrt(((frame - expected) ** 2).mean()) < 2e-4 * rms

@@ -69,8 +69,8 @@ def test_a_pull_on_a_tree_leaves_the_others_still(pair, swaying) -> None:
     drag = Drag(at=contact_at_voxel(system.grid, pulled), displacement_m=(1.0, 0.0, 0.0))
     stand = InteractiveTree(system, rig_of(pair, spectrum), pair)
     groups = group_forces([drag], falloff_m=default_falloff_m(system))
-    answer = respond(system, groups, dt_s=1 / 30, num_frames=1, start="held", bent=stand)
-    moved = np.linalg.norm(next(iter(stand.voxels(answer, warp=True))), axis=1)
+    answer = respond(system, groups, dt_s=1 / 30, num_frames=1, start="held", tree=stand)
+    moved = np.linalg.norm(next(iter(stand.voxels(answer))), axis=1)
     assert moved[pulled] > 0.8
     assert moved[voxels.tree == 1].max() < 1e-6
 

@@ -85,8 +85,7 @@ def read_binary(response) -> dict[str, np.ndarray]:
 
 
 def test_vertices_come_in_the_meshs_order(client, spectrum_id, grown, spectrum, poke) -> None:
-    """Superposed; bent ones are in test_one_motion.py."""
-    options = {"num_frames": 8, "locality": "none", "warp": False}
+    options = {"num_frames": 8, "locality": "none"}
     vertices = read_binary(post(client, spectrum_id, poke, accept="*/*", output="vertices", **options))["displacement"]
     voxels = read_binary(post(client, spectrum_id, poke, accept="*/*", output="voxels", **options))["displacement"]
     assert vertices.shape == (8, grown.mesh.num_vertices, 3)
@@ -111,7 +110,7 @@ def test_a_push_at_a_vertex_or_a_voxel_is_a_push_at_its_place(client, spectrum_i
 
 def test_a_pulled_vertex_is_drawn_where_the_answer_says(client: TestClient, spectrum_id: str, grown) -> None:
     """Its bones are not those of the nearest voxel, which alone was pulled before."""
-    options = {"warp": True, "start": "held", "num_frames": 1}
+    options = {"start": "held", "num_frames": 1}
     for vertex in np.random.default_rng(0).choice(grown.mesh.num_vertices, 6, replace=False).tolist():
         wanted = [0.05 * grown.mesh.height_m, 0.03 * grown.mesh.height_m, 0.0]
         pull = {"kind": "drag", "at": {"vertex": vertex}, "displacement_m": wanted}
@@ -188,6 +187,7 @@ PLACES = [AT_REST | {"locality": {"seed_voxel": n, "falloff_m": 1.0}} for n in r
         ({"initial_state": {"groups": [AT_REST | {"q": [[0, 0]], "q_dot": [[0, 0]]}]}}, "16 bins"),
         ({"initial_state": {"groups": [AT_REST] * 2}}, "same locality"),
         ({"initial_state": {"groups": PLACES}}, "at most 64"),
+        ({"warp": False}, "/warp: Input should be True"),
     ],
 )
 def test_a_number_or_a_state_that_is_none_is_refused_with_what_is_allowed(
@@ -224,7 +224,7 @@ def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
 ) -> None:
     asset_id = "01ARZ3NDEKTSV4RRFFQ69G5FAW"
     own_id = served_id(client, grown.mesh, spectrum, tmp_path, asset_id)
-    few = {"accept": "*/*", "num_frames": 2, "warp": True}
+    few = {"accept": "*/*", "num_frames": 2}
     assert post(client, own_id, poke, output="vertices", **few).status_code == 200
     delete_asset(services.store, asset_id)
     refusal(post(client, own_id, poke, output="vertices", **few), 410, "expired")

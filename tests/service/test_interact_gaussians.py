@@ -28,9 +28,8 @@ def cloud_spectrum(grown, capture, spectrum, client, tmp_path_factory) -> str:
     return served_id(client, grown.mesh, spectrum, tmp_path_factory.mktemp("cloud"), sent=capture, box_m=box_m)
 
 
-@pytest.mark.parametrize("warp", [False, True])
-def test_gaussians_move_as_the_vertices_do(client, cloud_spectrum, capture, grown, poke, warp) -> None:
-    options = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
+def test_gaussians_move_as_the_vertices_do(client, cloud_spectrum, capture, grown, poke) -> None:
+    options = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2}
     low = capture.cloud.means[:, 2] <= capture.cloud.means[:, 2].max() - 0.5
     moving = np.flatnonzero(low & (np.arange(2000) % 4 > 0))
     highest = capture.cloud.means[moving[np.argmax(capture.cloud.means[moving, 2])]].tolist()

@@ -83,22 +83,17 @@ def pushes(poke: dict, spectrum: SparseVoxelSpectrum) -> list[dict]:
     ]
 
 
-@pytest.mark.parametrize(("locality", "warp"), [("none", False), ("geodesic", False), ("geodesic", True)])
-def test_the_python_reference_gives_the_servers_voxels(
-    client, spectrum_id, grown, spectrum, poke, modes, locality, warp
-):
+@pytest.mark.parametrize("locality", ["none", "geodesic"])
+def test_the_python_reference_gives_the_servers_voxels(client, spectrum_id, grown, spectrum, poke, modes, locality):
     options = {"num_frames": 12, "locality": locality, "falloff_m": 2.0}
     forces = pushes(poke, spectrum)
-    response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", warp=warp, **options)
+    response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", **options)
     expected = load(response.content)["displacement"][-1]
-    q, rows, places = evaluated(client, spectrum_id, *forces, **options)
+    q, _, places = evaluated(client, spectrum_id, *forces, **options)
     reference = Modes(modes)
-    if warp:
-        theta, still = turned(reference, q, places), reference.bends(0, np.zeros((0, 3)))
-        moved, largest = carried(reference, theta, still, grown, spectrum), 1e-2
-    else:
-        moved, largest = reference.voxels(q, weights_of(rows, len(expected))), 4e-3  # 16 bits a shape, 8 a weight
-    np.testing.assert_allclose(moved, expected, atol=largest * np.abs(expected).max())
+    theta, still = turned(reference, q, places), reference.bends(0, np.zeros((0, 3)))
+    moved = carried(reference, theta, still, grown, spectrum)
+    np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
     assert len(q) == (1 if locality == "none" else 3)
 
 
@@ -153,7 +148,7 @@ def drag(poke: dict) -> dict:
 def test_the_references_bend_joints_as_the_server_does(
     client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, drag: dict, modes: bytes, tmp_path: Path
 ) -> None:
-    options = {"num_frames": 2, "falloff_m": 2.0, "start": "held", "warp": True}
+    options = {"num_frames": 2, "falloff_m": 2.0, "start": "held"}
     file = load(post(client, spectrum_id, drag, accept="*/*", output="voxels", **options).content)
     expected = file["displacement"][-1]
     answer = post(client, spectrum_id, drag, **options).json()
@@ -178,7 +173,7 @@ def test_the_references_bend_joints_as_the_server_does(
 
 
 def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(client, spectrum_id, drag) -> None:
-    options = {"falloff_m": 2.0, "warp": True}
+    options = {"falloff_m": 2.0}
     whole = post(client, spectrum_id, drag, num_frames=8, **options).json()
     first = post(client, spectrum_id, drag, num_frames=4, **options).json()
     later = drag | {"start_s": -4 / 60}
@@ -193,6 +188,6 @@ def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(client, spec
 
 def test_a_pull_that_would_stretch_the_tree_says_how_far_it_goes(client, spectrum_id, poke) -> None:
     up = {"kind": "drag", "at": poke["at"], "displacement_m": [0.0, 0.0, 2.0]}
-    (reached,) = post(client, spectrum_id, up, num_frames=1, start="held", warp=True).json()["reached"]
+    (reached,) = post(client, spectrum_id, up, num_frames=1, start="held").json()["reached"]
     assert reached["error_m"] > 1.0
     assert "do not stretch" in reached["why"]

@@ -51,7 +51,6 @@ RANGES = ("dt_s", "damping_ratio", "frequency_hz", "mass_kg", "falloff_m")
 OPTIONS = st.fixed_dictionaries(
     {name: within(name) for name in RANGES}
     | {
-        "warp": st.booleans(),
         "start": st.sampled_from(("rest", "held")),
         "locality": st.sampled_from(("none", "geodesic")),
     }

@@ -161,7 +161,7 @@ def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(gro
         answer = Answer(
             groups=(group,), q=session.state.q[None], final=session.state, bends=bends, final_bends=tuple(session.bends)
         )
-        return next(tree.voxels(answer, warp=True))[row].astype(np.float64)
+        return next(tree.voxels(answer))[row].astype(np.float64)
 
     def pull(target: np.ndarray) -> None:
         payload = {"kind": "drag", "at": {"voxel": row}, "displacement_m": target.tolist()}

@@ -102,7 +102,7 @@ def pushed(client: TestClient, spectrum_id: str, phase: float, num_modes: int) -
     q = np.exp(2j * np.pi * phase * np.arange(num_modes))
     q[0] = 0
     group = {"locality": None, "q": np.stack([q.real, q.imag], axis=1).tolist(), "q_dot": [[0, 0]] * num_modes}
-    state = {"initial_state": {"groups": [group]}, "num_frames": 1, "dt_s": 1e-6, "warp": True}
+    state = {"initial_state": {"groups": [group]}, "num_frames": 1, "dt_s": 1e-6}
     answer = post(client, spectrum_id, accept="application/vnd.safetensors", output="vertices", **state)
     assert answer.status_code == 200, answer.text
     return load(answer.content)["displacement"][0]
