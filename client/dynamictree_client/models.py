@@ -277,8 +277,8 @@ class InteractRequest(Model):
     # The final_state of an earlier call
     initial_state: "State | None" = None
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
-    # Without effect: the tree always bends in place of stretching
-    warp: Literal[True] | None = None
+    # Without effect, and never false: the tree always bends
+    warp: bool | None = None
 
 
 class JobEventData(Model):

@@ -67,7 +67,9 @@ def interact(
     --displacement needs --mesh, in which the joints are found. With it, forces act at the vertex nearest to --point.
     """
     if displacement is not None and mesh is None:
-        raise InputError("--displacement bends joints, which are found in the mesh; name it with --mesh, or give --force")
+        raise InputError(
+            "--displacement bends joints, which are found in the mesh; name it with --mesh, or give --force"
+        )
     wanted = _formats(formats, has_mesh=mesh is not None)
     with open_input(spectrum) as stream:
         sway = read_spectrum(stream)

@@ -121,8 +121,8 @@ class InteractRequest(InteractParams):
     )
     initial_state: StatePayload | None = Field(default=None, description="The final_state of an earlier call")
     output: Output = "modal"
-    warp: Literal[True] | None = Field(
-        default=None, deprecated=True, description="Without effect: the tree always bends in place of stretching"
+    warp: Annotated[Literal[True], WithJsonSchema({"type": "boolean"})] | None = Field(
+        default=None, deprecated=True, description="Without effect, and never false: the tree always bends"
     )
 
 
