@@ -22,7 +22,7 @@ DISPLACED = """async ({ path, q, turn }) => {
     const copies = own.copied(2);
     own.swing([{ q, turn }]);
     copies.swing([{ q: still, turn: 0 }, { q, turn }]);
-    for (const field of [own, copies]) field.render(renderer);
+    for (const field of [own, copies]) field.render(renderer, { moved: {}, castMoved: {} });
     const read = (field, row) => {
         const texels = new Float32Array(4 * 2048 * field.rows);
         renderer.readRenderTargetPixels(field.target, 0, row * field.rows, 2048, field.rows, texels);

@@ -87,7 +87,7 @@ RARE_SHADOWS = """async () => {
     window.drawn = [];
     Stage.prototype._render = function (scale, shadow) {
         drawn.push([this.radius, shadow]);
-        this.resolution.frame = 0; // with the fewest pixels, which software has, the next shadow comes in eight frames
+        this.resolution.frame = 0; // with the fewest pixels, which software has, the next shadow comes in four frames
         return _render.call(this, scale, shadow);
     };
 }"""

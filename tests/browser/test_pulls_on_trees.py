@@ -63,13 +63,7 @@ WATCH = """async () => {
         const wind = [0, 1, 2].map((c) => tree.modes.centres[3 * v + c] + u[c]);
         return Math.hypot(...tree.voxelNow(v).map((x, i) => x - wind[i])) / tree.modes.voxelSize;
     };
-    let grasp = null, feet = null, rows = [], shadow = true;
-    const watchShadow = ({ shadowMap }) => { // whether each turn has its own; Spark draws more than once in a turn
-        if (shadowMap.watched) return;
-        const { render } = shadowMap;
-        shadowMap.render = (...scene) => { shadow ||= shadowMap.needsUpdate; render.apply(shadowMap, scene); };
-        shadowMap.watched = true;
-    };
+    let grasp = null, feet = null, rows = [];
     const { tick } = Hand.prototype; // the last call of each turn: what it finds is what was drawn
     Hand.prototype.tick = function () {
         window.hand = this;
@@ -77,16 +71,14 @@ WATCH = """async () => {
         if (tree?.q) {
             grasp ??= grip?.place;
             feet ??= low(tree.modes);
-            watchShadow(stage.renderer);
             const at = grasp && drawn(tree, grasp.vertex);
             const { x, y } = grasp ? stage.onScreen(at) : {};
             if (grasp) rows.push({
                 seconds: performance.now() / 1000, at: [x, y], pointer: [pointer.x, pointer.y], pulling: Boolean(grip),
-                within: !this.pulls[0]?.missing, shadow: shadow || !tree.groups.length,
+                within: !this.pulls[0]?.missing,
                 feet: Math.max(...feet.map((v) => away(tree, v))),
             });
         }
-        shadow = false;
         tick.call(this);
     };
     window.takeRows = () => { const all = rows; [grasp, rows] = [null, []]; return all; };
@@ -136,7 +128,6 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
         seen = figures(of)
         assert seen["gap_p95_px"] < CLOSE_PX, (wind_m_s, seen)
         assert seen["feet_voxels"] < 0.1, "the foot moves"
-        assert all(row["shadow"] for row in of), "it moves away under its shadow"
         assert seen["release_px"] <= seen["largest_step_px"] + 2, "it jumps where it is let go"
     assert figures(rows[0])["left_px"] < 0.5 * PULL_PX, "it does not ring out"
 

@@ -1,5 +1,7 @@
 """What stands around the tree: other trees, light and background."""
 
+from collections.abc import Callable
+from math import sin
 from pathlib import Path
 
 import pytest
@@ -7,6 +9,7 @@ from PIL import Image
 from playwright.sync_api import expect
 
 from tests.browser.conftest import Open, Viewer, animated, changed, scrub, steady
+from tests.browser.test_viewer import on_the_tree
 
 
 @pytest.fixture
@@ -57,42 +60,78 @@ def test_software_looks_up_a_shadow_once_and_takes_no_power(view: Open, url: str
     assert "pow" not in chunks["colorspace_pars_fragment"].split("sRGBTransferOETF")[1].split("}")[0]
 
 
-# In each turn: the share of pixels that a shadow drawn in this moment would make lighter or darker than what is seen
-SHADOWS = """async (turns) => {
+# Before each turn that draws the shadow map anew: shares of the tree's pixels that are darker than with a map of this
+# moment, as they are drawn and with the old map looked up at the present place
+SHADOWS = """async (every) => {
     const { Hand } = await import("/web/page/hand.js");
     const { tick } = Hand.prototype;
     const shares = [];
-    const seen = ({ renderer }) => {
-        const gl = renderer.getContext(), [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
-        const bytes = new Uint8Array(4 * width * height);
-        gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
-        return bytes;
+    const darker = (drawn, fresh) => {
+        let all = 0, dark = 0;
+        for (let i = 0; i < fresh.length; i += 4) {
+            all += fresh[i + 3] > 0;
+            dark += fresh[i + 1] - drawn[i + 1] > 24;
+        }
+        return dark / all;
     };
     return new Promise((done) => {
         Hand.prototype.tick = function () {
-            const { stage } = this, { scale } = stage.resolution;
-            const drawn = seen(stage);
-            stage.renderer.shadowMap.needsUpdate = true;
-            stage.renderer.render(stage.scene, stage.camera);
-            const fresh = seen(stage);
-            let other = 0;
-            for (let i = 1; i < drawn.length; i += 4) other += Math.abs(drawn[i] - fresh[i]) > 24;
-            if (scale === stage.resolution.scale) shares.push((4 * other) / drawn.length);
-            if (shares.length === turns) done(shares, (Hand.prototype.tick = tick));
+            const { stage, tree } = this, { resolution, renderer, scene, surroundings } = stage;
+            Object.defineProperty(resolution, "shadowEvery", { value: every, configurable: true });
+            if (resolution.frame % every === every - 1) {
+                const around = ["ground", "backdrop", "arrow"].map((name) => surroundings[name]);
+                const shown = around.filter(({ visible }) => visible);
+                for (const each of shown) each.visible = false;
+                const draw = () => {
+                    renderer.render(scene, stage.camera);
+                    const gl = renderer.getContext(), [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+                    const bytes = new Uint8Array(4 * width * height);
+                    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+                    return bytes;
+                };
+                const drawn = draw(), { castMoved, castPoses, castBent, moved, poses, bent } = tree.uniforms;
+                const cast = [castMoved, castPoses, castBent], before = cast.map(({ value }) => value);
+                [moved, poses, bent].forEach(({ value }, i) => { cast[i].value = value; });
+                const flown = draw();
+                renderer.shadowMap.needsUpdate = true;
+                const fresh = draw();
+                cast.forEach((uniform, i) => { uniform.value = before[i]; });
+                for (const each of shown) each.visible = true;
+                shares.push([darker(drawn, fresh), darker(flown, fresh)]);
+            }
+            if (shares.length === 12) done(shares, (Hand.prototype.tick = tick));
             tick.call(this);
         };
     });
 }"""
 
 
-def test_no_old_shadow_lies_on_a_tree_in_a_storm(view: Open, url: str, samples: Path) -> None:
+def test_no_old_shadow_lies_on_a_tree_in_a_storm_or_in_a_hand(view: Open, url: str, samples: Path) -> None:
     job = animated(url, samples / "mesh/quaternius_common_tree/CommonTree_2.obj")
     viewer = view(700, 520)
     viewer.show(f"{url}/#job={job}")
     viewer.page.locator("#wind-presets button", has_text="Storm").click()
     viewer.page.wait_for_timeout(3000)
-    shares = viewer.page.evaluate(SHADOWS, 40)
-    assert max(shares) < 0.002, shares
+    assert_follows(viewer, 12, 0.008, lambda: None)
+    viewer.page.locator("#speed").fill("0")
+    viewer.page.wait_for_timeout(3000)
+    x, y = on_the_tree(viewer)
+    viewer.page.mouse.down()
+
+    def shake() -> None:
+        for step in range(100):
+            viewer.page.mouse.move(x + 60 * sin(step / 3), y + 20)
+            viewer.wait_turns(1)
+
+    assert_follows(viewer, 8, 0.03, shake)
+
+
+def assert_follows(viewer: Viewer, every: int, tolerance: float, move: Callable[[], None]) -> None:
+    viewer.page.evaluate(f"() => {{ window.shares = ({SHADOWS})({every}); }}")
+    move()
+    as_drawn, at_the_present_place = zip(*viewer.page.evaluate("window.shares"), strict=True)
+    assert max(at_the_present_place) > 2 * tolerance, "nothing flew into its shadow"
+    assert max(as_drawn) < tolerance, as_drawn
 
 
 def test_the_sun_moves_and_the_background_goes(paused: Viewer, tmp_path: Path) -> None:

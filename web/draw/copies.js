@@ -1,21 +1,15 @@
 // The same tree several times, each with coordinates of its own: one field for all of them, one draw.
 
 import * as THREE from "three";
-import { surfaceMaterials } from "./follow.js";
+import { surfaceMaterials, uniformsAt } from "./follow.js";
 
 export class Copies {
   /** Of a Tree; `places` are `{ x, y, yaw, size }` as of motion/company.js. */
   constructor({ surface, field, box, still }, places) {
     Object.assign(this, { places, one: box });
     this.field = field.copied(places.length);
-    const uniforms = {
-      moved: { value: this.field.texture },
-      copyRows: { value: this.field.rows },
-      poses: { value: still },
-      bent: { value: 0 },
-      coloured: { value: 0 },
-    };
-    const { lit, depth } = surfaceMaterials(surface, uniforms);
+    this.uniforms = { ...uniformsAt(still), copyRows: { value: this.field.rows } };
+    const { lit, depth } = surfaceMaterials(surface, this.uniforms);
     this.mesh = new THREE.InstancedMesh(surface.geometry, lit, places.length);
     this.mesh.customDepthMaterial = depth;
     this.mesh.castShadow = this.mesh.receiveShadow = true;
@@ -43,7 +37,7 @@ export class Copies {
   }
 
   prepare(renderer) {
-    if (this.mesh.visible) this.field.render(renderer);
+    if (this.mesh.visible) this.field.render(renderer, this.uniforms);
   }
 
   dispose() {

@@ -83,8 +83,11 @@ export class Field {
     this.swings.needsUpdate = true;
   }
 
-  render(renderer) {
-    this.pass.render(renderer);
+  /** Write the displacements of now; those of the moment in which the shadow map was drawn last. */
+  render(renderer, { moved, castMoved }) {
+    this.pass.render(renderer, castMoved.value);
+    moved.value = this.texture;
+    if (renderer.shadowMap.needsUpdate) castMoved.value = moved.value;
   }
 
   dispose() {
@@ -124,16 +127,20 @@ export function texture(texels, type = /** @type {THREE.TextureDataType} */ (THR
 // ---- what a vertex shader needs to stand where the field and the bones carry it
 
 export const DISPLACE = /* glsl */ `
-uniform highp sampler2D moved;    // by vertex: displacement
-uniform highp sampler2D poses;    // three texels a bone: rows of [R | t]
-uniform int bent;                 // 1 where something is pushed
+uniform highp sampler2D moved, castMoved; // by vertex: displacement now, and when the shadow map was drawn
+uniform highp sampler2D poses, castPoses; // three texels a bone: rows of [R | t]
+uniform int bent, castBent;               // 1 where something is pushed
 #ifdef USE_INSTANCING
-uniform int copyRows;             // texels below each other of one copy
-vec3 movedAt(int vertex) { return texelFetch(moved, ivec2(vertex % ${WIDTH}, vertex / ${WIDTH} + gl_InstanceID * copyRows), 0).xyz; }
+uniform int copyRows;                     // texels below each other of one copy
+int firstRow() { return gl_InstanceID * copyRows; }
 #else
-vec3 movedAt(int vertex) { return texelFetch(moved, ivec2(vertex % ${WIDTH}, vertex / ${WIDTH}), 0).xyz; }
+int firstRow() { return 0; }
 #endif
-vec4 poseRow(int at) { return texelFetch(poses, ivec2(at % ${WIDTH}, at / ${WIDTH}), 0); }
-mat4 poseOf(int bone) {
-  return transpose(mat4(poseRow(3 * bone), poseRow(3 * bone + 1), poseRow(3 * bone + 2), vec4(0.0, 0.0, 0.0, 1.0)));
+vec3 movedAt(highp sampler2D field, int vertex) {
+  return texelFetch(field, ivec2(vertex % ${WIDTH}, vertex / ${WIDTH} + firstRow()), 0).xyz;
+}
+vec4 poseRow(highp sampler2D rows, int at) { return texelFetch(rows, ivec2(at % ${WIDTH}, at / ${WIDTH}), 0); }
+mat4 poseOf(highp sampler2D rows, int bone) {
+  vec4 last = vec4(0.0, 0.0, 0.0, 1.0);
+  return transpose(mat4(poseRow(rows, 3 * bone), poseRow(rows, 3 * bone + 1), poseRow(rows, 3 * bone + 2), last));
 }`;

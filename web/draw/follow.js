@@ -14,29 +14,37 @@ const KINDS = {
 attribute float still, share;
 attribute vec3 joints;
 varying float vShare, vStill;
-vec3 fieldOfPoint() { vShare = share; vStill = still; return movedAt(gl_VertexID); }
-mat4 poseOfPoint() { return (1.0 - joints.z) * poseOf(int(joints.x + 0.5)) + joints.z * poseOf(int(joints.y + 0.5)); }
+vec3 fieldOfPoint(highp sampler2D field) { vShare = share; vStill = still; return movedAt(field, gl_VertexID); }
+mat4 poseOfPoint(highp sampler2D rows) {
+  return (1.0 - joints.z) * poseOf(rows, int(joints.x + 0.5)) + joints.z * poseOf(rows, int(joints.y + 0.5));
+}
 vec3 restPoint() { return position; }`,
 
   /** A box with the motion of a vertex and the pose of a bone. */
   cubes: /* glsl */ `
 attribute vec3 centre; attribute vec2 carrier;
-vec3 fieldOfPoint() { return movedAt(int(carrier.x + 0.5)); }
-mat4 poseOfPoint() { return poseOf(int(carrier.y + 0.5)); }
+vec3 fieldOfPoint(highp sampler2D field) { return movedAt(field, int(carrier.x + 0.5)); }
+mat4 poseOfPoint(highp sampler2D rows) { return poseOf(rows, int(carrier.y + 0.5)); }
 vec3 restPoint() { return centre + position; }`,
 };
 
 const FOLLOW = /* glsl */ `
-vec3 followed, turned; // where it is now, and its normal
-void follow(vec3 normal) {
-  followed = restPoint() + fieldOfPoint();
+vec3 turned; // normal of the point that was followed last
+vec3 follow(vec3 normal, highp sampler2D field, highp sampler2D rows, int bent) {
+  vec3 at = restPoint() + fieldOfPoint(field);
   turned = normal;
   for (int i = 0; i < bent; i++) { // software skips a loop, not a branch
-    mat4 pose = poseOfPoint();
-    followed = (pose * vec4(followed, 1.0)).xyz;
+    mat4 pose = poseOfPoint(rows);
+    at = (pose * vec4(at, 1.0)).xyz;
     turned = mat3(pose) * normal;
   }
+  return at;
 }`;
+
+const NOW = "moved, poses, bent";
+
+// a shadow is looked up where the point was when the map was drawn: an older map darkens no crown that has left it
+const LOOKED_UP = "transformed = follow(vec3(0.0), castMoved, castPoses, castBent);\n$&";
 
 // a colour map that reads in order: dark where nothing moves, through blue and green to a light yellow
 const RAMP = /* glsl */ `
@@ -59,6 +67,13 @@ diffuseColor.rgb = mix(vec3(0.22, 0.42, 0.30), vec3(0.62, 0.74, 0.55), 0.5 + 0.5
 };
 const COLOURED = { surface: `uniform int coloured; varying float vShare, vStill;\n${RAMP}`, cubes: "" };
 
+/** Uniforms at rest: displacements and poses of now, and those with which the shadow map was drawn. */
+export function uniformsAt(still) {
+  const textures = ["moved", "castMoved", "poses", "castPoses"].map((name) => [name, { value: still }]);
+  const numbers = ["bent", "castBent", "coloured"].map((name) => [name, { value: 0 }]);
+  return Object.fromEntries([...textures, ...numbers]);
+}
+
 /** Make a material's vertices follow; `uniforms` are the tree's. `kind` is a key of KINDS. */
 export function makeFollow(material, uniforms, kind) {
   const lit = material.isMeshLambertMaterial;
@@ -66,8 +81,9 @@ export function makeFollow(material, uniforms, kind) {
     Object.assign(shader.uniforms, uniforms);
     shader.vertexShader = replaced(shader.vertexShader, {
       common: `$&\n${DISPLACE}\n${KINDS[kind]}\n${FOLLOW}`,
-      ...(lit && { beginnormal_vertex: "follow(normal);\nvec3 objectNormal = turned;" }),
-      begin_vertex: `${lit ? "" : "follow(vec3(0.0));\n"}vec3 transformed = followed;`,
+      ...(lit && { beginnormal_vertex: `vec3 followed = follow(normal, ${NOW}), objectNormal = turned;` }),
+      begin_vertex: `vec3 transformed = ${lit ? "followed" : `follow(vec3(0.0), ${NOW})`};`,
+      ...(lit && { worldpos_vertex: LOOKED_UP }),
     });
     if (!lit) return; // a shadow has no colour
     shader.fragmentShader = replaced(shader.fragmentShader, {

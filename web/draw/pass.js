@@ -1,4 +1,5 @@
-// A program that the GPU runs once for each texel of a texture of floats, which other shaders then read.
+// A program that the GPU runs once for each texel of a texture of floats, which other shaders then read. There are two
+// textures, so that one lasts while the other is written.
 
 import * as THREE from "three";
 
@@ -6,12 +7,10 @@ const VERTEX = "void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }";
 
 export class Pass {
   constructor({ width, height, fragmentShader, defines, uniforms }) {
-    this.target = new THREE.WebGLRenderTarget(width, height, {
-      type: THREE.FloatType,
-      minFilter: THREE.NearestFilter,
-      magFilter: THREE.NearestFilter,
-      depthBuffer: false,
-    });
+    const type = { type: THREE.FloatType, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter };
+    const make = () => new THREE.WebGLRenderTarget(width, height, { ...type, depthBuffer: false });
+    this.targets = [make(), make()];
+    this.target = this.targets[0]; // that is written last
     this.material = new THREE.ShaderMaterial({
       defines,
       vertexShader: VERTEX,
@@ -27,7 +26,9 @@ export class Pass {
     this.camera = new THREE.Camera();
   }
 
-  render(renderer) {
+  /** Write the texture that is not `lasting`. */
+  render(renderer, lasting = null) {
+    this.target = this.targets.find(({ texture }) => texture !== lasting);
     const before = renderer.getRenderTarget();
     const { enabled } = renderer.xr;
     renderer.xr.enabled = false; // or its eyes would look at the square
@@ -38,8 +39,7 @@ export class Pass {
   }
 
   dispose() {
-    this.target.dispose();
-    this.material.dispose();
+    for (const resource of [...this.targets, this.material]) resource.dispose();
     this.square.geometry.dispose();
   }
 }

@@ -13,7 +13,6 @@ export class Resolution {
   /** A still picture is drawn at `stillScale` of the pixel ratio; in `software` it begins with the fewest pixels. */
   constructor(stillScale = 1, software = false) {
     this.stillScale = stillScale;
-    this.software = software;
     this.least = software ? LEAST_IN_SOFTWARE : LEAST;
     this.scale = software ? this.least : 1; // of the pixel ratio
     this.frame = this.mean = this.before = this.since = 0;
@@ -42,9 +41,9 @@ export class Resolution {
     return !this.sharp && now - this.before > SETTLE_MS;
   }
 
-  /** Frames between two updates of the shadow map of what does not leave its shadow. */
+  /** Frames between two updates of the shadow map. */
   get shadowEvery() {
-    return this.scale > 0.9 ? 1 : this.software ? 8 : this.scale > 1.2 * this.least ? 2 : 4;
+    return this.scale > 0.9 ? 1 : this.scale > 1.2 * this.least ? 2 : 4;
   }
 
   _adapt(elapsed) {

@@ -106,7 +106,7 @@ export class SplatView {
     this.before = now;
     this.values.eye.value.copy(position);
     this.values.bent.value = this.uniforms.bent.value;
-    this.values.poses.value = this.uniforms.poses.value;
+    for (const name of ["moved", "poses"]) this.values[name].value = this.uniforms[name].value;
     this.mesh.updateVersion();
   }
 

@@ -35,7 +35,6 @@ export class Stage {
     this.resolution = new Resolution(soft ? 2 : 1, soft);
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
-    this.swift = false; // something moves so fast that its last shadow would fall on itself
     this.prepare = (_renderer) => {}; // before each draw
     this._setControls();
     this.frame({ min: new THREE.Vector3(-3, -3, 0), max: new THREE.Vector3(3, 3, 9) });
@@ -201,7 +200,7 @@ export class Stage {
       this.resolution.pause();
       return false;
     }
-    const shadow = full || this.resolution.next(now) || this.swift || empty; // what has left takes its shadow along
+    const shadow = full || this.resolution.next(now) || empty; // what has left takes its shadow along
     if (full) this.resolution.sharp = true;
     this._render(full ? this.resolution.stillScale : this.resolution.scale, shadow);
     return true;

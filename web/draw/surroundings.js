@@ -2,7 +2,6 @@
 
 import * as THREE from "three";
 import { Ground } from "./ground.js";
-import { SLACK } from "./shadow.js";
 import { Sky } from "./sky.js";
 
 const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
@@ -10,6 +9,7 @@ const LOOKS = {
   light: { sky: 0xf4f8ff, earth: 0xb9b09a, ambient: 1.35, sun: 0xfff1dc, strength: 2.7, ground: 0xdcdccf, shadow: 0.3 },
   dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
 };
+const SLACK = 0.012; // of the radius: so far a shadow stays off its surface
 const AROUND = 0.3; // of the radius: so far motion may carry a shadow out of the box
 const WING = 0.045; // of the arrow, in its size
 const ARROW_SHARE = 0.95; // of what is seen beside the tree

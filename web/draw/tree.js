@@ -8,9 +8,8 @@ import { plus, rowOf } from "../motion/vectors.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
 import { Field, floats, texture } from "./field.js";
-import { ghostOf, surfaceMaterials } from "./follow.js";
+import { ghostOf, surfaceMaterials, uniformsAt } from "./follow.js";
 import { LEAST } from "./resolution.js";
-import { leavesItsShadow, sampleMotion } from "./shadow.js";
 import { carryByJoints, nearBox } from "./surface.js";
 
 export class Tree {
@@ -19,12 +18,7 @@ export class Tree {
     stage.scene.add(this.group);
     this.still = texture(floats(0)); // zero, until there are modes
     this.ofVoxels = null; // once they are asked for
-    this.uniforms = {
-      moved: { value: /** @type {THREE.Texture} */ (this.still) },
-      poses: { value: this.still },
-      bent: { value: 0 },
-      coloured: { value: 0 },
-    };
+    this.uniforms = uniformsAt(this.still);
     this.groups = []; // of pulls: { seed, bend }
     Object.assign(this, { view: "surface", q: null, turn: 0, air: null });
   }
@@ -82,6 +76,7 @@ export class Tree {
     this.modes = modes;
     this.poses = texture(floats(12 * modes.J));
     this.uniforms.poses.value = this.poses;
+    this.uniforms.castPoses.value = texture(floats(12 * modes.J));
     carryByJoints(this.surface, modes);
     this.field = new Field(this.surface);
     this.uniforms.moved.value = this.field.texture;
@@ -188,12 +183,11 @@ export class Tree {
       this.jointMotion = this.modes.poses(groups, this.poses.image.data);
       this.poses.needsUpdate = true;
     }
-    Object.assign(this.stage, { stale: true, swift: groups.length > 0 || this.blown || leavesItsShadow(this) });
+    this.stage.stale = true;
   }
 
   /** A gust over the wind: see Gust.after. */
   blow(gust) {
-    this.blown = Boolean(gust);
     this.field.blow(gust);
   }
 
@@ -201,10 +195,19 @@ export class Tree {
   prepare(renderer) {
     if (this.splat) this._showOne();
     if (!this.q) return;
-    if (renderer.shadowMap.needsUpdate) this.shadowed = sampleMotion(this);
-    this.field.render(renderer);
+    this.field.render(renderer, this.uniforms);
+    if (renderer.shadowMap.needsUpdate) this._castPoses();
     this.copies?.prepare(renderer);
     if (this.splat?.visible) this.splat.evaluate(this.q, this.turn, this.air);
+  }
+
+  /** Poses of the shadow map that is drawn now. */
+  _castPoses() {
+    const { bent, castBent, castPoses } = this.uniforms;
+    castBent.value = bent.value;
+    if (!bent.value) return;
+    castPoses.value.image.data.set(this.poses.image.data);
+    castPoses.value.needsUpdate = true;
   }
 
   /** Where a voxel is now [m]. */
@@ -231,8 +234,8 @@ export class Tree {
     this.splat?.dispose();
     this.points?.dispose();
     if (this.cubes) disposeCubes(this.cubes);
-    for (const resource of [this.field, this.poses, this.still]) resource?.dispose();
+    for (const resource of [this.field, this.poses, this.uniforms.castPoses.value, this.still]) resource?.dispose();
     this.stage.scene.remove(this.group);
-    Object.assign(this.stage, { stale: true, swift: false });
+    this.stage.stale = true;
   }
 }
