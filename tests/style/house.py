@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_226,
+    "lines in dynamictree": 32_107,
     "lines in lab": 6_094,
-    "lines in service, jobs and worker": 13_376,
-    "lines in tests": 35_782,
-    "names bound to numbers in dynamictree": 560,
+    "lines in service, jobs and worker": 13_357,
+    "lines in tests": 35_776,
+    "names bound to numbers in dynamictree": 558,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 2_986,
