@@ -85,14 +85,12 @@ def pushes(poke: dict, spectrum: SparseVoxelSpectrum) -> list[dict]:
 
 @pytest.mark.parametrize("locality", ["none", "geodesic"])
 def test_the_python_reference_gives_the_servers_voxels(client, spectrum_id, grown, spectrum, poke, modes, locality):
-    options = {"num_frames": 12, "locality": locality, "falloff_m": 2.0}
-    forces = pushes(poke, spectrum)
+    options, forces = {"num_frames": 12, "locality": locality, "falloff_m": 2.0}, pushes(poke, spectrum)
     response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", **options)
     expected = load(response.content)["displacement"][-1]
     q, _, places = evaluated(client, spectrum_id, *forces, **options)
     reference = Modes(modes)
-    theta, still = turned(reference, q, places), reference.bends(0, np.zeros((0, 3)))
-    moved = carried(reference, theta, still, grown, spectrum)
+    moved = carried(reference, turned(reference, q, places), reference.bends(0, np.zeros((0, 3))), grown, spectrum)
     np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
     assert len(q) == (1 if locality == "none" else 3)
 
@@ -129,6 +127,8 @@ def test_shapes_are_twice_the_coefficients_to_a_part_in_thirty_thousand(spectrum
     assert (worst <= reference.file["scale_m"] * 0.75 + 1e-12).all()
     assert np.array_equal(reference.file["coords"], spectrum.grid.coords)
     np.testing.assert_allclose(reference.file["frequencies_hz"], spectrum.frequencies_hz, rtol=1e-6)
+    summed, q = ((1 + 1j) * expected).real.sum(axis=1), np.ones((1, spectrum.num_frequencies, 2))
+    np.testing.assert_allclose(reference.voxels(q, np.ones((1, len(summed)))), summed, atol=4e-3 * np.abs(summed).max())
 
 
 @pytest.mark.parametrize(
