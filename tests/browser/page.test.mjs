@@ -318,7 +318,7 @@ test("every language has every text, and each format is told", () => {
 test("in software the first frames have fewer pixels already, never so few as blocks, and a still picture all", () => {
   const resolution = new Resolution(2, true);
   for (let now = 0; now < 6000; now += 300) resolution.next(now);
-  assert.ok(resolution.scale === 0.6 && resolution.shadowEvery === 4);
+  assert.ok(resolution.scale === 0.6 && resolution.shadowEvery === 2);
   assert.ok(!resolution.sharp && resolution.settles(6300));
   for (let now = 0; now < 1200; now += 10) resolution.next(now);
   assert.equal(resolution.scale, 1, "it is not slow after all");

@@ -43,7 +43,7 @@ export class Resolution {
 
   /** Frames between two updates of the shadow map. */
   get shadowEvery() {
-    return this.scale > 0.9 ? 1 : this.scale > 1.2 * this.least ? 2 : 4;
+    return this.scale > 0.9 ? 1 : 2;
   }
 
   _adapt(elapsed) {

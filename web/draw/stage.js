@@ -31,7 +31,7 @@ export class Stage {
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
     this.camera.up.set(0, 0, 1);
     if (soft) lightenShaders();
-    this.surroundings = new Surroundings(this.scene, soft);
+    this.surroundings = new Surroundings(this.scene);
     this.resolution = new Resolution(soft ? 2 : 1, soft);
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
@@ -219,6 +219,7 @@ export class Stage {
   _render(scale, shadow) {
     this._setSize(this.canvas.clientWidth, this.canvas.clientHeight, scale);
     this.renderer.shadowMap.needsUpdate = shadow;
+    if (this.soft && shadow) this.surroundings.sun.shadow.mapSize.setScalar(scale < 1 ? 768 : 1024); // its pass costs by them
     this.prepare(this.renderer);
     this.stale = false;
     this.renderer.render(this.scene, this.camera);

@@ -15,13 +15,12 @@ const WING = 0.045; // of the arrow, in its size
 const ARROW_SHARE = 0.95; // of what is seen beside the tree
 
 export class Surroundings {
-  /** In `software` a shadow has a quarter of the texels, by which its pass costs there. */
-  constructor(scene, software) {
+  constructor(scene) {
     this.sky = new THREE.HemisphereLight();
     this.sky.position.set(0, 0, 1);
     this.sun = new THREE.DirectionalLight();
     this.sun.castShadow = true;
-    this.sun.shadow.mapSize.setScalar(software ? 1024 : 2048);
+    this.sun.shadow.mapSize.setScalar(2048);
     this.sun.shadow.radius = 3;
     this.sun.shadow.camera.up.set(0, 0, 1);
     this.ground = new Ground();
