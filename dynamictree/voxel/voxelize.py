@@ -137,6 +137,14 @@ def surface_pieces(
     in_voxels = (mesh.vertices.astype(np.float64) - origin_m) / voxel_size_m  # [N, 3]
     corners = in_voxels[mesh.faces]  # [F, 3, 3]
     inside = ((corners >= 0) & (corners < resolution)).all(axis=(1, 2))
+    if len(inside) and not inside.any():
+        used = mesh.vertices[np.unique(mesh.faces)].astype(np.float64)
+        low, high, far = used.min(axis=0), used.max(axis=0), np.add(origin_m, resolution * voxel_size_m)
+        raise MeshError(
+            f"the mesh extends from {low.round(2).tolist()} to {high.round(2).tolist()} m, and the tree lies between "
+            f"{np.round(origin_m, 2).tolist()} and {far.round(2).tolist()} m; take the mesh of this tree, with the "
+            "same up axis and unit"
+        )
     doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     solid = np.flatnonzero(inside & (doubled > 2 * _MIN_AREA * resolution**2))
     if len(solid) == 0:

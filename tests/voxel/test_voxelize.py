@@ -1,5 +1,7 @@
 """voxelize: the occupied voxels are exactly those that the surface passes through."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -130,11 +132,8 @@ def test_more_surface_than_memory_allows_is_refused_before_it_is_cut(monkeypatch
 def test_surface_average_refuses_a_voxel_without_surface() -> None:
     mesh = square()
     grid = voxelize(mesh, 32).grid
-    stray = VoxelGrid.from_coords(
-        np.concatenate([grid.coords, [[5, 5, 31]]]).astype(np.int32),
-        origin_m=grid.origin_m,
-        voxel_size_m=grid.voxel_size_m,
-        resolution=32,
-    )
-    with pytest.raises(InputError, match=r"voxel \[5, 5, 31\]"):
+    stray = replace(grid, coords=np.concatenate([grid.coords, [[31, 31, 31]]]).astype(np.int32))
+    with pytest.raises(InputError, match=r"voxel \[31, 31, 31\]"):
         surface_average(mesh, stray)
+    with pytest.raises(MeshError, match=r"from \[0.0, 0.0, 9.0\] to \[1.0, 1.0, 9.0\] m, and the tree lies between"):
+        surface_average(square(9.0), grid)
