@@ -1,11 +1,14 @@
 """Create jobs: check the request, quotas and disk space; return the earlier job for a repeated key."""
 
+from collections.abc import Sequence
 from hashlib import sha256
 from typing import Any
 
 from fastapi import Response
 
+from dynamictree.errors import InputError
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, PhotoParams
+from dynamictree.plant.choice import matching
 from dynamictree.requests import AnimateParams, CloudParams, Format
 from jobs.clients.usage import count_jobs
 from jobs.clients.webhooks import endpoint
@@ -37,7 +40,8 @@ def add_job(
     """Validate a request and store its job, or return the job created with the same key."""
     named = None
     if key is not None:
-        named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=KEY_EXPIRES_S)
+        sent = body.model_dump_json(exclude_unset=True)  # not the defaults, which change with releases
+        named = ClientKey(key=key, body_sha256=sha256(sent.encode()).hexdigest(), expires_s=KEY_EXPIRES_S)
         earlier = owned.store.job_of_key(named)  # checked first: the asset may be gone by now, or the queue full
         if earlier is not None:
             return _answer(owned, earlier, response)
@@ -79,18 +83,6 @@ def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
     return job_payload(owned, stored, response)
 
 
-def _fingerprint(body: JobRequest) -> str:
-    """Hash only the fields that were sent, since defaults change with releases."""
-    return sha256(body.model_dump_json(exclude_unset=True).encode()).hexdigest()
-
-
-def _require_frames(wanted: int, asset: AssetRecord) -> None:
-    frames = asset.summary.get("film_frames")
-    if isinstance(frames, int) and frames < wanted:
-        detail = f"the film has {frames} frames, {wanted} are to be chosen; film a slow walk around the tree"
-        raise wrong_field("/params/video_frames", "not-allowed", detail)
-
-
 def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
     """Return the asset and stages of a request, or refuse it."""
     _require_turn(owned)
@@ -113,9 +105,14 @@ def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tupl
         detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"
         raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
     _require_photos(body, asset)
-    _require_frames(body.params.video_frames or PHOTOS_OF_VIDEO, asset)
+    frames, wanted = asset.summary.get("film_frames"), body.params.video_frames or PHOTOS_OF_VIDEO
+    if isinstance(frames, int) and frames < wanted:
+        detail = f"the film has {frames} frames, {wanted} are to be chosen; film a slow walk around the tree"
+        raise wrong_field("/params/video_frames", "not-allowed", detail)
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
+    for option in ("still", "moving"):
+        _require_parts(option, getattr(body.params, option) or (), asset)
     require_space(owned, _product_bytes(body, asset))
     return asset, stages
 
@@ -149,6 +146,22 @@ def _require_tree(number: int, asset: AssetRecord) -> None:
         raise wrong_field("/params/tree", "out-of-range", f"asset {asset.id} holds {len(trees)} trees, not {number}")
 
 
+def _require_parts(option: str, patterns: Sequence[str], asset: AssetRecord) -> None:
+    """Refuse a name that no part has; a worker refuses patterns, and names of parts that the summary does not list."""
+    most_names = 50  # names in the summary of a mesh, separated by commas
+    listed, still = asset.summary.get("part_names"), asset.summary.get("still_parts")
+    if asset.kind == "cloud" and isinstance(still, list):
+        names = [str(part["name"]) for part in still if isinstance(part, dict)]
+    elif isinstance(listed, str) and len(names := listed.split(", ")) < most_names:
+        patterns = [name for name in patterns if "," not in name]
+    else:
+        return
+    try:
+        matching(option, [name for name in patterns if not {*"*?["} & {*name}], names)
+    except InputError as error:
+        raise wrong_field(f"/params/{option}", "not-allowed", str(error)) from None
+
+
 def _record(owned: Owned, **fields: Any) -> JobRecord:
     return JobRecord(id=new_id(), state=JobState.QUEUED, created_at=owned.store.clock(), **fields)
 
@@ -176,13 +189,8 @@ def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
             del params[name]
     if isinstance(body.params, AnimateParams):
         params["formats"] = list(_formats(body.params, asset))
-        params["period_s"] = _period_s(body.params)
+        params["period_s"] = body.params.period_s or body.params.wanted_period_s
     return params
-
-
-def _period_s(params: AnimateParams) -> float | None:
-    """Return the period as requested or as the number of frames implies; None leaves it to the tree's height [s]."""
-    return params.period_s or params.wanted_period_s
 
 
 def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
@@ -204,7 +212,8 @@ def _product_bytes(body: JobRequest, asset: AssetRecord) -> int:
     from dynamictree.modal.real_trees import loop_period_s
 
     height_m = asset.summary.get("height_m")
-    period_s = _period_s(body.params) or loop_period_s(height_m if isinstance(height_m, float) else 0.0)
+    of_height_s = loop_period_s(height_m if isinstance(height_m, float) else 0.0)
+    period_s = body.params.period_s or body.params.wanted_period_s or of_height_s
     formats, num_frames = _formats(body.params, asset), body.params.count_frames(period_s)
     require_available(formats)
     mesh = _counts(asset, "mesh", "num_vertices", "num_faces")

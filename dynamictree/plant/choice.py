@@ -60,7 +60,7 @@ def _apply_request(
     names = [name for some, _ in named for name in some]
 
     def chosen(option: str, patterns: Sequence[str] | None, box: Box | None) -> Bool[np.ndarray, " E"]:
-        fits = _matching(option, patterns, names)
+        fits = matching(option, patterns, names)
         result = np.zeros(len(places), np.bool_) if box is None else in_box(places, box, f"{option}_box_m")
         for some, number in named:
             own, fits = fits[: len(some)], fits[len(some) :]
@@ -83,8 +83,12 @@ def _names(mesh: TriangleMesh) -> tuple[list[str], list[str]]:
     return materials, list(mesh.parts.names)
 
 
-def _matching(option: str, patterns: Sequence[str] | None, names: Sequence[str]) -> list[bool]:
-    """Whether each name matches a pattern, as a whole or by one component of its path; case is ignored."""
+def matching(option: str, patterns: Sequence[str] | None, names: Sequence[str]) -> list[bool]:
+    """Return whether each name matches a pattern, as a whole or by one component of its path; case is ignored.
+
+    Raises:
+        InputError: a pattern matches no name.
+    """
     most_names = 30  # names in a message
     result = [False] * len(names)
     for pattern in patterns or ():

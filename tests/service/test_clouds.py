@@ -39,12 +39,7 @@ def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
 
 
 ply_of, splat_of = partial(written, write_gaussian_ply), partial(written, write_splat)
-
-
-def mask_of(values: np.ndarray) -> bytes:
-    stream = BytesIO()
-    np.save(stream, values)
-    return stream.getvalue()
+mask_of = partial(written, lambda values, stream: np.save(stream, values))
 
 
 def stored_capture(services: Services, asset_id: str) -> Capture:
@@ -159,11 +154,16 @@ def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
 
 
 def test_what_does_not_fit_is_refused_when_asked(client, cloud_id, services, monkeypatch) -> None:
-    mesh_id = send(client, ("tree.obj", b"v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n")).json()["id"]
+    meshes = (name + b"v 0.5 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3\n" for name in (b"", b"o Bush\n"))
+    mesh_id, bush_id = (send(client, ("tree.obj", mesh)).json()["id"] for mesh in meshes)
     photos_id = send(client, *((f"p{i}.jpg", photo(i)) for i in range(8))).json()["id"]
     for params in ({"still_box_m": [[0, 0, 0], [1, 1, 1]]}, {"still": ["pot"]}):
         refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": photos_id, "params": params})
         assert [error["pointer"] for error in refused.json()["errors"]] == [f"/params/{next(iter(params))}"]
+    for id, words in ((mesh_id, "no part has a name"), (cloud_id, "take still_box_m"), (bush_id, "there are Bush")):
+        body = {"type": "voxelize", "asset_id": id, "params": {"still": ["vase"]}}
+        assert words in refusal(client.post("/v1/jobs", json=body), 422, "validation-failed")["errors"][0]["detail"]
+    assert client.post("/v1/jobs", json=body | {"params": {"still": ["bush", "Bu*"]}}).status_code == 202
     params = {"wind_mode": "turbulent", "num_frames": 14_400}
     endless = {"type": "animate", "asset_id": mesh_id, "params": params}
     refused = client.post("/v1/jobs", json=endless | {"params": params | {"formats": ["glb"]}})
