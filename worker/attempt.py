@@ -212,7 +212,10 @@ class Attempt:
             working_on = half_done_folder(self.runtime.settings, self.job)
             alone = locked_folder(working_on, partial(self.watch.report, stage, 0.0))
         with alone:  # one job at a time learns a scene; those that waited reuse its result
-            file = self._remembered(key, path) or self._computed(name, path, make)
+            file = self._remembered(key, path)
+            if file is None:
+                make(path)
+                file = replace(self._stored(path), name=name, media_type=MEDIA_TYPE)
             remember_intermediate(self.runtime.store, key, name, file, used, owner=self.job.owner)
         return path
 
@@ -222,10 +225,6 @@ class Attempt:
         if files:
             self.runtime.artifacts.fetch(files[0].sha256, path)
         return files[0] if files else None
-
-    def _computed(self, name: str, path: Path, make: Callable[[Path], None]) -> OutputFile:
-        make(path)
-        return replace(self._stored(path), name=name, media_type=MEDIA_TYPE)
 
     def _stored(self, path: Path, facts: Facts | None = None) -> OutputFile:
         """Store a file's bytes."""

@@ -185,11 +185,8 @@ class Session:
         swing = np.abs(self.state.q) + np.abs(self.state.q_dot) / self.system.omega
         moving = swing @ self.largest_m >= SETTLED_M
         pushed = {force.locality for force in self.constant.values()}
-        rows = [
-            n
-            for n, locality in enumerate(self.localities)
-            if moving[n] or locality in pushed or _is_bent(self.bends[n])
-        ]
+        bent = [np.abs(bend.turn).max(initial=0) > STRAIGHT_RAD for bend in self.bends]
+        rows = [n for n, at in enumerate(self.localities) if moving[n] or at in pushed or bent[n]]
         if len(rows) < len(self.localities):
             self.localities = [self.localities[n] for n in rows]
             self.bends = [self.bends[n] for n in rows]
@@ -212,7 +209,3 @@ class Session:
             message["reached"] = reached_payload(drag.hold.reached)
         self.skipped = 0
         return message
-
-
-def _is_bent(bend: Bend) -> bool:
-    return bool(len(bend.turn)) and float(np.abs(bend.turn).max()) > STRAIGHT_RAD

@@ -215,7 +215,9 @@ def _response(body: InteractRequest, tree: ServedTree, media_type: str, left: th
         arrays |= _gaussians(body, tree, answer, left)
     elif body.output != "modal":
         arrays["displacement"] = _displacement(body, tree, answer, left)
-    return Response(_packed(arrays, _facts(body, system)), 200, None, media_type)
+    facts = {n: fact if isinstance(fact, str) else json.dumps(fact) for n, fact in _facts(body, system).items()}
+    packed = save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, facts)
+    return Response(packed, 200, None, media_type)
 
 
 def compute_response(body: InteractRequest, tree: ServedTree) -> tuple[ModalSystem, Answer]:
@@ -325,8 +327,3 @@ def _interact_payload(body: InteractRequest, system: ModalSystem, answer: Answer
     reached = [reached_payload(place) for place in answer.reached]
     final = state_payload(answer.groups, answer.final, answer.final_bends)
     return _facts(body, system) | {"groups": groups, "reached": reached, "final_state": final}
-
-
-def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object]) -> bytes:
-    header = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
-    return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, header)
