@@ -50,6 +50,7 @@ def find_pot(
     least_radius = 0.04, 0.25  # share of the height, and of the soil's; a trunk is slenderer
     narrowest = 0.4  # share of the outline; a stem below a crown is narrower
     goes_on_from = 0.5  # share of the outline; least radius of a trunk that goes on above what looks like soil
+    fewest_of_soil = 30  # [points]; at least 44 cells are inside, and soil fills 0.7 of them or more
     few_narrow = 0.2  # share of the slices that may be narrower
     level, steep = 0.5, 0.7  # least rise of soil, and largest of walls
     low = float(np.quantile(points[:, 2], strays))
@@ -60,10 +61,12 @@ def find_pot(
     rows = [points[cut] for cut in cuts]
     layers = rows if rise is None else [points[cut[rise[cut] > level]] for cut in cuts]
     sides = rows if rise is None else [points[cut[np.abs(rise[cut]) < steep]] for cut in cuts]
-    walls = [_wall(row) for row in sides[:least_slices]]
+    walls: list[Wall | None] = []
     for soil in range(least_slices, len(rows) - 1):
+        if sum(map(len, layers[soil : soil + 2])) < fewest_of_soil:
+            continue
+        walls += [_wall(row) for row in sides[len(walls) : soil]]
         below = [wall for wall in walls if wall is not None]
-        walls.append(_wall(sides[soil]))
         if len(below) + len(rows) - soil < _WALLED * len(rows):
             return None  # too few, even if all slices above had walls
         if len(below) < max(least_slices, _WALLED * soil):
@@ -82,7 +85,7 @@ def find_pot(
         away, sector = _polar(layer, wall[0])
         if not is_level(layer[away < _INSIDE * wall[1][sector]], radius / 4, rng):
             continue
-        walls += [_wall(row) for row in sides[soil + 1 :]]
+        walls += [_wall(row) for row in sides[soil:]]
         goes_on = [
             one is not None and float(np.median(one[1])) > goes_on_from * radius for one in walls[top : top + soil]
         ]

@@ -13,6 +13,7 @@ from skimage.measure import marching_cubes
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh, connected_parts
+from dynamictree.plant.pot import find_pot
 from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.up_axis import up_rotation
 from lab.dataset.species import SPECIES
@@ -23,10 +24,6 @@ CELLS = 96
 _THICK = 0.012  # standard deviation of the thickening of stems and leaves [share of the height]
 
 Solid = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
-def plate(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    return (np.hypot(x, y) < 0.22) & (z < 0.015) & (z > -0.04)
 
 
 def block(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -60,6 +57,7 @@ def flare(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     return (np.hypot(x, y) < 0.06 + 0.15 * np.exp(-np.maximum(z, 0) / 0.04)) & (z > 0) & (z < 0.5)
 
 
+plate = frustum(0.22, 0.22, -0.04, 0.015)
 STEMS = np.random.default_rng(0).uniform(-0.15, 0.15, (15, 2))
 PLANTS: dict[str, tuple[Solid, ...]] = {
     "a thin trunk below a ball": (frustum(0.05, 0.05, 0, 0.5), ball),
@@ -139,6 +137,11 @@ def test_no_shape_of_a_plant_is_taken_for_a_base(name: str) -> None:
     centre = centres(low, low + 1.2, 0.012)
     solid = np.logical_or.reduce(np.broadcast_arrays(*(part(*centre) for part in PLANTS[name])))
     assert find_still_parts(surface(2 * gaussian_filter(solid.astype(np.float32), 1.0), low, 0.012)) == ((), None)
+
+
+def test_no_wall_is_searched_where_no_surface_faces_up(monkeypatch, rng) -> None:
+    monkeypatch.setattr("dynamictree.plant.pot._wall", lambda points: pytest.fail("a wall was searched"))
+    assert find_pot(rng.random((9000, 3)), 1.0, rng, rise=np.zeros(9000)) is None
 
 
 @pytest.mark.parametrize(("side", "doubted"), [(1.0, True), (2.0, True), (1.1, False)])
