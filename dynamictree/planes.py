@@ -41,12 +41,8 @@ def fit_plane(points: Points) -> Plane:
 
 def best_plane(candidates: Iterator[Plane], score: Callable[[Plane], float], least: float) -> Plane | None:
     """Return the candidate with the highest score above `least`, as in RANSAC (Fischler and Bolles 1981)."""
-    best, best_score = None, least
-    for plane in candidates:
-        own = score(plane)
-        if own > best_score:
-            best, best_score = plane, own
-    return best
+    best = max(candidates, key=score, default=None)
+    return best if best is not None and score(best) > least else None
 
 
 def planes_of_triples(points: Points, trials: int, rng: np.random.Generator) -> Iterator[Plane]:

@@ -51,7 +51,7 @@ def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> Tri
     turned = mesh.vertices @ up_rotation(judged.axis).T  # [N, 3] float64
     height = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
     unit_m = reading.unit_m or file.unit_m or guess_unit_m(height, file.usual_units_m)
-    scale = scale_to(reading.height_m, height) or unit_m
+    scale = unit_m if reading.height_m is None else scale_to(reading.height_m, height)
     normals = None if mesh.look.normals is None else (mesh.look.normals @ up_rotation(judged.axis).T).astype(np.float32)
     return replace(
         mesh,
@@ -76,7 +76,6 @@ def scale_cloud(
         return cloud, height_warnings(detected, cloud.source.scale) if detected > 0 else ()
     keep &= USUAL_HEIGHT_M[0] <= detected <= USUAL_HEIGHT_M[1]
     scale = scale_to(height_m or (detected if keep else DEFAULT_HEIGHT_M), detected)
-    assert scale is not None
     source = replace(cloud.source, scale=cloud.source.scale * scale)
     scaled = replace(transform_cloud(cloud, np.eye(3), scale), source=source)
     if height_m is not None:
@@ -94,14 +93,12 @@ def cloud_height(cloud: GaussianCloud) -> float:
     return height_of(cloud.means[~find_sky(cloud)].astype(np.float64))
 
 
-def scale_to(height_m: float | None, height: float) -> float | None:
+def scale_to(height_m: float, height: float) -> float:
     """Return the metres per unit that turn a height in the file's units into the requested one.
 
     Raises:
         InputError: the model has no height.
     """
-    if height_m is None:
-        return None
     if not height > 0:
         raise InputError(f"height_m is {height_m:g}, but the model has no height along its up axis; set up_axis")
     return height_m / height

@@ -66,9 +66,7 @@ def _largest_patch(columns: Int64[np.ndarray, " C"]) -> Bool[np.ndarray, "X Y"]:
     seen = np.zeros((_COLUMNS, _COLUMNS), np.bool_)
     seen[columns // _COLUMNS, columns % _COLUMNS] = True
     closed = scipy.ndimage.binary_closing(np.pad(seen, 2), np.ones((3, 3), np.bool_))[2:-2, 2:-2]
-    pieces, count = scipy.ndimage.label(closed | seen, np.ones((3, 3)))
-    if count == 0:
-        return seen
+    pieces, _ = scipy.ndimage.label(closed | seen, np.ones((3, 3)))
     largest: Bool[np.ndarray, "X Y"] = seen & (pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:]))
     return largest
 
@@ -79,10 +77,7 @@ def _fills(patch: Bool[np.ndarray, "X Y"]) -> bool:
     if len(places) < _FEWEST:
         return False
     corners = (places[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2)
-    try:
-        return bool(len(places) > filled * scipy.spatial.ConvexHull(corners).volume)
-    except scipy.spatial.QhullError:
-        return False
+    return bool(len(places) > filled * scipy.spatial.ConvexHull(corners).volume)
 
 
 def _width(points: Points) -> float:

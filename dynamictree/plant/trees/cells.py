@@ -69,24 +69,20 @@ def _lowest_near(
     coords: Int64[np.ndarray, "V 3"], tall: int
 ) -> tuple[Float64[np.ndarray, "X Y"], tuple[Int64[np.ndarray, " V"], Int64[np.ndarray, " V"]]]:
     """Return the height of the lowest cell around each tile, and each cell's tile."""
-    from scipy.ndimage import minimum_filter, uniform_filter
-
     tile = coords[:, 0] // _TILE, coords[:, 1] // _TILE
     lowest = np.full((int(tile[0].max()) + 1, int(tile[1].max()) + 1), np.inf)
     np.minimum.at(lowest, tile, coords[:, 2])
-    near = minimum_filter(lowest, size=2 * _reach(tall) + 1, mode="nearest")
+    near = scipy.ndimage.minimum_filter(lowest, size=2 * _reach(tall) + 1, mode="nearest")
     near[~np.isfinite(near)] = near[np.isfinite(near)].min()
-    smooth: Float64[np.ndarray, "X Y"] = uniform_filter(near, size=2 * _reach(tall) + 1, mode="nearest")
+    smooth: Float64[np.ndarray, "X Y"] = scipy.ndimage.uniform_filter(near, size=2 * _reach(tall) + 1, mode="nearest")
     return smooth, tile
 
 
 def _no_steeper(lowest: Float64[np.ndarray, "X Y"], rise: float) -> Float64[np.ndarray, "X Y"]:
     """Return the highest surface below a given one whose rise per tile, also diagonally, is limited."""
-    from scipy.ndimage import grey_erosion
-
     across = np.hypot(*np.meshgrid((-1, 0, 1), (-1, 0, 1)))
     while True:
-        lower = grey_erosion(lowest, structure=-rise * across, mode="nearest")
+        lower = scipy.ndimage.grey_erosion(lowest, structure=-rise * across, mode="nearest")
         if np.array_equal(lower, lowest):
             return lowest
         lowest = lower

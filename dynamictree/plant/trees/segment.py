@@ -61,10 +61,8 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
     shortest = 0.3  # share of the tallest tree's height; lower parts are undergrowth
     stands_share = 0.1  # share of the height, within which a tree starts above the ground
     fewest = 0.03  # share of the largest part's cells; smaller parts are debris
-    from scipy.sparse.csgraph import connected_components
-
     above = cells.above[plant]
-    part = connected_components(graph, directed=False)[1]
+    part = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     count = np.bincount(part)
     top, bottom = np.zeros(len(count)), np.full(len(count), np.inf)
     np.maximum.at(top, part, above)
@@ -90,8 +88,6 @@ def _without_tips(
 ) -> list[Stem]:
     """Select the seeds that are no tips of hanging branches: with a top of their own, thicker; else the thickest."""
     thicker = 1.5  # [cells of the thickest tip of those that touch]; thinner seeds are tips as well
-    from scipy.sparse.csgraph import connected_components
-
     edges = graph.tocoo()
     one, other = grown[edges.row], grown[edges.col]
     low, top, touch = np.full(len(seeds), np.inf), np.full(len(seeds), -np.inf), np.full(len(seeds), -np.inf)
@@ -103,7 +99,7 @@ def _without_tips(
     rises = top - touch >= _OWN_TOP * (top - low)
     thickness = np.array([len(seed.cells) for seed in seeds])
     touching = scipy.sparse.coo_array((np.ones(len(one)), (one, other)), shape=(len(seeds),) * 2)
-    group, own = connected_components(touching, directed=False)[1], []
+    group, own = scipy.sparse.csgraph.connected_components(touching, directed=False)[1], []
     for rows in (np.flatnonzero(group == number) for number in np.unique(group)):
         trees = rows[rises[rows] & (thickness[rows] >= thicker * thickness[rows[~rises[rows]]].max(initial=0))]
         own += [seeds[row] for row in (trees if len(trees) else rows[[thickness[rows].argmax()]])]
@@ -115,21 +111,18 @@ def _grow(
 ) -> Int64[np.ndarray, " M"]:
     """Assign each plant cell to the tree with the shortest relative path."""
     radius_power = 2 / 3
-    from scipy.sparse.csgraph import dijkstra
-    from scipy.spatial import cKDTree
-
     place = np.full(len(cells.coords), -1)
     place[plant] = np.arange(len(plant))
     best, label = np.full(len(plant), np.inf), np.full(len(plant), -1)
     for number, seed in enumerate(seeds):
-        way = dijkstra(graph, directed=False, indices=place[seed.cells], min_only=True)
+        way = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=place[seed.cells], min_only=True)
         way /= seed.radius**radius_power
         closer = way < best
         best[closer], label[closer] = way[closer], number
     loose = np.flatnonzero(label < 0)
     if len(loose):
         reached = np.flatnonzero(label >= 0)
-        nearest = np.asarray(cKDTree(cells.coords[plant[reached]]).query(cells.coords[plant[loose]])[1])
+        nearest = np.asarray(scipy.spatial.cKDTree(cells.coords[plant[reached]]).query(cells.coords[plant[loose]])[1])
         label[loose] = label[reached[nearest]]
     return label.astype(np.int64)
 
@@ -137,12 +130,10 @@ def _grow(
 def _with_feet(cells: OccupiedCells, label: Int64[np.ndarray, " V"], seeds: list[Stem]) -> Int64[np.ndarray, " V"]:
     """Assign the ground cells under a stem to its tree."""
     foot = 0.03  # share of the height; radius of a stem's foot on the ground
-    from scipy.spatial import cKDTree
-
     ground = np.flatnonzero(cells.ground)
     if len(ground):
         middles = np.array([seed.middle for seed in seeds])
-        away, nearest = cKDTree(middles).query(cells.coords[ground, :2])
+        away, nearest = scipy.spatial.cKDTree(middles).query(cells.coords[ground, :2])
         under = away < foot * cells.above.max()
         label[ground[under]] = np.asarray(nearest)[under]
     return label
