@@ -34,9 +34,10 @@ const bare = `export function resolve(name, context, next) {
   return next(name.startsWith(start) ? "${three}" + at + name.slice(start.length) : name, context);
 }`;
 register(`data:text/javascript,${encodeURIComponent(bare)}`);
-const { THREE, softenFoliage, seenBox, readDropped, Stage } = await (async () => ({
+const { THREE, softenFoliage, seenBox, readDropped, Stage, KitDialog } = await (async () => ({
   THREE: await import("three"),
   ...(await import("../../web/draw/foliage.js")),
+  ...(await import("../../web/page/kits.js")),
   ...(await import("../../web/draw/surface.js")),
   ...(await import("../../web/draw/dropped.js")),
   ...(await import("../../web/draw/stage.js")),
@@ -707,6 +708,23 @@ test("a tree of a folder keeps the folder's name when it is opened again", async
   await session.open("J1");
   delete globalThis.localStorage;
   assert.equal(machine.facts.name, "maple");
+});
+
+test("the kit for Blender has the mesh of a splat and one frame, whatever the job has written", async () => {
+  const asked = [];
+  const client = {
+    createJob: async (request) => asked.push(request) && { id: "J2" },
+    wait: async () => {},
+    json: async () => ({ products: [{ format: "splat-ply", file_name: "splat.ply.zip" }] }),
+    artifacts: async (job) => [{ name: "splat.ply.zip", url: job }],
+    bytes: async (url) => new TextEncoder().encode(url),
+  };
+  const job = { id: "J1", asset_id: "A", params: { formats: ["splat-ply"], wind_mode: "turbulent", fps: 30 } };
+  const dialog = Object.assign(Object.create(KitDialog.prototype), { client, tree: () => ({ job }) });
+  const [file] = await dialog._files("blender", "cloud", () => {});
+  assert.equal(new TextDecoder().decode(file.bytes), "J2");
+  const one = { wind_mode: "loop", num_frames: 1, loop: false };
+  assert.deepEqual(asked[0].params, { fps: 30, ...one, formats: ["glb", "splat-ply"] });
 });
 
 test("the README of a kit names its engine's files of the wind, and in it nothing that is not there", () => {

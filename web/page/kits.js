@@ -37,7 +37,7 @@ export class KitDialog {
       const { name, kind, job } = this.tree();
       const onJob = ({ progress }) => fill(words, text("kit.making", { share: percent(progress) }));
       onJob({ progress: 0 });
-      const files = program === "web" ? await this._page(job) : await this._files(formatsOf(program, kind), onJob);
+      const files = program === "web" ? await this._page(job) : await this._files(program, kind, onJob);
       const readme = new TextEncoder().encode(KITS[program].readme(name));
       const contents = Object.fromEntries(files.map((file) => [file.name, file.bytes]));
       const { zipSync } = await import("fflate");
@@ -56,8 +56,12 @@ export class KitDialog {
     return filesOf(this.client, this.tree().job, formats, { onJob, onMade: this.onMade });
   }
 
-  async _files(formats, onJob) {
-    const files = await this.artifacts(formats, onJob);
+  async _files(program, kind, onJob) {
+    const { job } = this.tree();
+    const own = KITS[program].params?.[kind]; // with which no earlier job wrote the formats
+    const wanted = own ? { ...job, params: { ...job.params, ...own, formats: [] } } : job;
+    const onMade = own ? () => {} : this.onMade; // the list of files is of the tree's own parameters
+    const files = await filesOf(this.client, wanted, formatsOf(program, kind), { onJob, onMade });
     return Promise.all(
       files.map(async ({ name, url }) => ({ name, bytes: new Uint8Array(await this.client.bytes(url)) })),
     );

@@ -1,18 +1,21 @@
 // What each program is given of a mesh and of a cloud, and its README: ten lines, in English as the programs' own words.
+// The splat of Blender's kit is one frame, which the mesh of the kit carries there: all frames are 100 times as much.
 
 const readme = (title, lines) => (name) => [`${name}: ${title}`, "", ...lines, ""].join("\n");
 
 export default {
   blender: {
     mesh: ["glb"],
-    cloud: ["splat-ply"],
+    cloud: ["glb", "splat-ply"],
+    params: { cloud: { wind_mode: "loop", num_frames: 1, loop: false } },
     readme: readme("for Blender 4 and 5", [
       "1. Set the frame rate to 24 (Output properties, Frame Rate): the loop then has whole frames.",
       "2. File > Import > glTF 2.0, choose tree.glb.",
       "3. Timeline: Start 0, End one before the last key, which repeats the first. Space: the tree sways.",
       "4. To repeat it: skeleton, Pose Mode, A; then in the Graph Editor A, Shift E, Make Cyclic.",
       "5. Render with Eevee or Cycles as it is; materials and textures are those of your file.",
-      "Of a splat: splat.ply.zip has one PLY a frame, for an add-on that reads splats.",
+      "Of a splat, tree.glb is the surface that carries it, and frame_0000.ply in splat.ply.zip the splat in frame 0. With",
+      "KIRI's 3DGS Render 5: import it, turn and scale it onto the mesh, Proxy Mesh: the mesh, Bind to Proxy Mesh, bake.",
     ]),
   },
   unity: {
