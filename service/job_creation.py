@@ -40,8 +40,7 @@ def add_job(
     """Validate a request and store its job, or return the job created with the same key."""
     named = None
     if key is not None:
-        sent = body.model_dump_json(exclude_unset=True)  # not the defaults, which change with releases
-        named = ClientKey(key=key, body_sha256=sha256(sent.encode()).hexdigest(), expires_s=KEY_EXPIRES_S)
+        named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=KEY_EXPIRES_S)
         earlier = owned.store.job_of_key(named)  # checked first: the asset may be gone by now, or the queue full
         if earlier is not None:
             return _answer(owned, earlier, response)
@@ -81,6 +80,11 @@ def _store(
 def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
     response.headers["Location"] = f"/v1/jobs/{stored.id}"
     return job_payload(owned, stored, response)
+
+
+def _fingerprint(body: JobRequest) -> str:
+    """Hash only the fields that were sent, since defaults change with releases."""
+    return sha256(body.model_dump_json(exclude_unset=True).encode()).hexdigest()
 
 
 def _require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
@@ -148,16 +152,14 @@ def _require_tree(number: int, asset: AssetRecord) -> None:
 
 def _require_parts(option: str, patterns: Sequence[str], asset: AssetRecord) -> None:
     """Refuse a name that no part has; a worker refuses patterns, and names of parts that the summary does not list."""
-    most_names = 50  # names in the summary of a mesh, separated by commas
     listed, still = asset.summary.get("part_names"), asset.summary.get("still_parts")
+    names = listed.split(", ") if isinstance(listed, str) else []
     if asset.kind == "cloud" and isinstance(still, list):
         names = [str(part["name"]) for part in still if isinstance(part, dict)]
-    elif isinstance(listed, str) and len(names := listed.split(", ")) < most_names:
-        patterns = [name for name in patterns if "," not in name]
-    else:
+    elif not 0 < len(names) < 50:  # number of names that a summary lists
         return
     try:
-        matching(option, [name for name in patterns if not {*"*?["} & {*name}], names)
+        matching(option, [name for name in patterns if not {*"*?[,"} & {*name}], names)
     except InputError as error:
         raise wrong_field(f"/params/{option}", "not-allowed", str(error)) from None
 
