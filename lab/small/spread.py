@@ -13,7 +13,7 @@ from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import PreparedTree
-from dynamictree.models.small.spread import at_speed, log_surplus, speed_weights
+from dynamictree.models.small.spread import speed_weights
 from dynamictree.models.wind import wind_axes
 from dynamictree.rig.rig import rig_of
 from lab.dataset.shards import StoredTree
@@ -41,8 +41,7 @@ def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example
     fit = torch.linalg.pinv(speed_weights(torch.stack(log_speeds)))
     variance = torch.einsum("ut,tjx->ujx", fit, torch.stack(scatters)).clamp_min(0)
     network.spread.copy_(variance.mul(6).sqrt() / math.pi)  # variance of ln p: π² / 6 of a complex normal number
-    surplus = torch.stack([log_surplus(at_speed(network.spread, one)) for one in log_speeds])
-    network.log_gain.copy_(torch.einsum("ut,tjx->ujx", fit, torch.stack(ratios) - surplus) / 2)
+    network.log_gain.copy_(torch.einsum("ut,tjx->ujx", fit, torch.stack(ratios)) / 2)
 
 
 @torch.no_grad()

@@ -39,12 +39,12 @@ class SmallPreset:
 class SmallNetwork(StorableNetwork):
     """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "11", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "12", SmallPreset
     preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     leaf_share: Tensor  # [J], ρ²
     spread: Tensor  # [U, J, 3], at the speeds of `speed_weights`
-    log_gain: Tensor  # [U, J, 3], factor that gives samples the typical tree's energy
+    log_gain: Tensor  # [U, J, 3], ln of the root mean square over A
 
     def __init__(self, preset: SmallPreset) -> None:
         super().__init__(preset)

@@ -24,7 +24,7 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.foliage import ARM, ARM_SCALE
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.spread import at_speed, log_surplus, squared_magnitude, to_unit_power, with_spread
+from dynamictree.models.small.spread import at_speed, squared_magnitude, to_unit_power, with_spread
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, neighbour_means, sparse_rows, unit_rows, upsample_matrix
@@ -158,7 +158,7 @@ def prepare_tree(
     from_cells = lift.result()
     lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
     spread = at_speed(network.spread, air[0, 0])
-    rms = above_floor(log_amplitude + log_surplus(spread) / 2, air[:, :NUM_WIND])
+    rms = above_floor(log_amplitude, air[:, :NUM_WIND]) * at_speed(network.log_gain, air[0, 0]).exp()
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / fixed_share).square()).exp()  # [V]
     leaves = leaves_of(coarse.grid, foliage_values, free, axes)
     return PreparedTree(
@@ -169,7 +169,7 @@ def prepare_tree(
         neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=sparse_rows(neighbour_means(tree.grids.levels[0])).apply(lean) * free[:, None],
-        amplitude=rms * at_speed(network.log_gain, air[0, 0]).exp() * free[:, None, None],
+        amplitude=rms * free[:, None, None],
         spread=spread,
         leaf_share=foliage_values[:, :1].clamp(0, 1).square()[:, None] * network.leaf_share[:, None],
         leaves=leaves,

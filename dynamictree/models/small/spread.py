@@ -1,11 +1,11 @@
 """Spread of a motion's sizes about those predicted from shape and wind: some leaves flutter, others beside them do not.
 
-A size is A (p e^γ)^(α / 2), with p the power of a complex normal number. Spread α is 0 for fixed sizes, 1 for gusts.
+A size is A p^(α / 2), with p the power of a complex normal number. Spread α is 0 for fixed sizes, 1 for gusts. What
+exceeds that, all axes and frequencies share: a leaf flutters in all of them or in none.
 """
 
 import math
 
-import numpy as np
 import torch
 from jaxtyping import Complex64, Float32
 from torch import Tensor
@@ -25,11 +25,6 @@ def at_speed(stored: Float32[Tensor, "U J 3"], log_speed: Float32[Tensor, ""]) -
     return torch.einsum("u,ujx->jx", speed_weights(log_speed), stored)
 
 
-def log_surplus(spread: Float32[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
-    """Return ln of the mean square of sizes of a spread, over A²."""
-    return np.euler_gamma * spread + torch.lgamma(1 + spread)
-
-
 def squared_magnitude(field: Complex64[Tensor, "*S"]) -> Float32[Tensor, "*S"]:
     """Compute |z|² without the square root of |z|."""
     power: Tensor = torch.view_as_real(field).square().sum(dim=-1)
@@ -43,6 +38,10 @@ def to_unit_power(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3
 
 def with_spread(field: Complex64[Tensor, "V J 3"], spread: Float32[Tensor, "J 3"]) -> Complex64[Tensor, "V J 3"]:
     """Change the spread of the sizes of a complex normal field, at a mean square of 1; phases stay."""
-    field = to_unit_power(field)
-    power = squared_magnitude(field) + 1e-2  # bounds the steepness near zeros, where the phase turns within a voxel
-    return field * torch.exp(((spread - 1) * power.log() - torch.lgamma(1 + spread)) / 2)
+    field, alpha = to_unit_power(field), spread.flatten()
+    log_power = (squared_magnitude(field) + 1e-2).log().flatten(1)  # bounded near zeros, where the phase turns fast
+    excess = (alpha.square() - 1).clamp_min(0).sqrt()
+    shared = torch.outer(excess, excess) / excess.norm().clamp_min(1e-6)
+    own = (alpha.clamp_max(1).square() + shared.diag().square()).sqrt() - shared.diag()
+    log_square = log_power @ (own.diag() + shared)
+    return to_unit_power(field * ((log_square - log_power) / 2).exp().view(field.shape))

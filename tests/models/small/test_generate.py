@@ -15,7 +15,7 @@ from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS,
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, noise_at
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from dynamictree.models.small.spread import log_surplus, with_spread
+from dynamictree.models.small.spread import with_spread
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.weights_file import write_weights
 from dynamictree.models.wind import REFERENCE_SPEED
@@ -235,13 +235,15 @@ def test_files_that_are_no_models_are_refused(tmp_path) -> None:
 
 @pytest.mark.parametrize("spread", [0.0, 0.5, 1.0, 1.5, 2.0])
 def test_sizes_get_their_spread_and_phases_stay(spread: float) -> None:
-    generator = torch.Generator().manual_seed(0)
-    field = torch.randn(100_000, 1, 3, dtype=torch.complex64, generator=generator)
-    alike = torch.full((1, 3), spread)
-    drawn = with_spread(field, alike)
+    field = torch.randn(100_000, 2, 3, dtype=torch.complex64, generator=torch.Generator().manual_seed(0))
+    drawn = with_spread(field, torch.full((2, 3), spread))
     torch.testing.assert_close(drawn.angle(), field.angle(), atol=1e-3, rtol=0)
-    assert drawn.abs().square().mean().log().item() == pytest.approx(0, abs=0.06)
-    assert drawn.abs().log().mean().item() == pytest.approx(-log_surplus(alike)[0, 0].item() / 2, abs=0.06)
+    assert drawn.abs().square().mean().item() == pytest.approx(1, abs=1e-3)
+    sizes = drawn.abs().log().flatten(1)
+    assert 2 * sizes.std(dim=0).numpy() == pytest.approx(spread * math.pi / math.sqrt(6), abs=0.2)
+    if spread:
+        likeness = (torch.corrcoef(sizes.T).sum() - 6).item() / 30  # correlation of two frequencies or axes
+        assert likeness > 0.6 if spread > 1 else abs(likeness) < 0.01
 
 
 def test_in_the_shipped_model_more_wind_moves_more_and_the_lean_points_downwind(
