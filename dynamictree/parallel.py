@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from functools import cache
 from itertools import pairwise
 from typing import TypeVar, cast
@@ -25,21 +25,22 @@ _BANDS = 12  # more bands than cores, so that bands without work leave no core i
 _this_thread = threading.local()
 
 
-def compiled(kernel: Kernel) -> Kernel:
-    """Compile for this machine, cache the result on disk, release the GIL."""
-    return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(kernel))
+def compiled(kernel: Kernel, fastmath: frozenset[str] = frozenset()) -> Kernel:
+    """Compile for this machine, cache the result on disk where a folder is writable, release the GIL."""
+    dispatcher = numba.njit(nogil=True, error_model="numpy", fastmath=set(fastmath))(kernel)
+    with suppress(RuntimeError):  # without a folder, each process compiles anew
+        dispatcher.enable_caching()
+    return cast(Kernel, dispatcher)
 
 
 def compiled_fused(kernel: Kernel) -> Kernel:
     """Compile like `compiled`; products and sums may be fused, and the sign of zero is ignored."""
-    fused = {"contract", "nsz"}
-    return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fused)(kernel))
+    return compiled(kernel, frozenset({"contract", "nsz"}))
 
 
 def compiled_reordered(kernel: Kernel) -> Kernel:
     """Compile like `compiled_fused`; sums may also be reordered, so that they vectorize."""
-    reordered = {"contract", "nsz", "reassoc"}
-    return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=reordered)(kernel))
+    return compiled(kernel, frozenset({"contract", "nsz", "reassoc"}))
 
 
 def num_cores() -> int:

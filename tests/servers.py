@@ -138,8 +138,7 @@ def wait_for(ask: Callable[[], T | None], what: str = "it", timeout_s: float = 1
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+        return int(probe.getsockname()[1])
 
 
 def listens(port: int) -> bool:
@@ -149,11 +148,9 @@ def listens(port: int) -> bool:
 
 
 def answers(url: str) -> bool:
-    try:
-        with urllib.request.urlopen(url, timeout=2) as response:
-            return bool(response.status == 200)
-    except OSError:
-        return False
+    with suppress(OSError), urllib.request.urlopen(url, timeout=2) as response:
+        return bool(response.status == 200)
+    return False
 
 
 def postgres(folder: Path) -> tuple[Server, str]:
@@ -182,11 +179,10 @@ def postgres(folder: Path) -> tuple[Server, str]:
 
 def _accepts(url: str) -> bool:
     """Whether PostgreSQL takes connections; its socket is there before."""
-    try:
+    with suppress(psycopg.OperationalError):
         psycopg.connect(url, connect_timeout=5).close()
-    except psycopg.OperationalError:
-        return False
-    return True
+        return True
+    return False
 
 
 def valkey(folder: Path) -> tuple[Server, str]:
@@ -201,11 +197,9 @@ def valkey(folder: Path) -> tuple[Server, str]:
     url = f"redis://127.0.0.1:{port}/0"
 
     def pings() -> bool:
-        with redis.Redis.from_url(url, socket_timeout=1) as client:
-            try:
-                return bool(client.ping())
-            except redis.RedisError:
-                return False
+        with suppress(redis.RedisError), redis.Redis.from_url(url, socket_timeout=1) as client:
+            return bool(client.ping())
+        return False
 
     return Server(name="redis", command=command, log=folder / "redis.log", ready=pings), url
 

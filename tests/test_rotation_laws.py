@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.harmonics import harmonics
+from dynamictree.gaussian.harmonics import harmonics, turn_sh
 from dynamictree.gaussian.turn import turn_sh_fast
 from dynamictree.rotation import (
     matrix_quaternions,
@@ -61,3 +61,4 @@ def test_turned_harmonics_show_the_same_to_an_eye_that_turned(rng, degree: int) 
         before = harmonics(directions, degree) @ sh[i]
         after = harmonics(directions @ rotation.T, degree) @ turned[i]
         np.testing.assert_allclose(after, before, atol=2e-5)
+        np.testing.assert_allclose(turn_sh(sh[i : i + 1], rotation)[0], turned[i], atol=2e-5)

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.turn import turn_sh_fast
+from dynamictree.gaussian.harmonics import turn_sh
 from dynamictree.rotation import matrix_quaternions, quaternion_products
 from dynamictree.up_axis import up_rotation
 
@@ -33,11 +33,10 @@ def transform_cloud(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], 
     """Rotate a cloud with its harmonics, then scale it about the origin."""
     if scale == 1 and np.array_equal(rotation, np.eye(3)):
         return cloud
-    turn = matrix_quaternions(rotation[None]).astype(np.float32)
     return replace(
         cloud,
         means=(cloud.means @ rotation.T * scale).astype(np.float32),
-        quaternions=quaternion_products(turn, cloud.quaternions),
+        quaternions=quaternion_products(matrix_quaternions(rotation[None]).astype(np.float32), cloud.quaternions),
         scales=(cloud.scales * scale).astype(np.float32),
-        sh=turn_sh_fast(cloud.sh, np.tile(turn, (cloud.num_gaussians, 1))),
+        sh=turn_sh(cloud.sh, rotation),
     )

@@ -3,7 +3,7 @@
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float32, Float64
 from scipy.special import sph_harm_y
 
 SH_0 = 0.28209479177387814  # sqrt(1 / 4π)
@@ -36,3 +36,12 @@ def sample_directions(degree: int) -> Float64[np.ndarray, "D 3"]:
 def sample_inverse(degree: int) -> Float64[np.ndarray, "D D"]:
     """Return the matrix from values of a function of degree l at `sample_directions` to its 2l + 1 coefficients."""
     return np.linalg.inv(harmonics(sample_directions(degree), degree)[:, degree**2 :])
+
+
+def turn_sh(sh: Float32[np.ndarray, "G H 3"], rotation: Float64[np.ndarray, "3 3"]) -> Float32[np.ndarray, "G H 3"]:
+    """Rotate all coefficients alike, without the kernels of `turn`, which a confined process cannot cache."""
+    matrix = np.eye(sh.shape[1])
+    for degree in range(1, round(sh.shape[1] ** 0.5)):  # f'(d) = f(Rᵀ d)
+        band = slice(degree**2, (degree + 1) ** 2)
+        matrix[band, band] = sample_inverse(degree) @ harmonics(sample_directions(degree) @ rotation, degree)[:, band]
+    return (sh.reshape(len(sh), -1) @ np.kron(matrix, np.eye(3)).T.astype(np.float32)).reshape(sh.shape)

@@ -1,6 +1,5 @@
 """What a confined process can no longer do: each tried in a process of its own, before and after."""
 
-import ctypes
 import ctypes.util
 import json
 import subprocess
@@ -143,3 +142,9 @@ def test_denied_calls_have_the_numbers_of_libseccomp() -> None:
     for i, architecture in enumerate(worker.confine._MACHINES.values()):
         expected = {name: number_of(architecture, name.encode()) for name in worker.confine._DENIED}
         assert {name: numbers[i] for name, numbers in worker.confine._DENIED.items()} == expected
+
+
+def test_readers_start_where_no_folder_is_writable_and_models_need_no_kernels() -> None:
+    environment = child_environment() | {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+    loads = "import sys, worker.parse_server; print(int('dynamictree.gaussian.turn' in sys.modules))"
+    assert printed(loads + "; import worker.confined_reading", env=environment, cwd=FOLDER) == 0
