@@ -38,7 +38,7 @@ class Machines(Running):
 def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
     with ExitStack() as running:
         many = running.enter_context(servers.machines(tmp_path_factory.mktemp("machines"), SHORT))
-        client = running.enter_context(httpx.Client(base_url=many.url, timeout=30))
+        client = running.enter_context(httpx.Client(base_url=many.url, timeout=120))
         servers.wait_for(lambda: client.get("/readyz").json()["workers"] == "ok", "a worker")
         engine = open_engine(many.database_url)
         running.callback(engine.dispose)
