@@ -72,7 +72,7 @@ def child_environment() -> dict[str, str]:
 
 
 class NoServerError(Exception):
-    """The process that reads uploads cannot be started."""
+    """The process that reads uploads cannot be started, or ends by itself."""
 
 
 class _Server:
@@ -134,6 +134,8 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
         if content == b"":  # no exit code: the server has ended
             request.prepared.unlink(missing_ok=True)
             content = await _content(request)
+        if content == b"":
+            raise NoServerError from EOFError("it ended before it answered, twice")
     except NoServerError as error:
         logger.error("no process can be started that reads uploads: %s", error.__cause__)
         return ParseAnswer(code="overloaded", message="no process can be started that reads the file")
@@ -185,9 +187,7 @@ async def _all_of(reader: asyncio.StreamReader) -> bytes:
 
 
 def _no_answer(returncode: int | None, settings: Settings) -> ParseAnswer:
-    ended = f"signal {-returncode}" if returncode is not None and returncode < 0 else f"exit code {returncode}"
+    ended = "a timeout" if returncode is None else f"{'signal' if returncode < 0 else 'exit code'} {abs(returncode)}"
     allowed = f"{settings.parser_cpu_s} s of one core and {settings.parser_memory_bytes:,} bytes of memory"
-    return ParseAnswer(
-        code="input-too-costly",
-        message=f"reading the file ended with {ended}; {allowed} are allowed; decimate or repair it",
-    )
+    message = f"reading the file ended with {ended}; {allowed} are allowed; decimate or repair it"
+    return ParseAnswer(code="input-too-costly", message=message)

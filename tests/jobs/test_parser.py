@@ -27,9 +27,8 @@ def test_a_fault_of_ours_is_reported_as_one_and_logged(tmp_path: Path, caplog: p
 def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder of someone's downloads may hold a `pydantic.py`."""
     (tmp_path / "pydantic.py").write_text("import pathlib; pathlib.Path(__file__).with_name('executed').touch()")
-    scene = tmp_path / "scene"
-    scene.mkdir()
-    tree = scene / "tree.obj"
+    tree = tmp_path / "scene" / "tree.obj"
+    tree.parent.mkdir()
     tree.write_text(OBJ)
     monkeypatch.chdir(tmp_path)
     settings = Settings(state_dir=tmp_path)
@@ -42,7 +41,7 @@ def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: 
 def test_a_reader_that_waits_for_ever_is_ended(tmp_path: Path) -> None:
     settings = Settings(state_dir=tmp_path, parser_cpu_s=1)
     answer = asyncio.run(parse(request_of(settings, _pipe(tmp_path / "a")), settings))
-    assert answer.code == "input-too-costly"
+    assert (answer.code, "ended with a timeout" in answer.message) == ("input-too-costly", True)
     wait_for(lambda: not _readers())
 
 
@@ -76,7 +75,8 @@ def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
         server.kill()
 
 
-def test_an_upload_that_no_process_can_read_may_be_sent_again(tmp_path, monkeypatch, caplog) -> None:
+@pytest.mark.parametrize(("python", "why"), [("absent", "No such file"), ("/bin/false", "no process can be started")])
+def test_an_upload_that_no_process_can_read_may_be_sent_again(tmp_path, monkeypatch, caplog, python, why) -> None:
     settings = Settings(state_dir=tmp_path)
     tree = tmp_path / "tree.obj"
     tree.write_text(OBJ)
@@ -84,10 +84,10 @@ def test_an_upload_that_no_process_can_read_may_be_sent_again(tmp_path, monkeypa
         server.kill()
     wait_for(lambda: not _servers())
     with monkeypatch.context() as broken:
-        broken.setattr(sys, "executable", str(tmp_path / "absent"))
+        broken.setattr(sys, "executable", str(tmp_path / python))
         answer = asyncio.run(parse(request_of(settings, tree), settings))
     assert (answer.code, KINDS["overloaded"].status) == ("overloaded", 503)
-    assert "No such file" in caplog.text
+    assert why in caplog.text
     assert asyncio.run(parse(request_of(settings, tree), settings)).kind == "mesh"
 
 
