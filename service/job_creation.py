@@ -156,7 +156,7 @@ def _require_parts(option: str, patterns: Sequence[str], asset: AssetRecord) -> 
     names = listed.split(", ") if isinstance(listed, str) else []
     if asset.kind == "cloud" and isinstance(still, list):
         names = [str(part["name"]) for part in still if isinstance(part, dict)]
-    elif not 0 < len(names) < 50:  # number of names that a summary lists
+    elif not 0 < len(names) < 50:  # number of names that `describe_mesh` lists
         return
     try:
         matching(option, [name for name in patterns if not {*"*?[,"} & {*name}], names)

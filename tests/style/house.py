@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 32_107,
-    "lines in lab": 6_094,
+    "lines in dynamictree": 32_105,
+    "lines in lab": 6_093,
     "lines in service, jobs and worker": 13_357,
     "lines in tests": 35_776,
     "names bound to numbers in dynamictree": 558,
