@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 31_919,
+    "lines in dynamictree": 31_867,
     "lines in lab": 6_093,
     "lines in service, jobs and worker": 13_355,
     "lines in tests": 35_757,

@@ -1,7 +1,7 @@
 """A cloud's motion as one 3DGS PLY per frame: the paper's output.
 
-Frames are in the source's axes and units, at the place of the capture. Only moving Gaussians are computed anew. Files
-are produced one by one: 500,000 Gaussians × 100 frames of SH degree 3 are 12.4 GB.
+Frames are in the source's axes and units, at the place of the capture. Files are produced one by one: 500,000 Gaussians ×
+100 frames of SH degree 3 are 12.4 GB.
 """
 
 from collections.abc import Iterable, Iterator
@@ -10,12 +10,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from dynamictree.formats.splat.activations import log_from_scales
 from dynamictree.formats.splat.ply import ply_header, ply_rows
-from dynamictree.gaussian.animate import NO_FLUTTER, LeafTurns, iter_poses
+from dynamictree.gaussian.animate import NO_FLUTTER, LeafTurns, iter_splat_frames
 from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.binding import Binding
-from dynamictree.gaussian.deform import Pose
 from dynamictree.up_axis import up_rotation
 
 
@@ -33,24 +31,11 @@ def iter_splat_files(
     """
     source, to_source = _in_source_axes(binding)
     header = ply_header(source.cloud.num_gaussians, source.cloud.sh.shape[1])
-    rows = ply_rows(source.cloud)
     moved = ((displacement @ to_source).astype(np.float32) for displacement in displacements)
     axes = up_rotation(binding.cloud.source.up_axis).astype(np.float32)
     turned = (None if turns is None else turns @ axes for turns in leaf_turns)
-    for number, pose in enumerate(iter_poses(source, moved, turned), first_number):
-        yield f"frame_{number:04d}.ply", (header, _frame(source, pose, rows))
-
-
-def _frame(binding: Binding, pose: Pose, rows: Float32[np.ndarray, "G P"]) -> bytes:
-    """Return the body of one file; `rows` are those at rest and are overwritten where something moves."""
-    from dynamictree.gaussian.turn import turn_sh_rows
-
-    cloud = binding.cloud
-    rows[:, 0:3] = pose.means
-    turn_sh_rows(cloud.sh, cloud.quaternions, pose.quaternions, rows)
-    rows[:, -7:-4] = log_from_scales(pose.scales)
-    rows[:, -4:] = pose.quaternions
-    return rows.tobytes()
+    for number, frame in enumerate(iter_splat_frames(source, moved, turned), first_number):
+        yield f"frame_{number:04d}.ply", (header, ply_rows(frame).tobytes())
 
 
 def _in_source_axes(binding: Binding) -> tuple[Binding, Float64[np.ndarray, "3 3"]]:

@@ -105,8 +105,7 @@ def ply_rows(cloud: GaussianCloud) -> Float32[np.ndarray, "G P"]:
     rows = np.zeros((cloud.num_gaussians, 17 + 3 * num_rest), "<f4")
     rows[:, 0:3] = cloud.means
     rows[:, 6:9] = cloud.sh[:, 0]
-    for channel in range(3):
-        rows[:, 9 + channel * num_rest : 9 + (channel + 1) * num_rest] = cloud.sh[:, 1:, channel]
+    rows[:, 9:-8] = cloud.sh[:, 1:].transpose(0, 2, 1).reshape(len(rows), -1)  # all of red, then green, then blue
     rows[:, -8] = logit_from_opacity(cloud.opacity)
     rows[:, -7:-4] = log_from_scales(cloud.scales)
     rows[:, -4:] = cloud.quaternions
