@@ -14,7 +14,7 @@ from fastapi.middleware.cors import CORSMiddleware
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings, unknown_variables
-from jobs.storage.parser_process import start_server
+from jobs.storage.parser_process import reader_works
 from service import operations
 from service.http import problem_handlers
 from service.http.authentication import Authentication
@@ -103,7 +103,7 @@ def serving_app() -> FastAPI:
     set_up_logging(app.state.settings)
     if unknown := unknown_variables():
         logger.warning("%s: no such setting; see docs/settings.md", ", ".join(unknown))
-    warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up)
+    warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up, (app.state.settings,))
     warm_up.daemon = True
     warm_up.start()
     return app
@@ -120,8 +120,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
             await asyncio.gather(ingest, return_exceptions=True)
 
 
-def _warm_up() -> None:
-    start_server()  # the first upload would otherwise wait for it
+def _warm_up(settings: Settings) -> None:
+    reader_works(settings)  # starts the process that reads uploads, and logs if it fails
     # numba: the first push and the first request for the limits would otherwise wait for its import
     import dynamictree.export.table
     import dynamictree.gaussian.deform

@@ -568,12 +568,13 @@ class Reached(Model):
 
 
 class Ready(Model):
-    """State of the dependencies. `absent` means that jobs wait; any other state but ok means status 503."""
+    """State of the parts; `reader` reads uploads. `absent` means that jobs wait; any state but ok and absent is 503."""
 
     status: Literal["ready", "unready"]
     database: Literal["ok", "unavailable", "full", "absent"]
     redis: Literal["ok", "unavailable", "full", "absent"]
     storage: Literal["ok", "unavailable", "full", "absent"]
+    reader: Literal["ok", "unavailable", "full", "absent"]
     workers: Literal["ok", "unavailable", "full", "absent"]
     housekeeper: Literal["ok", "unavailable", "full", "absent"]
 

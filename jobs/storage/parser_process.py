@@ -9,9 +9,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from cachetools import TLRUCache, cached
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from jobs.settings import Settings
@@ -83,11 +86,6 @@ class _Server:
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
 
-    def start(self) -> None:
-        """Start the server, unless it is running."""
-        with self._lock:
-            self._control = self._control or self._started()
-
     def read(self, connection: socket.socket) -> None:
         """Let the server read an upload; request and response use the connection."""
         with self._lock:
@@ -123,7 +121,6 @@ class _Server:
 
 
 _server = _Server()
-start_server = _server.start
 atexit.register(_server.end)
 
 
@@ -150,6 +147,18 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
         logger.error("the parser failed:\n%s", answer.message)
         return ParseAnswer(code=answer.code, message="The cause was logged.")
     return answer
+
+
+@cached(TLRUCache(maxsize=4, ttu=lambda _, works, now: now + (60.0 if works else 5.0)), lock=threading.Lock())  # [s]
+def reader_works(settings: Settings) -> bool:
+    """Return whether the child process read a small file; each check costs a process, so results are cached."""
+    with suppress(OSError), TemporaryDirectory(prefix="check-", dir=settings.scratch_dir) as folder:
+        tree = Path(folder) / "tree.obj"
+        tree.write_text("v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")
+        limits = {"memory_bytes": settings.parser_memory_bytes, "cpu_s": settings.parser_cpu_s}
+        request = ParseRequest(kind="mesh", names=(tree.name,), paths=(tree,), prepared=Path(folder, "mesh"), **limits)
+        return asyncio.run(parse(request, settings)).summary is not None
+    return False
 
 
 async def _content(request: ParseRequest) -> bytes | None:

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Response
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, lease_names
 from jobs.storage.disk import free_bytes
+from jobs.storage.parser_process import reader_works
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
@@ -27,12 +28,13 @@ class LivePayload(Payload):
 
 
 class ReadyPayload(Payload):
-    """State of the dependencies. `absent` means that jobs wait; any other state but ok means status 503."""
+    """State of the parts; `reader` reads uploads. `absent` means that jobs wait; any state but ok and absent is 503."""
 
     status: Literal["ready", "unready"]
     database: Check
     redis: Check
     storage: Check
+    reader: Check
     workers: Check
     housekeeper: Check
 
@@ -50,7 +52,8 @@ async def get_liveness() -> LivePayload:
 def get_readiness(response: Response, owned: OwnedDep) -> ReadyPayload:
     """Return whether the service can accept and run jobs."""
     database, there = _database(owned)
-    checks = {"database": database, "redis": _redis(owned), "storage": _storage(owned)}
+    reader: Check = "ok" if reader_works(owned.services.settings) else "unavailable"
+    checks = {"database": database, "redis": _redis(owned), "storage": _storage(owned), "reader": reader}
     ready = all(check == "ok" for check in checks.values())
     if not ready:
         logger.warning("not ready", extra=checks)

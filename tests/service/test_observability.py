@@ -1,6 +1,7 @@
 """What operators see: /metrics, /v1/ops and the page."""
 
 import re
+import sys
 
 import httpx
 import pytest
@@ -10,6 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from jobs.lifecycle.attempts import succeed
 from jobs.records import AssetRecord
 from jobs.settings import Settings
+from jobs.storage import parser_process
 from service.app import create_app
 from service.services import Services
 from tests.servers import free_port
@@ -63,6 +65,18 @@ def test_operations_move_to_an_address_of_their_own(settings: Settings) -> None:
             assert client.get("/livez").status_code == own.get("/livez").status_code == 200
             assert 'route="/livez"' in own.get("/metrics").text
             assert own.get("/v1/jobs").status_code == 404
+
+
+def test_a_service_that_cannot_read_uploads_is_not_ready(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parser_process, "_server", parser_process._Server())
+    with monkeypatch.context() as broken:
+        broken.setattr(sys, "executable", "/bin/false")
+        assert client.get("/readyz").json()["reader"] == "unavailable"
+    parser_process.reader_works.cache_clear()
+    assert client.get("/readyz").json()["reader"] == "ok"
+    parser_process._server.end()
+    monkeypatch.delattr(parser_process, "parse")  # no file is read per request
+    assert client.get("/readyz").json()["reader"] == "ok"
 
 
 def test_a_trace_comes_back_with_the_answer(client: TestClient) -> None:
