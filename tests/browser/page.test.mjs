@@ -710,21 +710,44 @@ test("a tree of a folder keeps the folder's name when it is opened again", async
   assert.equal(machine.facts.name, "maple");
 });
 
-test("the kit for Blender has the mesh of a splat and one frame, whatever the job has written", async () => {
+/** A dialog of kits of one tree, and the jobs that it asks for: `J2` and so on. */
+function kitsOf(job) {
   const asked = [];
   const client = {
-    createJob: async (request) => asked.push(request) && { id: "J2" },
+    createJob: async (request) => ({ id: `J${1 + asked.push(request)}` }),
     wait: async () => {},
-    json: async () => ({ products: [{ format: "splat-ply", file_name: "splat.ply.zip" }] }),
-    artifacts: async (job) => [{ name: "splat.ply.zip", url: job }],
+    json: async () => ({
+      products: [
+        { format: "splat-ply", file_name: "splat.ply.zip", options: ["wind_mode"] },
+        { format: "glb", file_name: "tree.glb", options: [] },
+        { format: "alembic", file_name: "tree.abc", options: ["wind_mode"] },
+      ],
+    }),
+    artifacts: async (job) => ["splat.ply.zip", "tree.glb", "tree.abc"].map((name) => ({ name, url: job })),
     bytes: async (url) => new TextEncoder().encode(url),
   };
+  const dialog = Object.assign(Object.create(KitDialog.prototype), { client, onMade() {}, tree: () => ({ job }) });
+  return { dialog, asked };
+}
+
+test("the kit for Blender has the mesh of a splat and one frame, whatever the job has written", async () => {
   const job = { id: "J1", asset_id: "A", params: { formats: ["splat-ply"], wind_mode: "turbulent", fps: 30 } };
-  const dialog = Object.assign(Object.create(KitDialog.prototype), { client, tree: () => ({ job }) });
+  const { dialog, asked } = kitsOf(job);
   const [file] = await dialog._files("blender", "cloud", () => {});
   assert.equal(new TextDecoder().decode(file.bytes), "J2");
   const one = { wind_mode: "loop", num_frames: 1, loop: false };
-  assert.deepEqual(asked[0].params, { fps: 30, ...one, formats: ["glb", "splat-ply"] });
+  assert.deepEqual(asked.map((request) => request.params), [{ fps: 30, ...one, formats: ["glb", "splat-ply"] }]);
+});
+
+test("a kit of a turbulent motion has the loop of its wind in files that hold one period", async () => {
+  const job = { id: "J1", asset_id: "A", params: { formats: ["png"], wind_mode: "turbulent", num_frames: 500 } };
+  const { dialog, asked } = kitsOf(job);
+  const [glb, alembic] = await dialog.artifacts(["glb", "alembic"], () => {});
+  assert.deepEqual([glb, alembic].map(({ name }) => name), ["tree.glb", "tree.abc"]);
+  assert.deepEqual(asked.map((request) => request.params), [
+    { ...job.params, formats: ["alembic"] },
+    { ...job.params, wind_mode: "loop", num_frames: null, formats: ["glb"] },
+  ]);
 });
 
 test("the README of a kit names its engine's files of the wind, and in it nothing that is not there", () => {

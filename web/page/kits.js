@@ -51,17 +51,16 @@ export class KitDialog {
     fill(words, before);
   }
 
-  /** The artifacts of formats of the tree on the stage. */
-  artifacts(formats, onJob) {
-    return filesOf(this.client, this.tree().job, formats, { onJob, onMade: this.onMade });
+  /** The artifacts of formats of the tree on the stage; with `own` parameters, which no earlier job wrote them with. */
+  artifacts(formats, onJob, own = null) {
+    const { job } = this.tree();
+    const wanted = own ? { ...job, params: { ...job.params, ...own, formats: [] } } : job;
+    const onMade = own ? () => {} : this.onMade; // the list of files is of the tree's own parameters
+    return filesOf(this.client, wanted, formats, { onJob, onMade });
   }
 
   async _files(program, kind, onJob) {
-    const { job } = this.tree();
-    const own = KITS[program].params?.[kind]; // with which no earlier job wrote the formats
-    const wanted = own ? { ...job, params: { ...job.params, ...own, formats: [] } } : job;
-    const onMade = own ? () => {} : this.onMade; // the list of files is of the tree's own parameters
-    const files = await filesOf(this.client, wanted, formatsOf(program, kind), { onJob, onMade });
+    const files = await this.artifacts(formatsOf(program, kind), onJob, KITS[program].params?.[kind]);
     return Promise.all(
       files.map(async ({ name, url }) => ({ name, bytes: new Uint8Array(await this.client.bytes(url)) })),
     );
@@ -75,22 +74,30 @@ export class KitDialog {
   }
 }
 
-/** The artifacts of a job's formats. Those that it has not are made by another, which `onJob` follows and `onMade` gets. */
+/** A turbulent motion never repeats; a file that holds one period has the loop of the same wind. */
+const LOOP = { wind_mode: "loop", num_frames: null };
+
+/** The artifacts of a job's formats. Those that it has not are made by others, which `onJob` follows and `onMade` gets. */
 export async function filesOf(client, { id, asset_id, preset, seed, params }, formats, { onJob, onMade }) {
+  const { products } = await client.json("GET", "/v1/limits");
+  const endless = products.filter(({ options }) => options.includes("wind_mode")).map(({ format }) => format);
+  const fits = (format) => params.wind_mode !== "turbulent" || endless.includes(format);
   const missing = formats.filter((format) => !params.formats.includes(format));
   const from = missing.length < formats.length ? [id] : [];
-  if (missing.length) {
-    const request = { type: "animate", asset_id, preset, seed, params: { ...params, formats: missing } };
-    const job = await client.createJob(request);
+  const requests = [
+    { ...params, formats: missing.filter(fits) },
+    { ...params, ...LOOP, formats: missing.filter((format) => !fits(format)) },
+  ];
+  for (const own of requests.filter((request) => request.formats.length)) {
+    const job = await client.createJob({ type: "animate", asset_id, preset, seed, params: own });
     await client.wait(job.id, { onJob });
     onMade(job);
     from.push(job.id);
   }
-  const { products } = await client.json("GET", "/v1/limits");
-  const names = products.filter(({ format }) => formats.includes(format)).map((product) => product.file_name);
   const lists = await Promise.all(from.map((one) => client.artifacts(one)));
-  const wanted = new Map(lists.flat().map((file) => [file.name, file]));
-  return names.map((name) => wanted.get(name)).filter(Boolean);
+  const files = new Map(lists.flat().map((file) => [file.name, file]));
+  const names = products.filter(({ format }) => formats.includes(format)).map((product) => product.file_name);
+  return names.map((name) => files.get(name)).filter(Boolean);
 }
 
 /** Formats for a program, of a mesh or of a cloud; null where it takes none. */

@@ -70,7 +70,7 @@ export default {
       "tree.abc (Alembic): every vertex in every frame. Houdini: Alembic SOP. Maya: Cache > Alembic Cache > Import.",
       "tree.usdz (USD): the same with materials and textures. Houdini Solaris: Sublayer LOP. Omniverse, usdview: open it.",
       "Of a splat, tree-splat.usdz has a Gaussian splat with a time sample a frame. preview.mp4 shows how it looks.",
-      "Metres, +Y up in tree.abc, +Z up in USD; 24 frames a second; after the last frame comes the first.",
+      "Metres, +Y up in tree.abc, +Z up in USD; 24 frames a second; after the last frame of a loop comes the first.",
     ]),
   },
 };
