@@ -1,12 +1,14 @@
 """Base classes of all request parameters: unknown fields are refused, and errors name field and value."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, TypeVar, get_args
 
 from annotated_types import MaxLen
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from dynamictree.errors import InputError
 
@@ -17,6 +19,27 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 """Low and high corner [m], +Z up."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Annotation of a text: the pattern that it matches, and the same in words, for errors."""
+
+    pattern: str
+    allowed: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """Return pydantic's schema with a check of the pattern."""
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:
+        """Return the JSON Schema with the pattern."""
+        return handler(schema) | {"pattern": self.pattern}
+
+    def _checked(self, text: str) -> str:
+        if re.fullmatch(self.pattern, text) is None:
+            raise PydanticCustomError("not_allowed", "Input should be {allowed}", {"allowed": self.allowed})
+        return text
 
 
 def _make_strict(schema: Any) -> None:

@@ -4,7 +4,6 @@ The options of the command line, the bodies of HTTP requests and the cache keys 
 models, so a new parameter is added in one of the two modules and nowhere else. They need only pydantic.
 """
 
-import re
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -13,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StringC
 from dynamictree.axis_names import DIRECTION_PATTERN
 from dynamictree.errors import InputError
 from dynamictree.photo_requests import PhotoParams
-from dynamictree.request_model import LARGEST, Box, Finite, Request
+from dynamictree.request_model import LARGEST, Box, Finite, Pattern, Request, Share
 
 MAX_FRAMES = 1_000
 """Most frames of one loop (16.7 s at 60 fps), or of a turbulent motion in a format that is written at once."""
@@ -48,16 +47,12 @@ TURBULENT_FRAMES: dict[Format, int] = {
 }
 """Most frames of a turbulent motion by format; formats that are not listed store only one period."""
 Resolution = Literal[32, 64, 128, 256, 512]
-_AXIS_PATTERN = f"^([+-]?[XYZxyz]|{DIRECTION_PATTERN})$"
-
-
-def _up_axis(axis: str) -> str:
-    if re.fullmatch(_AXIS_PATTERN, axis) is None:
-        raise ValueError("Input should be X, Y or Z with a sign, or a direction such as 0.17,-0.97,0.17")
-    return f"+{axis.upper()}" if len(axis) == 1 else axis.upper()
-
-
-UpAxis = Annotated[str, Field(max_length=80, json_schema_extra={"pattern": _AXIS_PATTERN}), AfterValidator(_up_axis)]
+UpAxis = Annotated[
+    str,
+    Field(max_length=80),
+    Pattern(f"^([+-]?[XYZxyz]|{DIRECTION_PATTERN})$", "X, Y or Z with a sign, or a direction such as 0.17,-0.97,0.17"),
+    AfterValidator(lambda axis: f"+{axis.upper()}" if len(axis) == 1 else axis.upper()),
+]
 """One of +X, -X, +Y, -Y, +Z and -Z, with an optional +, or a direction."""
 
 
@@ -111,9 +106,6 @@ class CloudParams(Request):
     )
 
 
-Foliage = Annotated[Finite, Field(ge=0, le=1)]
-
-
 class GridParams(Request):
     """How fine the voxel grid is. Paper section 3.3."""
 
@@ -160,7 +152,7 @@ class SpectrumParams(Request):
         description="Length of the loop [s]; by default from the height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s "
         "if num_frames is set or the preset is the paper's",
     )
-    foliage: Foliage | None = Field(
+    foliage: Share | None = Field(
         default=None,
         description="Foliage, which damps the motion: 0 (bare) to 1 (in leaf); by default as a mesh's shape shows, in "
         "between for a splat, scan or photos",
@@ -177,7 +169,7 @@ class SwingParams(Request):
     damping_ratio: Finite | None = Field(
         default=None, ge=0, le=2, description="Damping ratio of all modes; by default 0.04 (bare) to 0.13 (in leaf)"
     )
-    foliage: Foliage | None = Field(
+    foliage: Share | None = Field(
         default=None, description="Foliage for damping and frequency: 0 bare, 1 in leaf; by default the spectrum's"
     )
     frequency_hz: Finite | None = Field(
@@ -319,20 +311,14 @@ class ExportParams(Request):
             return self.formats or usual
         formats = self.formats or tuple(name for name in usual if name in TURBULENT_FRAMES)
         for name in formats:
-            self._require_turbulent(name)
+            if name not in TURBULENT_FRAMES:
+                raise InputError(
+                    f"a file of format {name} holds one period and no turbulent motion: take "
+                    f"{', '.join(TURBULENT_FRAMES)}, or {name} with wind_mode loop"
+                )
+            if (count := self.count_frames(1.0)) > (most := TURBULENT_FRAMES[name]):
+                raise InputError(f"num_frames is {count}; at most {most} are allowed of a turbulent motion as {name}")
         return formats
-
-    def _require_turbulent(self, name: Format) -> None:
-        if name not in TURBULENT_FRAMES:
-            raise InputError(
-                f"a file of format {name} holds one period and no turbulent motion: take {', '.join(TURBULENT_FRAMES)}"
-                f", or {name} with wind_mode loop"
-            )
-        count = self.count_frames(1.0)
-        if count > TURBULENT_FRAMES[name]:
-            raise InputError(
-                f"num_frames is {count}; at most {TURBULENT_FRAMES[name]} are allowed of a turbulent motion as {name}"
-            )
 
 
 class ReconstructParams(PhotoParams, CloudParams):

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Path, Query, Response
 
+from dynamictree.request_model import Pattern
 from service.http.problems import KINDS, MEDIA_TYPE, ProblemError
 from service.schemas.base import ULID_PATTERN
 
@@ -31,11 +32,9 @@ def refusals_of(codes: Sequence[str]) -> dict[int | str, dict[str, Any]]:
 
 def headers(**described: str) -> Mapping[str, Any]:
     """Return the OpenAPI description of a response's headers."""
+    schema = {"type": "string"}
     return {
-        "headers": {
-            name.replace("_", "-"): {"description": text, "schema": {"type": "string"}}
-            for name, text in described.items()
-        }
+        "headers": {name.replace("_", "-"): {"description": text, "schema": schema} for name, text in described.items()}
     }
 
 
@@ -61,4 +60,7 @@ Id = Annotated[str, Depends(_valid_id)]
 CACHED = {"Cache-Control": "private, max-age=86400"}
 """Headers of results that are computed from a spectrum, which never changes."""
 
-Cursor = Annotated[str | None, Query(description="The previous page's next_cursor", pattern="^[0-9A-Z]{26}$")]
+Cursor = Annotated[
+    Annotated[str, Pattern("^[0-9A-Z]{26}$", "a next_cursor: 26 letters and digits")] | None,
+    Query(description="The previous page's next_cursor"),
+]

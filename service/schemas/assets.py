@@ -6,13 +6,14 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import from_json
 
+from dynamictree.request_model import Pattern
 from dynamictree.requests import Reading
 from jobs.records import UploadRecord, UploadState
 from jobs.states import AssetKind
 from service.http.multipart import MAX_FILES, MAX_NAME_CHARS
 from service.http.problems import wrong_field
 from service.http.validation_errors import invalid_fields
-from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time, problem_of
+from service.schemas.base import Metadata, Payload, Problem, Sha256, Time, Ulid, problem_of
 
 
 class PartPayload(Payload):
@@ -72,26 +73,28 @@ class AssetOptions(Reading):
         return self.model_dump(mode="json", include=set(AssetOptions.model_fields), exclude_none=True)
 
 
-_NAME = r"^[^\x00-\x1f\x7f]*$"
+_Name = Annotated[
+    str, Field(max_length=MAX_NAME_CHARS), Pattern(r"^[^\x00-\x1f\x7f]*$", "a name without control characters")
+]
 
 
 class UploadMetadata(AssetOptions):
     """Fields of `Upload-Metadata`."""
 
-    filename: str | None = Field(default=None, max_length=MAX_NAME_CHARS, pattern=_NAME)
-    name: str | None = Field(default=None, max_length=MAX_NAME_CHARS, pattern=_NAME)
-    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
+    filename: _Name | None = None
+    name: _Name | None = None
+    sha256: Sha256 | None = None
     asset: Literal["auto"] | None = None
 
 
 class AssetRequest(AssetOptions):
     """Source of an asset: complete uploads, or a URL."""
 
-    upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
+    upload_ids: list[Ulid] | None = Field(
         default=None, min_length=1, max_length=MAX_FILES, description="A mesh with companion files, photos, or one zip"
     )
     url: str | None = Field(default=None, max_length=2048, description="HTTPS address, which is fetched once")
-    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="Hash of the fetched file")
+    sha256: Sha256 | None = Field(default=None, description="Hash of the fetched file")
     filename: str | None = Field(default=None, min_length=1, max_length=255, description="By default that of the URL")
 
     @model_validator(mode="after")

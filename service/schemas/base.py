@@ -5,12 +5,14 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from dynamictree.request_model import Bounded
+from dynamictree.request_model import Bounded, Pattern
 from dynamictree.request_model import Finite as Finite
 from service.http.problems import KINDS, problem_body
 
 ULID_PATTERN = "^[0-9A-HJKMNP-TV-Z]{26}$"
 
+Ulid = Annotated[str, Pattern(ULID_PATTERN, "an id that the service returned: 26 letters and digits")]
+Sha256 = Annotated[str, Pattern("^[0-9a-f]{64}$", "a hash in 64 hexadecimal digits, lower case")]
 Metadata = Annotated[
     dict[Annotated[str, Field(max_length=64)], Annotated[str, Field(max_length=512)]], Field(max_length=16)
 ]

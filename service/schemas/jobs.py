@@ -8,16 +8,14 @@ from dynamictree.requests import AnimateParams, DiffuseParams, ModelParams, Reco
 from jobs.records import EVENTS, ArtifactRecord, Event, JobRecord
 from jobs.states import JobState, JobType, Priority, StageState
 from service.schemas.assets import AssetSummary
-from service.schemas.base import ULID_PATTERN, Metadata, Payload, Problem, Time
+from service.schemas.base import Metadata, Payload, Problem, Time, Ulid
 
 
 class _JobRequest(ModelParams):
     priority: Priority = Field(
         default="normal", description="high runs first; if keys are required, it needs the scope high-priority"
     )
-    webhook: str | None = Field(
-        default=None, pattern=ULID_PATTERN, description="Id of a webhook endpoint that receives events of this job"
-    )
+    webhook: Ulid | None = Field(default=None, description="Id of a webhook endpoint that receives events of this job")
     webhook_events: list[Event] | None = Field(
         default=None, max_length=len(EVENTS), description="Events to send; by default those of the job's end"
     )

@@ -12,6 +12,7 @@ from jobs.settings import Settings
 from service.app import create_app
 from service.http.problems import KINDS, problem_code
 from service.http.validation_errors import MAX_ERRORS, field_errors
+from tests.service.tus import TUS, metadata
 
 MEMBERS = {"type", "title", "status", "detail", "code", "request_id", "retryable", "suggestion", "errors"}
 
@@ -65,6 +66,25 @@ JSON = {"Content-Type": "application/json"}
 )  # fmt: skip
 def test_what_cannot_be_answered_is_a_problem(client, send, status, code) -> None:
     assert_problem(send(client), status, code)
+
+
+@pytest.mark.parametrize(
+    ("send", "words"),
+    [
+        (lambda client: client.post("/v1/assets", json={"upload_ids": ["x"]}), "26 letters and digits; 'x' was sent"),
+        (lambda client: client.post("/v1/assets", json={"url": "https://a.example", "sha256": "x"}), "64 hexadecimal"),
+        (lambda client: client.post("/v1/assets", json={"up_axis": "x,y"}), "X, Y or Z with a sign"),
+        (lambda client: client.post("/v1/jobs", json={"type": "voxelize", "webhook": "x"}), "26 letters and digits"),
+        (lambda client: client.get("/v1/jobs", params={"cursor": "x"}), "a next_cursor"),
+        (lambda client: client.post("/v1/uploads", headers=TUS | {"Upload-Length": "5", "Upload-Metadata":
+         metadata(filename="a\nb")}), "a name without control characters"),
+    ],
+)  # fmt: skip
+def test_what_a_text_may_be_is_said_in_words(client: TestClient, send, words: str) -> None:
+    response = send(client)
+    assert_problem(response, 422, "validation-failed")
+    assert words in response.text
+    assert "pattern" not in response.text
 
 
 def test_a_slash_too_many_sends_nobody_and_no_key_elsewhere(client: TestClient) -> None:
