@@ -1,6 +1,7 @@
 """Planes in points: least squares, RANSAC, and which points lie flat among their neighbours."""
 
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,6 @@ Direction = Float64[np.ndarray, " 3"]
 
 NEIGHBOURS = 12
 """Number of neighbours from whose spread a point's normal is estimated; fewer points have no normals."""
-_FLAT = 0.25  # largest ratio of the standard deviations across and along a flat surface
 _ALONG = 0.85  # cosine between a plane's normal and a point's
 
 
@@ -41,8 +41,8 @@ def fit_plane(points: Points) -> Plane:
 
 def best_plane(candidates: Iterator[Plane], score: Callable[[Plane], float], least: float) -> Plane | None:
     """Return the candidate with the highest score above `least`, as in RANSAC (Fischler and Bolles 1981)."""
-    best = max(candidates, key=score, default=None)
-    return best if best is not None and score(best) > least else None
+    highest, best = max(((score(plane), plane) for plane in candidates), key=itemgetter(0), default=(least, None))
+    return best if highest > least else None
 
 
 def planes_of_triples(points: Points, trials: int, rng: np.random.Generator) -> Iterator[Plane]:
@@ -85,6 +85,7 @@ class FlatPoints(NamedTuple):
 def flat_points(points: Points) -> FlatPoints:
     """Estimate normals as principal axes of each point's neighbours (Hoppe 1992)."""
     near = np.asarray(scipy.spatial.cKDTree(points).query(points, k=NEIGHBOURS)[1])
+    flat = 0.25  # largest ratio of the standard deviations across and along a flat surface
     around = points[near] - points[near].mean(axis=1, keepdims=True)  # [P, K, 3]
     spread, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", around, around))
-    return FlatPoints(points, axes[:, :, 0], spread[:, 0] < _FLAT**2 * spread[:, 1])
+    return FlatPoints(points, axes[:, :, 0], spread[:, 0] < flat**2 * spread[:, 1])
