@@ -8,7 +8,7 @@ from fastapi import Response
 
 from dynamictree.errors import InputError
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, PhotoParams
-from dynamictree.plant.choice import matching
+from dynamictree.plant.choice import MOST_LISTED, matching
 from dynamictree.requests import AnimateParams, CloudParams, Format
 from jobs.clients.usage import count_jobs
 from jobs.clients.webhooks import endpoint
@@ -156,7 +156,7 @@ def _require_parts(option: str, patterns: Sequence[str], asset: AssetRecord) -> 
     names = listed.split(", ") if isinstance(listed, str) else []
     if asset.kind == "cloud" and isinstance(still, list):
         names = [str(part["name"]) for part in still if isinstance(part, dict)]
-    elif not 0 < len(names) < 50:  # number of names that `describe_mesh` lists
+    elif not 0 < len(names) < MOST_LISTED:
         return
     try:
         matching(option, [name for name in patterns if not {*"*?[,"} & {*name}], names)
@@ -177,10 +177,9 @@ def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:
 
 
 def _require_turn(owned: Owned) -> None:
-    if count_jobs(owned.services.store, [JobState.QUEUED]) >= owned.services.settings.max_queued_jobs:
-        raise ProblemError(
-            "queue-full", f"{owned.services.settings.max_queued_jobs} jobs wait already, which is the limit"
-        )
+    most = owned.services.settings.max_queued_jobs
+    if count_jobs(owned.services.store, [JobState.QUEUED]) >= most:
+        raise ProblemError("queue-full", f"{most} jobs wait already, which is the limit")
 
 
 def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:

@@ -8,7 +8,7 @@ from jaxtyping import Float32, Int32
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, moving_part
-from dynamictree.plant.choice import part_names
+from dynamictree.plant.choice import MOST_LISTED, part_names
 from dynamictree.plant.trees.of_mesh import mesh_points
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
@@ -16,14 +16,13 @@ from dynamictree.voxel.grid import VoxelGrid
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
     """Summarise a mesh: counts, bounds [m] and how the source's axes and units were read."""
-    most_names = 50  # names of parts that are listed
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return {
         "num_vertices": mesh.num_vertices,
         "num_faces": mesh.num_faces,
         "num_still_faces": 0 if mesh.still_faces is None else int(mesh.still_faces.sum()),
         "still_parts": [asdict(part) for part in mesh.parts.still],
-        "part_names": ", ".join(part_names(mesh)[:most_names]),
+        "part_names": ", ".join(part_names(mesh)[:MOST_LISTED]),
         "num_materials": len(mesh.look.materials),
         "extent_m": (high - low).round(4).tolist(),
         "low_m": low.round(4).tolist(),

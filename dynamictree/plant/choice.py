@@ -13,6 +13,9 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.request_model import Box
 from dynamictree.requests import CloudParams
 
+MOST_LISTED = 50
+"""Number of part names in the summary of a mesh."""
+
 
 def with_choice(mesh: TriangleMesh, choice: CloudParams) -> TriangleMesh:
     """Change the still faces of a mesh by a request; faces that the request does not name stay as detected.
