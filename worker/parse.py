@@ -80,10 +80,8 @@ def _model(request: ParseRequest) -> ParseAnswer:
     clouds = [name for name, (kind, _) in models.items() if kind == "cloud"]
     meshes = [name for name in models if name not in clouds]
     if len(clouds) > 1 or len(meshes) > 1:
-        detail = ", ".join(repr(name) for name in models)
-        return _unusable(
-            f"there are 2 {'clouds' if clouds else 'meshes'} ({detail}); send one, and what it names beside it"
-        )
+        both = f"there are 2 {'clouds' if clouds else 'meshes'} ({', '.join(map(repr, models))})"
+        return _unusable(f"{both}; send one, and what it names beside it")
     beside = {name: path for name, path in files.items() if name not in models}
     if clouds:
         return _cloud(request, clouds[0], models[clouds[0]][1], meshes[0] if meshes else None, beside)

@@ -121,6 +121,9 @@ def animate(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     with given.files[SPECTRUM].open("rb") as stream:
         spectrum = read_spectrum(stream)
+    choice = CloudParams.part_of(given.job.params)
+    if given.photos:  # their box is not in the frame of the scaled mesh
+        choice = choice.model_copy(update={"box_m": None})
     paths = write_products(
         _mesh(given, with_source=True),
         spectrum,
@@ -128,7 +131,7 @@ def animate(given: StageInput) -> Iterable[Path]:
         given.folder,
         given.report,
         capture=_capture(given),
-        choice=_choice(given),
+        choice=choice,
         on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
         recall=given.recall,
     )
@@ -166,12 +169,6 @@ def photo_name(index: int, name: str) -> str:
     safe = [re.sub(r"[^\w.() -]", "_", part)[-100:] for part in parts[-6:]]
     alone = len(safe) < 2 and safe[-1].lower().endswith(PHOTO_SUFFIXES)
     return "/".join([f"{index:04d}" if alone else "all", *safe])
-
-
-def _choice(given: StageInput) -> CloudParams:
-    """Return the choice of moving parts, without the box of photos, which is not in the frame of the scaled mesh."""
-    choice = CloudParams.part_of(given.job.params)
-    return choice.model_copy(update={"box_m": None}) if given.photos else choice
 
 
 def _capture(given: StageInput) -> Capture | None:

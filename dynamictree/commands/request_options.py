@@ -124,17 +124,8 @@ def _allowed(kind: Schema) -> str:
         high = kind["exclusiveMaximum"] - 1
     if low is not None and high is not None:
         return f"{low} to {high}" if kind["type"] == "integer" else f"{low:g} to {high:g}"
-    bounds = [
-        f"{word} {kind[key]:g}"
-        for key, word in (
-            ("exclusiveMinimum", "above"),
-            ("minimum", "at least"),
-            ("exclusiveMaximum", "below"),
-            ("maximum", "at most"),
-        )
-        if key in kind
-    ]
-    return " and ".join(bounds).capitalize()
+    words = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
+    return " and ".join(f"{word} {kind[key]:g}" for key, word in words.items() if key in kind).capitalize()
 
 
 def _option_name(field: str) -> str:
@@ -166,7 +157,7 @@ def _read(name: str, value: Any, kind: Schema) -> Any:
     if _is_repeated(kind):
         return [_stroke(name, text) for text in value]
     if "items" in kind:
-        return _names(value)
+        return [part.strip() for text in value for part in text.split(",")]
     return _box(name, value) if kind["type"] == "array" else value
 
 
@@ -187,11 +178,6 @@ def _number_of(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
-
-
-def _names(values: list[str]) -> list[str]:
-    """Split the names of an option, which may be comma-separated and repeated."""
-    return [part.strip() for value in values for part in value.split(",")]
 
 
 def _box(name: str, text: str) -> list[list[float]]:

@@ -22,8 +22,7 @@ _BY_STATUS = {400: "bad-request", 413: "payload-too-large", 422: "validation-fai
 def install(app: FastAPI) -> None:
     """Install a handler for each exception type that a route may raise; the middleware answers all others."""
     app.add_exception_handler(HTTPException, _on_http)
-    app.add_exception_handler(RequestValidationError, _on_validation)
-    for ours in (DynamicTreeError, JobsError, OSError):
+    for ours in (DynamicTreeError, JobsError, OSError, RequestValidationError):
         app.add_exception_handler(ours, _on_ours)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
 
@@ -58,12 +57,9 @@ def _methods(request: Request) -> list[str]:
     return sorted(set[str]().union(*(route.methods or () for route in own)))
 
 
-async def _on_validation(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
-    return invalid_fields(error.errors()).response(request.scope)
-
-
 async def _on_ours(request: Request, error: Exception) -> Response:
+    if isinstance(error, RequestValidationError):
+        return invalid_fields(error.errors()).response(request.scope)
     assert isinstance(error, Refusal | OSError)
     return problem_of(error).response(request.scope)
 

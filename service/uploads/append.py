@@ -129,15 +129,10 @@ async def _checked(owned: Owned, record: UploadRecord, body: AsyncIterator[bytes
     size = offset
     async for chunk in body:
         if chunk and not size:
-            await run_in_threadpool(_extend_lifetime, owned, record)
+            until = owned.store.clock() + owned.services.settings.upload_retention_s
+            await run_in_threadpool(change_upload, owned.store, record.id, expires_at=until)
         size += len(chunk)
         if size > record.length:
             detail = f"the upload has {record.length:,} bytes as announced, and more were sent"
             raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
         yield chunk
-
-
-def _extend_lifetime(owned: Owned, record: UploadRecord) -> None:
-    """Extend the lifetime of an upload at its first byte."""
-    until = owned.store.clock() + owned.services.settings.upload_retention_s
-    change_upload(owned.store, record.id, expires_at=until)

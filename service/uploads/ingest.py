@@ -58,9 +58,8 @@ def _files(owned: Owned, uploads: Sequence[UploadRecord], folder: Path) -> list[
             raise GoneError(f"the bytes of upload {upload.id} were removed; begin it anew") from error
         digest, size = hash_file(path)
         if size != upload.length or upload.sha256 not in {None, digest}:
-            raise ProblemError(
-                "checksum-mismatch", f"upload {upload.id} has the sha256 {digest}, not what was promised"
-            )
+            detail = f"upload {upload.id} has the sha256 {digest}, not what was promised"
+            raise ProblemError("checksum-mismatch", detail)
         files.append(ReceivedFile(name=upload.filename, path=path, sha256=digest, bytes=size))
     return files
 

@@ -151,10 +151,10 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
         raise _unsupported(files[0], tuple(suffixes))
     if len(models) > 2:
         reason = ", ".join(repr(file.name) for file in models[:5])
-        raise ProblemError(
-            "invalid-input",
-            f"there are {len(models)} meshes or clouds ({reason}); send one, or a cloud and a mesh in the same place",
+        detail = (
+            f"there are {len(models)} meshes or clouds ({reason}); send one, or a cloud and a mesh in the same place"
         )
+        raise ProblemError("invalid-input", detail)
     return tuple(models)
 
 
@@ -198,10 +198,8 @@ async def parse_and_store(
     upload = replace(upload, kind=answer.kind or upload.kind)
     summary = dict(answer.summary)
     if upload.unused:
-        message = (
-            f"{len(upload.unused)} films of Live Photos were not used, {upload.unused[0]} first: the photos suffice"
-        )
-        warning: dict[str, str | int | float] = {"code": "films-unused", "message": message}
+        unused = f"{len(upload.unused)} films of Live Photos were not used, {upload.unused[0]} first"
+        warning: dict[str, str | int | float] = {"code": "films-unused", "message": f"{unused}: the photos suffice"}
         summary["warnings"] = [warning]
     return await run_in_threadpool(_store_asset, owned, upload, prepared, summary, expires_at)
 
