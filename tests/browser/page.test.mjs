@@ -695,6 +695,22 @@ test("what the panels leave free is filled anew, however small the steps in whic
   assert.equal(far, distance());
 });
 
+test("software draws a coarser map of shadows while the tree moves", () => {
+  const mapSize = { setScalar: (px) => Object.assign(mapSize, { px }) };
+  const stage = Object.assign(Object.create(Stage.prototype), {
+    soft: true,
+    canvas: { clientWidth: 9, clientHeight: 9 },
+    surroundings: { sun: { shadow: { mapSize } } },
+    renderer: { shadowMap: {}, render() {} },
+    prepare() {},
+    _setSize() {},
+  });
+  for (const [scale, shadow, px] of [[0.6, true, 768], [1, false, 768], [1, true, 1024]]) {
+    stage._render(scale, shadow);
+    assert.equal(mapSize.px, px);
+  }
+});
+
 test("a tree of a folder keeps the folder's name when it is opened again", async () => {
   const kept = new Map();
   globalThis.localStorage = {
