@@ -66,12 +66,9 @@ def test_a_draco_stream_is_the_part_that_it_was_made_of() -> None:
     np.testing.assert_array_equal(plain.look.vertex_colors[:, 3], stored[:, 3])
 
 
-def test_a_node_s_matrix_is_stored_by_columns() -> None:
+def test_a_node_s_matrix_is_stored_by_columns_and_a_mirror_keeps_the_outside_outside() -> None:
     matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 7, 8, 9, 1]
     np.testing.assert_allclose(read_gltf(nodes=[{"mesh": 0, "matrix": matrix}]).vertices[0], [7, -9, 8])
-
-
-def test_a_mirrored_node_keeps_the_outside_outside() -> None:
     np.testing.assert_array_equal(read_gltf(nodes=[{"mesh": 0, "scale": [-1, 1, 1]}]).faces, [[2, 1, 0]])
 
 

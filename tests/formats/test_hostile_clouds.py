@@ -40,48 +40,6 @@ def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
     return (HEAD + f"element vertex {count}\n" + "\n".join(lines) + "\nend_header\n").encode() + body
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (ply(1_000, NAMES), r"1,000 rows of 68 bytes in 'vertex', 68,000 bytes, but 0 are left"),
-        (ply(50_000_000, NAMES), "50,000,000 Gaussians"),
-        (ply(0, NAMES), "empty"),
-        (ply(1, [n for n in NAMES if n not in ("rot_3", "opacity")], bytes(60)), "have no opacity, rot_3"),
-        (ply(1, [*NAMES, *(f"f_rest_{i + 1}" for i in range(9))], bytes(104)), "9 properties f_rest"),
-        (ply(1, NAMES, np.full(17, np.nan, "<f4").tobytes()), "not finite|rotation has a length"),
-        (ply(1, NAMES, np.full(17, 100, "<f4").tobytes()), "scales of 1 Gaussians are not finite"),
-        (ply(1, NAMES, np.full(17, -20, "<f4").tobytes()), "nothing is visible"),
-        (ply(1, NAMES, bytes(68)), "rotation has a length"),
-        (b"no ply at all\n", "begin with 'ply'"),
-        (b"ply\n" + b"comment " + b"x" * 100_000 + b"\n", "no end within 65,536"),
-        (b"ply\nend_header\n", "names no format"),
-        (HEAD.encode() + b"element vertex -3\nend_header\n", "not understood: 'element vertex -3'"),
-        (HEAD.encode() + b"element vertex 1\nproperty quad x\nend_header\n", "not understood: 'property quad x'"),
-        (ply(1, ["x", "x"]), "'x' of 'vertex' twice"),
-        ((HEAD + "element early 1\nproperty list uchar int i\n").encode() + ply(1, NAMES)[len(HEAD) :],
-         "'early' of the PLY file has lists"),
-        (ASCII + b"element vertex 9\n" + XYZ + b"1 2 3\n",
-         "9 rows in 'vertex', at least 54 bytes"),
-        (ASCII + b"element vertex 1\n" + XYZ + b"1 2 a\n",
-         "what is no number"),
-        (ASCII + b"element vertex 2\n" + XYZ + b"1 2 3\n"
-         b"        \n", "2 rows of 3 numbers .* but 3 are left"),
-        (HEAD.encode() + b"element vertex 3\nproperty float x\nelement face 1\nproperty list uchar int i\nend_header\n",
-         "it is a mesh"),
-    ],
-)  # fmt: skip
-def test_a_contradictory_ply_is_reported_with_the_place(content: bytes, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(content, "ply")
-
-
-def test_a_splat_of_a_broken_size_is_refused() -> None:
-    with pytest.raises(FormatError, match="33 bytes"):
-        read(bytes(33), "splat")
-    with pytest.raises(InputError, match="empty"):
-        read(b"", "splat")
-
-
 def spz(
     version: int, count: int, degree: int, *, fractional: int = 12, magic: int = 0x5053474E, body: bytes = b""
 ) -> bytes:
@@ -93,33 +51,6 @@ def spz4(count: int, streams: int, table_offset: int, rest: bytes, *, version: i
 
 
 FIVE = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(5))
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "neither with 'NGSP' nor as gzip"),
-        (spz(3, 4_000_000, 3), "at most 100:1"),
-        (spz(3, 50_000_000, 0), "50,000,000 Gaussians"),
-        (spz(3, 100, 0), "ends after 0 of 2,000 bytes"),
-        (spz(9, 1, 0), "version 9"),
-        (spz(3, 1, 0, magic=7), "no SPZ file"),
-        (spz(3, 1, 4, body=bytes(100)), "degree 4"),
-        (spz(3, 1, 0, fractional=30, body=bytes(20)), "30 fractional bits"),
-        (spz(3, 1, 0)[:12], "truncated|within its header"),
-        (b"\x1f\x8b\x08\x00" + bytes(60), "damaged|within its header"),
-        (spz4(1, 5, 32, b"", version=5), "version 5"),
-        (spz4(1, 9, 32, b""), "9 streams at byte 32"),
-        (spz4(1, 6, 32, b""), "within its table"),
-        (spz4(1, 6, 32, struct.pack("<12Q", *[5, 9] * 6)), "runs past the file's end"),
-        (spz4(1, 6, 32, struct.pack("<12Q", *[5, 8] * 6) + bytes(64)), "an SPZ stream is 8 bytes"),
-        (spz4(1, 6, 32, struct.pack("<12Q", *[9, 9] * 6) + bytes(64)), "damaged"),
-        (spz4(1, 6, 32, struct.pack("<12Q", len(FIVE), 9, *[0, 0] * 5) + FIVE), "ends after 5 of 9"),
-    ],
-)
-def test_a_contradictory_spz_is_reported_with_the_place(content: bytes, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(content, "spz")
 
 
 def changed_glb(change: Callable[[dict[str, object]], None]) -> bytes:
@@ -201,16 +132,74 @@ def test_a_compressed_ply_is_unpacked() -> None:
     np.testing.assert_allclose(cloud.quaternions[0], [1, 0, 0, 0], atol=2e-3)
 
 
-def test_a_compressed_ply_that_lies_is_refused() -> None:
-    for content, message in (
-        (compressed(10, 2), "2 chunks"),
-        (compressed(10, 1, bounds=False), "bounds or packed"),
-        (compressed(10, 1)[:-1], "truncated"),
+def test_a_compressed_ply_that_lies_and_a_splat_of_a_broken_size_are_refused() -> None:
+    for content, kind, message in (
+        (compressed(10, 2), "ply", "2 chunks"),
+        (compressed(10, 1, bounds=False), "ply", "bounds or packed"),
+        (compressed(10, 1)[:-1], "ply", "truncated"),
+        (bytes(33), "splat", "33 bytes"),
     ):
         with pytest.raises(FormatError, match=message):
-            read(content, "ply")
+            read(content, kind)
     with pytest.raises(FormatError, match="no compressed splat"):
         read_compressed_ply(io.BytesIO(cloud_bytes(write_gaussian_ply)))
+
+
+BROKEN = {
+    "ply": [
+        (ply(1_000, NAMES), r"1,000 rows of 68 bytes in 'vertex', 68,000 bytes, but 0 are left"),
+        (ply(50_000_000, NAMES), "50,000,000 Gaussians"),
+        (ply(0, NAMES), "empty"),
+        (ply(1, [n for n in NAMES if n not in ("rot_3", "opacity")], bytes(60)), "have no opacity, rot_3"),
+        (ply(1, [*NAMES, *(f"f_rest_{i + 1}" for i in range(9))], bytes(104)), "9 properties f_rest"),
+        (ply(1, NAMES, np.full(17, np.nan, "<f4").tobytes()), "not finite|rotation has a length"),
+        (ply(1, NAMES, np.full(17, 100, "<f4").tobytes()), "scales of 1 Gaussians are not finite"),
+        (ply(1, NAMES, np.full(17, -20, "<f4").tobytes()), "nothing is visible"),
+        (ply(1, NAMES, bytes(68)), "rotation has a length"),
+        (b"no ply at all\n", "begin with 'ply'"),
+        (b"ply\n" + b"comment " + b"x" * 100_000 + b"\n", "no end within 65,536"),
+        (b"ply\nend_header\n", "names no format"),
+        (HEAD.encode() + b"element vertex -3\nend_header\n", "not understood: 'element vertex -3'"),
+        (HEAD.encode() + b"element vertex 1\nproperty quad x\nend_header\n", "not understood: 'property quad x'"),
+        (ply(1, ["x", "x"]), "'x' of 'vertex' twice"),
+        (
+            (HEAD + "element early 1\nproperty list uchar int i\n").encode() + ply(1, NAMES)[len(HEAD) :],
+            "'early' of the PLY file has lists",
+        ),
+        (ASCII + b"element vertex 9\n" + XYZ + b"1 2 3\n", "9 rows in 'vertex', at least 54 bytes"),
+        (ASCII + b"element vertex 1\n" + XYZ + b"1 2 a\n", "what is no number"),
+        (ASCII + b"element vertex 2\n" + XYZ + b"1 2 3\n        \n", "2 rows of 3 numbers .* but 3 are left"),
+        (ply(3, ["x"]).replace(b"end_h", b"element face 1\nproperty list uchar int i\nend_h"), "it is a mesh"),
+    ],
+    "splat": [(b"", "empty")],
+    "spz": [
+        (b"", "neither with 'NGSP' nor as gzip"),
+        (spz(3, 4_000_000, 3), "at most 100:1"),
+        (spz(3, 50_000_000, 0), "50,000,000 Gaussians"),
+        (spz(3, 100, 0), "ends after 0 of 2,000 bytes"),
+        (spz(9, 1, 0), "version 9"),
+        (spz(3, 1, 0, magic=7), "no SPZ file"),
+        (spz(3, 1, 4, body=bytes(100)), "degree 4"),
+        (spz(3, 1, 0, fractional=30, body=bytes(20)), "30 fractional bits"),
+        (spz(3, 1, 0)[:12], "truncated|within its header"),
+        (b"\x1f\x8b\x08\x00" + bytes(60), "damaged|within its header"),
+        (spz4(1, 5, 32, b"", version=5), "version 5"),
+        (spz4(1, 9, 32, b""), "9 streams at byte 32"),
+        (spz4(1, 6, 32, b""), "within its table"),
+        (spz4(1, 6, 32, struct.pack("<12Q", *[5, 9] * 6)), "runs past the file's end"),
+        (spz4(1, 6, 32, struct.pack("<12Q", *[5, 8] * 6) + bytes(64)), "an SPZ stream is 8 bytes"),
+        (spz4(1, 6, 32, struct.pack("<12Q", *[9, 9] * 6) + bytes(64)), "damaged"),
+        (spz4(1, 6, 32, struct.pack("<12Q", len(FIVE), 9, *[0, 0] * 5) + FIVE), "ends after 5 of 9"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "message"), [(kind, *row) for kind, rows in BROKEN.items() for row in rows]
+)
+def test_a_contradictory_file_is_reported_with_the_place(kind: str, content: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(content, kind)
 
 
 def test_types_axes_and_units_that_do_not_exist_are_refused() -> None:

@@ -168,6 +168,8 @@ def test_read_voxels_undoes_write_voxels(rng) -> None:
     assert result.grid.origin_m == voxels.grid.origin_m
     assert result.source == voxels.source
     assert read_voxels(io.BytesIO(written(write_voxels, replace(voxels, moments=None)))).moments is None
+    with pytest.raises(FormatError, match="'surface-voxels'"):
+        read_voxels(io.BytesIO(spectrum_bytes(small_spectrum(rng))))
 
 
 @pytest.mark.parametrize(
@@ -184,8 +186,3 @@ def test_rows_of_voxels_that_are_none_are_refused(name: str, rows: np.ndarray) -
     content = written(write_voxels, small_voxels(np.random.default_rng(1)))
     with pytest.raises(FormatError, match=name.removesuffix("s")):
         read_voxels(io.BytesIO(with_changes(content, {name: rows}, {})))
-
-
-def test_a_spectrum_is_no_voxel_file(rng) -> None:
-    with pytest.raises(FormatError, match="'surface-voxels'"):
-        read_voxels(io.BytesIO(spectrum_bytes(small_spectrum(rng))))
