@@ -188,17 +188,13 @@ PLACES = [AT_REST | {"locality": {"seed_voxel": n, "falloff_m": 1.0}} for n in r
         ({"initial_state": {"groups": [AT_REST] * 2}}, "same locality"),
         ({"initial_state": {"groups": PLACES}}, "at most 64"),
         ({"warp": False}, "/warp: Input should be True"),
+        ({"forces": [{"kind": "wind", "wind_m_s": [1, 0, 0]}] * (MAX_FORCES + 1)}, str(MAX_FORCES)),
     ],
 )
 def test_a_number_or_a_state_that_is_none_is_refused_with_what_is_allowed(
     client: TestClient, spectrum_id: str, poke: dict, options: dict, words: str
 ) -> None:
     assert words in refusal(post(client, spectrum_id, poke, **options), 422, "validation-failed")["detail"]
-
-
-def test_too_many_forces_are_refused_with_the_limit(client: TestClient, spectrum_id: str, poke: dict) -> None:
-    problem = refusal(post(client, spectrum_id, *[poke] * (MAX_FORCES + 1)), 422, "validation-failed")
-    assert str(MAX_FORCES) in problem["detail"]
 
 
 def test_an_answer_that_is_too_large_is_refused_with_what_fits(client, spectrum_id, poke, monkeypatch) -> None:

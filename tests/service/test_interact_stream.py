@@ -82,15 +82,6 @@ def test_frames_are_those_of_the_library(client, spectrum_id, spectrum, kind, ve
     assert [frame["frame"] for frame in taken] == sorted({frame["frame"] for frame in taken})
 
 
-def test_a_binary_message_ends_the_stream_with_its_reason(client: TestClient, spectrum_id: str) -> None:
-    with client.websocket_connect(URL) as socket:
-        opened(socket, spectrum_id)
-        socket.send_bytes(b"{}")
-        with pytest.raises(WebSocketDisconnect) as ended:
-            socket.receive_json()
-    assert ended.value.code == 1003
-
-
 def test_a_frame_after_the_close_of_another_task_is_no_error() -> None:
     async def close_then_send() -> None:
         messages = [{"type": "websocket.connect"}]
@@ -236,19 +227,17 @@ def test_a_bad_first_message_is_reported_and_ends_it(client: TestClient, first: 
         assert closed.value.code == interact_stream.INVALID
 
 
-def test_silence_and_shouting_end_it(client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silence_shouting_and_bytes_end_it(client, spectrum_id, monkeypatch) -> None:
     monkeypatch.setattr(interact_stream, "OPEN_S", 0.05)
     monkeypatch.setattr(interact_stream, "IDLE_S", 0.05)
     for code, say in (
-        (interact_stream.INVALID, None),
-        (interact_stream.DONE, "open"),
-        (interact_stream.TOO_LARGE, "shout"),
+        (interact_stream.INVALID, lambda socket: None),
+        (interact_stream.DONE, lambda socket: opened(socket, spectrum_id)),
+        (interact_stream.TOO_LARGE, lambda socket: socket.send_text("a" * (interact_stream.MAX_MESSAGE + 1))),
+        (1003, lambda socket: socket.send_bytes(b"{}")),
     ):
         with client.websocket_connect(URL) as socket:
-            if say == "open":
-                opened(socket, spectrum_id)
-            elif say == "shout":
-                socket.send_text("a" * (interact_stream.MAX_MESSAGE + 1))
+            say(socket)
             with pytest.raises(WebSocketDisconnect) as closed:
                 socket.receive_json()
             assert closed.value.code == code
