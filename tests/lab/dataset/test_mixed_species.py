@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 
 from lab.dataset.generate import Recipe, generate
 from lab.dataset.mixed_species import MAX_LEAVES, MAX_STEMS, MIXED_SPECIES, mix_species
-from lab.dataset.sample import Sample, make_sample
+from lab.dataset.sample import make_sample
 from lab.dataset.sapling import LEAF
 from lab.dataset.species import SPECIES
 
@@ -29,23 +29,17 @@ def test_parts_are_of_species_for_training_and_bounded() -> None:
 
 
 def test_clumps_are_closed_and_each_is_rigid() -> None:
-    sample = _low_poly_sample()
+    sample = make_sample(5007, MIXED_SPECIES)  # its foliage follows the stems' own nodes
+    assert len(sample.motion.position) == len(sample.skeleton.position)
     faces = sample.mesh.faces
     crown = np.flatnonzero(sample.part == LEAF)
+    assert len(crown)
     assert trimesh.Trimesh(sample.mesh.vertices, faces[np.isin(faces[:, 0], crown)], process=False).is_watertight
     moved = sample.mesh.vertices + sample.displacement()[37]
     for node in np.unique(sample.node[crown]):
         own = crown[sample.node[crown] == node]
         before, after = (pdist(where[own]) for where in (sample.mesh.vertices, moved))
         np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-4)
-
-
-def _low_poly_sample() -> Sample:
-    """The first of the crossed trees whose foliage follows the stems' own nodes."""
-    samples = (make_sample(seed, MIXED_SPECIES) for seed in range(5000, 5100))
-    return next(
-        one for one in samples if (one.part == LEAF).any() and len(one.motion.position) == len(one.skeleton.position)
-    )
 
 
 def test_a_seed_is_a_tree_and_says_that_it_is_crossed() -> None:

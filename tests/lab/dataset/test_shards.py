@@ -17,7 +17,7 @@ from lab.dataset.sample import make_sample, voxel_spectrum
 from lab.dataset.shards import iter_shard, stored_tree, write_shard
 from tests.formats.meshes import written
 
-TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
+TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40, species="sapling")
 
 
 @pytest.fixture(scope="module")
