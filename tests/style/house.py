@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 31_791,
+    "lines in dynamictree": 31_789,
     "lines in lab": 6_093,
-    "lines in service, jobs and worker": 13_355,
-    "lines in tests": 35_757,
-    "names bound to numbers in dynamictree": 550,
+    "lines in service, jobs and worker": 13_354,
+    "lines in tests": 35_730,
+    "names bound to numbers in dynamictree": 549,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
     "lines of documents": 2_985,
