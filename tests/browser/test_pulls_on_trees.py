@@ -28,8 +28,18 @@ PULL_PX = 45
 WAY = ((1.0, 0.3), (-0.6, -0.5))  # path of the hand [share of the pull]
 
 # Frame by frame: the pointer and what is pulled, a vertex as web/draw/follow.js draws it from textures of the GPU
+# A turn of the page is 1/30 s of the wind, whose loop each pull begins anew, however slow the page is
 WATCH = """async () => {
     const { Hand } = await import("/web/page/hand.js");
+    const { Player } = await import("/web/page/player.js");
+    const { advance } = Player.prototype;
+    let turns = 0;
+    window.beginWind = () => { turns = 0; };
+    Player.prototype.advance = function (seconds) {
+        const wind_s = turns++ / 30;
+        if (this.tree) this.scripted = { seconds: wind_s, phase: (wind_s / this.period) % 1 };
+        advance.call(this, seconds);
+    };
     const pointer = { x: 0, y: 0 };
     const place = ({ clientX: x, clientY: y }) => Object.assign(pointer, { x, y });
     for (const kind of ["pointerdown", "pointermove"]) addEventListener(kind, place, true);
@@ -87,6 +97,7 @@ WATCH = """async () => {
 
 # On the screen: the voxel nearest to four fifths of the way to the right of the tree, and two fifths down
 PLACE = """() => {
+    window.beginWind();
     const { tree, stage } = window.hand, { modes } = tree;
     const at = [...Array(modes.V).keys()].map((v) => stage.onScreen(tree.voxelNow(v)));
     const xs = at.map(({ x }) => x).sort((a, b) => a - b), ys = at.map(({ y }) => y).sort((a, b) => a - b);
