@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from dynamictree.cli import app
 from dynamictree.errors import InputError
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
@@ -121,12 +119,3 @@ def test_unpack_undoes_pack(finished: Path, tmp_path) -> None:
     names = sorted(path.name for path in finished.iterdir())
     assert sorted(path.name for path in (tmp_path / "again").iterdir()) == names
     assert all((finished / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in names)
-
-
-def test_the_command_writes_another_folder(finished: Path, tmp_path) -> None:
-    box = ",".join(str(value) for corner in BOX for value in corner)
-    arguments = ["recut", str(finished), "-o", str(tmp_path / "plant"), "--box", box, "--height-m", "1.4", "--json"]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.output)["height_m"] == pytest.approx(1.4, rel=1e-5)
-    assert cloud(tmp_path / "plant" / "splat.ply").num_gaussians == NUM_STEM
