@@ -25,7 +25,7 @@ def source(tmp_path: Path) -> Path:
     return path
 
 
-def test_bytes_come_back_whole_and_in_part(artifacts: ArtifactStore, source: Path, tmp_path: Path) -> None:
+def test_bytes_come_back_until_they_are_deleted(artifacts: ArtifactStore, source: Path, tmp_path: Path) -> None:
     digest, size = hash_file(source)
     content = source.read_bytes()
     assert not artifacts.exists(digest)
@@ -37,11 +37,6 @@ def test_bytes_come_back_whole_and_in_part(artifacts: ArtifactStore, source: Pat
     assert b"".join(artifacts.read(digest, start=size)) == b""
     artifacts.fetch(digest, tmp_path / "copy")
     assert (tmp_path / "copy").read_bytes() == content
-
-
-def test_deleted_bytes_are_gone(artifacts: ArtifactStore, source: Path, tmp_path: Path) -> None:
-    digest, _ = hash_file(source)
-    artifacts.put(source, digest)
     artifacts.delete(digest)
     artifacts.delete(digest)
     assert not artifacts.exists(digest)

@@ -14,7 +14,7 @@ from jobs.clients.keys import create_key
 from jobs.clients.webhooks import add_endpoint
 from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError, NotFoundError
-from jobs.lifecycle.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
+from jobs.lifecycle.attempts import finish_cancel, publish_stage, start_stage, succeed, touch_blob
 from jobs.lifecycle.maintenance import hold_lease
 from jobs.records import AssetPart, Claim, JobRecord, OutputFile
 from jobs.storage.artifacts import FolderArtifacts
@@ -25,7 +25,7 @@ from jobs.storage.references import unreferenced_blobs
 from jobs.storage.upload_parts import FolderParts
 from jobs.storage.uploads import add_upload
 from jobs.store import Store
-from tests.jobs.conftest import add_job, make_asset
+from tests.jobs.conftest import add_job, claim, make_asset
 from tests.rows import asset_row, upload_row
 
 
@@ -52,8 +52,7 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
     part = _put(store, artifacts, folder, f"{owner}{seed} sent".encode())
     asset = add_asset(theirs, asset_row(part, now=store.clock(), fingerprint=part.sha256))[0]
     job = add_job(theirs, asset)
-    lease = claim(store, job.id, 1, owner="w", lease_s=60)
-    assert lease is not None
+    lease = claim(store, job.id)
     product = _put(store, artifacts, folder, f"{owner}{seed} made".encode())
     file = OutputFile(name="v", media_type="a/b", sha256=product.sha256, bytes=product.bytes)
     start_stage(store, lease, "voxelize")
@@ -89,9 +88,8 @@ def test_a_restored_state_has_the_same_rows_and_bytes(store, artifacts, tmp_path
         read = scrub(other, elsewhere)
         assert (read.blobs, read.missing, read.different) == (4, (), ())
         assert [other.job(job.id) for job in jobs] == [store.job(job.id) for job in jobs]
-        lease = claim(other, add_job(other, read_asset(other, jobs[0].asset_id)).id, 1, owner="w", lease_s=60)
-        assert lease is not None  # numbered rows go on where the backup ended
-        assert succeed(other, lease) == "succeeded"
+        lease = claim(other, add_job(other, read_asset(other, jobs[0].asset_id)).id)
+        assert succeed(other, lease) == "succeeded"  # numbered rows go on where the backup ended
         with pytest.raises(ConflictError, match="empty"):
             restore(other, elsewhere, tmp_path / "backup")
     finally:
@@ -188,7 +186,7 @@ def test_an_erased_owner_leaves_nothing(store: Store, artifacts: FolderArtifacts
     (parts.root / "ann-upload").write_bytes(b"private")
     with pytest.raises(ConflictError, match="still run"):
         erase_owner(store, artifacts, parts, "ann")
-    finish_cancel(store, Claim(job=replace(store.job(erased.id), attempt=1), owner="w"))
+    finish_cancel(store, Claim(job=replace(store.job(erased.id), attempt=1), owner="worker-1"))
     deleted = erase_owner(store, artifacts, parts, "ann")
     assert deleted == {"keys": 1, "assets": 1, "jobs": 1, "uploads": 1, "webhooks": 1, "blobs": 2}
     assert "ann" not in str(_rows(store))

@@ -122,9 +122,6 @@ def test_the_state_of_davis_has_his_magnitude_and_phase(system):
     struck = davis_state(system, Impulse(at=TIP, impulse_n_s=tuple(direction)), gain=0.3)
     z = struck.q[0] - 1j * struck.q_dot[0] / system.omega
     np.testing.assert_allclose(np.angle(z * moved), -np.pi / 2, atol=1e-5)
-
-
-def test_davis_needs_a_direction(system):
     with pytest.raises(InputError, match="nothing moves"):
         davis_state(system, Impulse(at=TIP, impulse_n_s=(0.0, 0.0, 0.0)))
 

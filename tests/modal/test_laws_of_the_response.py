@@ -74,7 +74,7 @@ def test_an_equilibrium_start_does_not_move_until_it_is_released(tree):
     assert np.abs(answer.q[35] - answer.q[0]).max() > 1e-3
 
 
-def test_daviss_start_replaces_the_force(tree):
+def test_daviss_start_replaces_the_one_force(tree):
     tree, parts = tree
     groups = group_forces([knock(tree, parts["right"][-1])], falloff_m=0.5)
     once, twice = (
@@ -83,10 +83,6 @@ def test_daviss_start_replaces_the_force(tree):
     )
     np.testing.assert_allclose(once.q, twice.q)  # a direction, not a strength
     assert np.abs(once.q[1]).max() > 0
-
-
-def test_daviss_start_is_of_one_force(tree):
-    tree, parts = tree
     forces = [knock(tree, parts["right"][-1])] * 2
     with pytest.raises(InputError, match="one impulse or drag"):
         respond(tree.system, group_forces(forces, falloff_m=0.5), dt_s=DT_S, num_frames=5, start="davis")

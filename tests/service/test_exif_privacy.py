@@ -75,12 +75,8 @@ def test_a_photo_that_tells_none_is_left_alone(tmp_path, name):
 
 
 def test_the_place_is_gone_from_a_tiff(tmp_path):
-    exif = Image.Exif()
-    exif[ORIENTATION] = 6
-    exif.get_ifd(GPS).update({1: "N", 2: (48.0, 8.0, 13.25), 29: "2026:11:21"})
-    exif[700] = b"<x>GPSLatitude</x>"
     path = tmp_path / "a.tif"
-    path.write_bytes(exif.tobytes().removeprefix(b"Exif\0\0"))  # a TIFF of directories alone
+    path.write_bytes(exif_of_a_place(b"<x>GPSLatitude</x>").removeprefix(b"Exif\0\0"))  # a TIFF of directories alone
     content = without_location(received(path)).path.read_bytes()
     assert b"2026:11:21" not in content
     assert b"GPSLatitude" not in content
@@ -110,10 +106,12 @@ def test_a_file_that_only_begins_as_a_jpeg_is_left_alone(tmp_path):
     assert without_location(before) == before
 
 
-def exif_of_a_place() -> bytes:
+def exif_of_a_place(xmp: bytes | None = None) -> bytes:
     exif = Image.Exif()
     exif[ORIENTATION] = 6
-    exif.get_ifd(GPS).update({2: (48.0, 8.0, 13.25), 29: "2026:11:21"})
+    exif.get_ifd(GPS).update({1: "N", 2: (48.0, 8.0, 13.25), 29: "2026:11:21"})
+    if xmp:
+        exif[700] = xmp
     return exif.tobytes()
 
 

@@ -14,12 +14,12 @@ from standardwebhooks.webhooks import WebhookVerificationError
 
 from jobs.clients import webhooks
 from jobs.errors import ConflictError
-from jobs.lifecycle.attempts import claim, fail, publish, succeed
+from jobs.lifecycle.attempts import fail, publish, succeed
 from jobs.records import EVENTS
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
 from jobs.store import Store
-from tests.jobs.conftest import FILE, add_job, make_asset
+from tests.jobs.conftest import FILE, add_job, claim, make_asset
 from tests.line import Handler, answering
 from tests.servers import wait_for
 from worker.courier import Courier
@@ -64,8 +64,7 @@ class Scene:
         store = self.store if owner is None else self.store.for_owner(owner)
         asset = add_asset(store, make_asset(store.clock()))[0]
         job = add_job(store, asset, **values)
-        lease = claim(self.store, job.id, 1, owner="test", lease_s=60)
-        assert lease is not None
+        lease = claim(self.store, job.id)
         if artifact:
             publish(self.store, lease, "voxelize", (FILE,), retention_s=100)
         if well:

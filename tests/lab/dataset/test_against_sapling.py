@@ -45,7 +45,8 @@ def theirs(samples) -> list[StemTable]:
 
 
 @pytest.fixture(scope="module")
-def ours() -> list[StemTable]:
+def ours(theirs: list[StemTable]) -> list[StemTable]:
+    """None where there are none to compare with."""
     return [tables_of(make_sample(seed, name, wind=Wind(speed_m_s=5.0))) for seed, name in enumerate(OURS)]
 
 

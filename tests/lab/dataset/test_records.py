@@ -61,11 +61,8 @@ def test_a_sheet_of_a_folder_shows_the_accepted_trees(folder, tmp_path):
     assert (tmp_path / "review.txt").read_text().splitlines()[1].startswith("42 accept")
 
 
-def test_a_species_that_the_folder_lacks_is_reported(folder):
+def test_a_folder_without_the_species_or_without_shards_is_refused(folder, tmp_path):
     with pytest.raises(InputError, match="of species 'oak'"):
         ran("filter", folder, "--species", "oak")
-
-
-def test_a_folder_without_shards_is_refused(tmp_path):
     with pytest.raises(InputError, match="no shard lies in"):
         list(iter_measured(tmp_path))

@@ -138,10 +138,10 @@ def test_tips_go_a_few_percent_of_the_height_in_a_fresh_breeze():
 
 
 def test_trunks_are_slow_twigs_faster_and_leaves_fastest():
-    table = tables_of(make_sample(2, "round-broadleaf"))
+    sample = make_sample(2, "round-broadleaf")
+    table = tables_of(sample)
     medians = [np.median(table.frequency_hz[table.level == depth]) for depth in range(3)]
     assert medians[0] < medians[1] < medians[2]
-    sample = make_sample(2, "round-broadleaf")
     energy = (np.abs(sample.coefficients[:, 1:]) ** 2).sum(axis=2)
     pitch = (energy * np.arange(1, NUM_FREQUENCIES)).sum(axis=1) / np.maximum(energy.sum(axis=1), 1e-30)
     trunk = pitch[(sample.part == 0) & (energy.sum(axis=1) > 0)].mean()
