@@ -8,7 +8,7 @@ BOUNDS = {
     "lines in dynamictree": 31_789,
     "lines in lab": 6_093,
     "lines in service, jobs and worker": 13_354,
-    "lines in tests": 35_730,
+    "lines in tests": 35_693,
     "names bound to numbers in dynamictree": 549,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
