@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
-from scipy.ndimage import binary_closing
+from jaxtyping import Float32, Int32, UInt8
+from scipy.ndimage import binary_closing, binary_dilation, label
 from scipy.spatial import KDTree
 
 from dynamictree.errors import InputError
@@ -108,43 +108,14 @@ def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:
     """
     margin = _BRIDGE_CELLS + 1  # margin that connects the outside
     floor = int(np.flatnonzero(density.max(axis=(0, 1)) > LEVEL)[0])
-    free = ~_dilated(np.pad(density > LEVEL, margin), _BRIDGE_CELLS)
+    free = ~binary_dilation(np.pad(density > LEVEL, margin), iterations=_BRIDGE_CELLS)
     free[:, :, : floor + margin + 1] = False
-    cells = free.view(np.uint8) << 1  # 2 outside, which all of the border is, 1 free, 0 walls
-    cells[1:-1, 1:-1, 1:-1] >>= 1
-    while _spread_outside(cells) | _spread_outside(cells[::-1, ::-1, ::-1]):
-        pass
+    part, _ = label(np.pad(free[1:-1, 1:-1, 1:-1], 1, constant_values=True))  # the border is outside
     # the inside is extended by the dilation of the walls
-    inside = _dilated(cells == 1, _BRIDGE_CELLS + 1)[margin:-margin, margin:-margin, margin:-margin]
+    inside = binary_dilation(free & (part != part[0, 0, 0]), iterations=_BRIDGE_CELLS + 1)
+    inside = inside[margin:-margin, margin:-margin, margin:-margin]
     inside[:, :, :floor] = False
     np.maximum(density, np.float32(2 * LEVEL), out=density, where=inside & (density <= LEVEL))
-
-
-def _dilated(mask: Bool[np.ndarray, "X Y Z"], steps: int) -> Bool[np.ndarray, "X Y Z"]:
-    """Add the cells that share a face with the mask's, several times."""
-    for _ in range(steps):
-        before, mask = mask, mask.copy()
-        for axis in range(3):
-            one, other = np.moveaxis(before, axis, 0), np.moveaxis(mask, axis, 0)
-            other[1:] |= one[:-1]
-            other[:-1] |= one[1:]
-    return mask
-
-
-@compiled
-@no_type_check
-def _spread_outside(cells):
-    """Set cells of 1 beside cells of 2 to 2, one after another, except the border; return whether there were any."""
-    spreads = False
-    for x in range(1, cells.shape[0] - 1):
-        for y in range(1, cells.shape[1] - 1):
-            for z in range(1, cells.shape[2] - 1):
-                if cells[x, y, z] == 1:
-                    beside_x = cells[x - 1, y, z] == 2 or cells[x + 1, y, z] == 2
-                    beside_y = cells[x, y - 1, z] == 2 or cells[x, y + 1, z] == 2
-                    if beside_x or beside_y or cells[x, y, z - 1] == 2 or cells[x, y, z + 1] == 2:
-                        cells[x, y, z], spreads = 2, True
-    return spreads
 
 
 def opacity_grid(
