@@ -41,7 +41,7 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
     """
     nodes, meshes = object_list(document.root, "nodes"), object_list(document.root, "meshes")
     skins = object_list(document.root, "skins")
-    world = _world_transforms(document, nodes)
+    world = world_transforms(document.root)
     paths = _paths(nodes, world.keys())
     _refuse_many_instances(document, [nodes[index] for index in world])
     for index, transform in world.items():
@@ -74,16 +74,21 @@ def _paths(nodes: list[JsonObject], order: Iterable[int]) -> dict[int, str]:
     return {index: "/".join(path) for index, path in names.items()}
 
 
-def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[int, Float64[np.ndarray, "4 4"]]:
-    scenes = object_list(document.root, "scenes")
-    scene = index_field(document.root, "scene", scenes, "scenes")
+def world_transforms(root: JsonObject) -> dict[int, Float64[np.ndarray, "4 4"]]:
+    """Return the world matrix of each node of the scene, parents first.
+
+    Raises:
+        FormatError: a node is reached twice.
+    """
+    nodes, scenes = object_list(root, "nodes"), object_list(root, "scenes")
+    scene = index_field(root, "scene", scenes, "scenes")
     if scenes:
         roots = index_list(scenes[scene or 0], "nodes", nodes)
     else:
         children = {child for node in nodes for child in index_list(node, "children", nodes)}
         roots = [index for index in range(len(nodes)) if index not in children]
     world: dict[int, Float64[np.ndarray, "4 4"]] = {}
-    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    waiting = [(index, np.eye(4)) for index in reversed(roots)]
     while waiting:
         index, above = waiting.pop()
         if index in world:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from dynamictree.formats.gltf.scene import local_transform
+from dynamictree.formats.gltf.scene import world_transforms
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import SourceGltf, TriangleMesh
 from dynamictree.skin import Skin
@@ -48,7 +48,7 @@ def attach_joints(
 
     `skin_for` adds a skin for meshes that a matrix places in the scene, and returns its index.
     """
-    root, world = writer.root, _placed(writer.root)
+    root, world = writer.root, world_transforms(writer.root)
     by_node: dict[int, dict[int, slice]] = {}
     for node, primitive, first, count in source.primitives.tolist():
         by_node.setdefault(node, {})[primitive] = slice(first, first + count)
@@ -92,17 +92,6 @@ def _own_mesh(writer: GlbWriter, node: int) -> dict[str, Any]:
         root["nodes"][node]["mesh"] = writer.append("meshes", json.loads(json.dumps(root["meshes"][index])))
     mesh: dict[str, Any] = root["meshes"][root["nodes"][node]["mesh"]]
     return mesh
-
-
-def _placed(root: dict[str, Any]) -> dict[int, Float64[np.ndarray, "4 4"]]:
-    """Return the world matrix of each node of the scene."""
-    waiting = [(node, np.eye(4)) for node in root["scenes"][root.get("scene", 0)]["nodes"]]
-    placed: dict[int, Float64[np.ndarray, "4 4"]] = {}
-    while waiting:
-        node, above = waiting.pop()
-        placed[node] = above @ local_transform(root["nodes"][node])
-        waiting += [(child, placed[node]) for child in root["nodes"][node].get("children", [])]
-    return placed
 
 
 def _add_upright_root(root: dict[str, Any], to_z_up: Float64[np.ndarray, "3 3"]) -> None:
