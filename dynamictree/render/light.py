@@ -8,8 +8,9 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
+from scipy.ndimage import shift
 
-from dynamictree.parallel import compiled, in_bands
+from dynamictree.parallel import compiled
 from dynamictree.render.appearance import Appearance
 from dynamictree.render.raster import rasterise, screen_triangles
 
@@ -84,10 +85,15 @@ def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F
     low, high = low - border, high + border
     depth = np.zeros(np.ceil((high - low) / cell_m).astype(int) + 1, np.float32)
     _splat_area(vertices, faces, low, cell_m, depth)
-    directions, weights = _sky_directions()
-    shares = np.ones((len(directions), *depth.shape), np.float32)
-    in_bands(_follow_directions, len(directions), directions, depth, shares)
-    share = np.einsum("d,dxyz->xyz", weights, shares).astype(np.float32)
+    share = np.zeros_like(depth)
+    for direction, weight in zip(*_sky_directions(), strict=True):
+        step = 1 / direction[2]
+        layer = np.ones(depth.shape[:2], np.float32)
+        share[:, :, -1] += weight
+        for z in range(depth.shape[2] - 2, -1, -1):
+            above = layer * np.exp(-depth[:, :, z + 1] * step)
+            layer = shift(above, -step * direction[:2], order=1, mode="grid-constant", cval=1.0)
+            share[:, :, z] += weight * layer
     return SkyVolume(low=low, cell_m=cell_m, share=share)
 
 
@@ -125,33 +131,6 @@ def _splat_area(vertices, faces, low, cell_m, depth):
                 y = int((a[1] + s * uy + t * vy - low[1]) / cell_m + 0.5)
                 z = int((a[2] + s * uz + t * vz - low[2]) / cell_m + 0.5)
                 depth[x, y, z] += amount
-
-
-@compiled
-@no_type_check
-def _follow_directions(first, end, directions, depth, shares):
-    size_x, size_y, size_z = depth.shape
-    above = np.empty((size_x, size_y), np.float32)
-    for d in range(first, end):
-        step = 1 / directions[d, 2]
-        shift_x, shift_y = directions[d, 0] * step, directions[d, 1] * step
-        left, front = int(np.floor(shift_x)), int(np.floor(shift_y))
-        fx, fy = np.float32(shift_x - left), np.float32(shift_y - front)
-        share = shares[d]
-        for z in range(size_z - 2, -1, -1):
-            for x in range(size_x):
-                for y in range(size_y):
-                    above[x, y] = share[x, y, z + 1] * np.exp(-depth[x, y, z + 1] * np.float32(step))
-            for x in range(size_x):
-                for y in range(size_y):
-                    total = np.float32(0)
-                    for corner in range(4):
-                        dx, dy = corner % 2, corner // 2
-                        weight = (fx if dx else 1 - fx) * (fy if dy else 1 - fy)
-                        column, row = x + left + dx, y + front + dy
-                        inside = 0 <= column < size_x and 0 <= row < size_y
-                        total += weight * (above[column, row] if inside else np.float32(1))
-                    share[x, y, z] = total
 
 
 @compiled

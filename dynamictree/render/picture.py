@@ -10,6 +10,7 @@ from jaxtyping import Float32, Float64, Int32, UInt8
 from PIL import Image
 
 from dynamictree.byte_stream import ByteWriter
+from dynamictree.color import linear_to_srgb
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
 from dynamictree.parallel import in_bands
@@ -115,9 +116,9 @@ class Renderer:
         )
         ray = camera.world_to_camera.T @ np.linalg.inv(_samples(camera, look, look.supersampling))
         view = View(position=camera.position_m, ray=np.ascontiguousarray(ray), supersampling=look.supersampling)
-        picture = np.empty((look.height, look.width, 3), np.uint8)
-        in_bands(shade_rows, look.height, picture, visible.face, triangles, scene, view)
-        return picture
+        light = np.empty((look.height, look.width, 3), np.float32)
+        in_bands(shade_rows, look.height, light, visible.face, triangles, scene, view)
+        return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
 
     def buffers(self, camera: Camera | None = None) -> Buffers:
         """Render depth and faces of the rest pose, with one sample per pixel."""

@@ -13,8 +13,6 @@ from jaxtyping import Float32, Float64, Int32
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import Appearance, alpha_at
 
-_WIDE = 6  # columns from which it pays to compute a row's range inside a triangle
-
 
 class ScreenTriangles(NamedTuple):
     """Faces prepared for the loop over samples."""
@@ -122,20 +120,6 @@ def _texture_level(appearance, corners, material, twice_area):
 
 @compiled
 @no_type_check
-def _inside_columns(m, offsets, left, right):
-    """Return the columns that may be inside: those with three positive coordinates, and one more at each end."""
-    low, high = float(left), float(right)
-    for edge in range(3):
-        slope, offset = m[3 * edge], offsets[edge]
-        if slope > 0:
-            low = max(low, -offset / slope - 1.5)
-        elif slope < 0:
-            high = min(high, -offset / slope + 1.5)
-    return int(min(low, float(right))), int(max(min(np.ceil(high), float(right)), 0.0))
-
-
-@compiled
-@no_type_check
 def _raster_rows(first, end, triangles, faces, nearness, appearance, visible):
     for f in range(len(faces)):
         left, right, top, bottom = triangles.bounds[f]
@@ -149,10 +133,7 @@ def _raster_rows(first, end, triangles, faces, nearness, appearance, visible):
         for row in range(top, bottom):
             y = row + 0.5
             a0, b0, c0 = m[1] * y + m[2], m[4] * y + m[5], m[7] * y + m[8]
-            from_column, to_column = left, right
-            if right - left > _WIDE:
-                from_column, to_column = _inside_columns(m, (a0, b0, c0), left, right)
-            for column in range(from_column, to_column):
+            for column in range(left, right):
                 x = column + 0.5
                 a, b, c = m[0] * x + a0, m[3] * x + b0, m[6] * x + c0
                 if a < 0 or b < 0 or c < 0:

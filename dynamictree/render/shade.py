@@ -5,7 +5,6 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from dynamictree.color import srgb_to_linear
 from dynamictree.parallel import compiled
 from dynamictree.render.appearance import Appearance, albedo_at
 from dynamictree.render.light import MAX_SHADOW_SAMPLES, SkyVolume, SunMap, sky_share, sun_share
@@ -19,10 +18,6 @@ _HORIZON, _ZENITH = (0.80, 0.84, 0.88), (0.36, 0.53, 0.78)
 
 # shadow samples per pixel and per sample of a pixel; integers of one type, so that one compilation serves both
 _PIXEL_SHADOW_SAMPLES, _SUBSAMPLE_SHADOW_SAMPLES = np.int64(MAX_SHADOW_SAMPLES), np.int64(3)
-
-_BYTE_STARTS = srgb_to_linear((np.arange(256) - 0.5) / 255)  # smallest light of each byte
-_CELLS = 4096  # cells of light; bytes are wider, so the byte at a cell's start is at most one too low
-_BYTE_AT = (np.searchsorted(_BYTE_STARTS, np.arange(_CELLS + 1) / _CELLS, side="right") - 1).astype(np.uint8)
 
 
 class Scene(NamedTuple):
@@ -52,7 +47,7 @@ class View(NamedTuple):
 @compiled
 @no_type_check
 def shade_rows(first, end, picture, visible_face, triangles, scene, view):
-    """Fill rows of the picture with the mean light of each pixel's samples, as sRGB bytes.
+    """Fill rows of the picture with the mean linear light of each pixel's samples.
 
     If all samples see the same face, the light is computed once, at the pixel's centre.
     """
@@ -81,19 +76,7 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
                 else:
                     r, g, b = _sky_light(direction[2])
                 red, green, blue = red + r / samples, green + g / samples, blue + b / samples
-            for channel, light in enumerate((red, green, blue)):
-                picture[row, column, channel] = _srgb_byte(light)
-
-
-@compiled
-@no_type_check
-def _srgb_byte(light):
-    """Return the byte nearest to the sRGB value, from tables; powers took a fifth of the shading's time."""
-    value = min(max(light, 0.0), 1.0)
-    byte = np.int64(_BYTE_AT[int(value * _CELLS)])
-    while byte < 255 and value >= _BYTE_STARTS[byte + 1]:
-        byte += 1
-    return np.uint8(byte)
+            picture[row, column, 0], picture[row, column, 1], picture[row, column, 2] = red, green, blue
 
 
 @compiled
