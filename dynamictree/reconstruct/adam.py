@@ -1,15 +1,11 @@
 """Adam (Kingma and Ba 2015) on a table: one row per Gaussian, one column and learning rate per parameter."""
 
-from typing import no_type_check
-
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.splat_state import SplatState
 
 _BETA_1, _BETA_2, _EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)  # values of Kerbl et al. 2023
-_ONE = np.float32(1)
 
 
 def adam_step(
@@ -17,25 +13,12 @@ def adam_step(
 ) -> Bool[np.ndarray, " G"]:
     """Update the table, moments and step count; return a mask of the rows skipped for a gradient that is not finite."""
     state.step += 1
-    unbias = np.array([1 / (1 - float(beta) ** state.step) for beta in (_BETA_1, _BETA_2)], np.float32)
-    skipped = np.zeros(len(gradient), np.bool_)
-    moments = state.first, state.second
-    in_bands(_step, len(gradient), state.table, gradient, *moments, rates, unbias, skipped)
+    skipped: Bool[np.ndarray, " G"] = ~np.isfinite(gradient).all(axis=1)
+    rows = ~skipped if skipped.any() else slice(None)
+    slope = gradient[rows]
+    state.first[rows] += (1 - _BETA_1) * (slope - state.first[rows])
+    state.second[rows] += (1 - _BETA_2) * (slope * slope - state.second[rows])
+    first, second = (1 / (1 - float(beta) ** state.step) for beta in (_BETA_1, _BETA_2))
+    size = np.sqrt(state.second[rows] * np.float32(second)) + _EPSILON
+    state.table[rows] -= rates * np.float32(first) * state.first[rows] / size
     return skipped
-
-
-@compiled
-@no_type_check
-def _step(begin, end, table, gradient, first, second, rates, unbias, skipped):
-    for g in range(begin, end):
-        row, slope, m, v = table[g], gradient[g], first[g], second[g]
-        total = np.float32(0)
-        for c in range(len(rates)):
-            total += np.float32(0) * slope[c]
-        if total != 0:  # 0 · ∞ and 0 · NaN are NaN
-            skipped[g] = True
-            continue
-        for c in range(len(rates)):
-            m[c] = _BETA_1 * m[c] + (_ONE - _BETA_1) * slope[c]
-            v[c] = _BETA_2 * v[c] + (_ONE - _BETA_2) * slope[c] * slope[c]
-            row[c] -= rates[c] * (m[c] * unbias[0]) / (np.sqrt(v[c] * unbias[1]) + _EPSILON)

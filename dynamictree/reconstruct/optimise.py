@@ -6,13 +6,11 @@ at every size.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.gaussian.rasterize import draw
-from dynamictree.parallel import compiled_fused, in_bands
 from dynamictree.reconstruct.adam import adam_step
 from dynamictree.reconstruct.densify import DensityRules, densify
 from dynamictree.reconstruct.gradient import gradients_of
@@ -94,13 +92,12 @@ def _one_step(
     height, width = target.photo.shape[:2]
     drawing = draw(cloud_of(state.table, degree), target.camera, width=width, height=height)
     behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
-    rendered, wanted = (np.empty((3, height, width), np.float32) for _ in range(2))
-    in_bands(_compose, height, drawing.picture, target.photo, _plane_or_empty(target.alpha), behind, rendered, wanted)
-    loss = picture_loss(rendered, wanted, ssim_share=SSIM_SHARE)
-    depth = _plane_or_empty(target.depth)
-    share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps) / max(np.count_nonzero(depth), 1)
-    gradient = np.empty_like(drawing.picture)
-    in_bands(_loss_gradient, height, drawing.picture, loss.gradient, behind, depth, np.float32(share), gradient)
+    photo = target.photo if target.alpha is None else behind + target.alpha[..., None] * (target.photo - behind)
+    rendered = drawing.picture[..., :3] + behind * drawing.picture[..., 4:]
+    planes = (np.ascontiguousarray(image.transpose(2, 0, 1)) for image in (rendered, photo))
+    loss = picture_loss(*planes, ssim_share=SSIM_SHARE)
+    depth_share = schedule.depth_share * 0.01 ** (state.step / schedule.num_steps)
+    gradient = _loss_gradient(drawing.picture, loss.gradient, behind, target.depth, depth_share)
     gradients = gradients_of(drawing, gradient, width=state.table.shape[1])
     half_size = np.array([0.5 * width, 0.5 * height], np.float32)
     state.pull[0] += np.hypot(*(half_size * gradients.centres_px).T)
@@ -112,46 +109,26 @@ def _one_step(
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
 
 
-def _plane_or_empty(plane: Float32[np.ndarray, "H W"] | None) -> Float32[np.ndarray, "h w"]:
-    return np.zeros((0, 0), np.float32) if plane is None else plane
-
-
-@compiled_fused
-@no_type_check
-def _compose(first, end, picture, photo, alpha, behind, rendered, wanted):
-    """Compose the picture, and the photo if it has a mask, over a background colour; write them as planes."""
-    for row in range(first, end):
-        for c in range(3):
-            for j in range(np.uint32(picture.shape[1])):
-                rendered[c, row, j] = picture[row, j, c] + behind[c] * picture[row, j, 4]
-                wanted[c, row, j] = photo[row, j, c]
-        if len(alpha):
-            for c in range(3):
-                for j in range(np.uint32(picture.shape[1])):
-                    wanted[c, row, j] = behind[c] + alpha[row, j] * (photo[row, j, c] - behind[c])
-
-
-@compiled_fused
-@no_type_check
-def _loss_gradient(first, end, picture, loss, behind, depth, share, gradient):
+def _loss_gradient(
+    picture: Float32[np.ndarray, "H W 5"],
+    loss: Float32[np.ndarray, "3 H W"],
+    behind: Float32[np.ndarray, "3"],
+    depth: Float32[np.ndarray, "H W"] | None,
+    share: float,
+) -> Float32[np.ndarray, "H W 5"]:
     """Compute the loss's gradient by the drawn picture: that of the planes, plus that of the mean relative depth error.
 
     The depth error is Σ w (z − z*) / z*, where z* is known; it leaves opacity alone.
     """
-    for row in range(first, end):
-        for j in range(np.uint32(picture.shape[1])):
-            light = np.float32(0)
-            for c in range(3):
-                gradient[row, j, c] = loss[c, row, j]
-                light += loss[c, row, j] * behind[c]
-            gradient[row, j, 3], gradient[row, j, 4] = 0, light
-        if len(depth):
-            for j in range(np.uint32(picture.shape[1])):
-                z = depth[row, j]
-                if z > 0:
-                    slope = share * np.sign(picture[row, j, 3] / z - (1 - picture[row, j, 4]))
-                    gradient[row, j, 3] = slope / z
-                    gradient[row, j, 4] += slope
+    gradient = np.zeros_like(picture)
+    gradient[..., :3] = loss.transpose(1, 2, 0)
+    gradient[..., 4] = gradient[..., :3] @ behind
+    if depth is not None and (seen := depth > 0).any():
+        z, mean_depth = depth[seen], picture[seen, 3]
+        slope = np.float32(share / len(z)) * np.sign(mean_depth / z - (1 - picture[seen, 4]))
+        gradient[seen, 3] = slope / z
+        gradient[seen, 4] += slope
+    return gradient
 
 
 def _rules(schedule: Schedule, share: float, *, cut_out: bool) -> DensityRules:

@@ -15,7 +15,6 @@ WINDOW = (_GAUSSIAN / _GAUSSIAN.sum()).astype(np.float32)
 """SSIM's separable Gaussian window along one axis."""
 _W = tuple(WINDOW)
 _TAPS = 2 * _RADIUS + 1
-_ONE, _TWO = np.float32(1), np.float32(2)
 
 
 class Loss(NamedTuple):
@@ -32,20 +31,24 @@ def picture_loss(
 
     SSIM is that of Wang et al. 2004, with a Gaussian window of 11 pixels and zero padding.
     """
-    rows = picture.shape[0] * picture.shape[1]
-    flat, flat_photo = picture.reshape(rows, -1), photo.reshape(rows, -1)
-    maps = np.empty((4, *picture.shape), np.float32)
-    in_bands(_products, rows, flat, flat_photo, maps.reshape(4, rows, -1))
-    blurred = blur(maps.reshape(-1, *picture.shape[1:])).reshape(4, rows, -1)
-    back = maps[:3].reshape(3, rows, -1)  # buffers reused for the derivatives
-    similarity, distance = np.empty(rows, np.float64), np.empty(rows, np.float64)
-    in_bands(_compare, rows, blurred, np.float32(ssim_share / picture.size), back, similarity)
-    by_maps = blur(back.reshape(-1, *picture.shape[1:])).reshape(3, rows, -1)
-    gradient = np.empty_like(picture)
-    share = np.float32((1 - ssim_share) / picture.size)
-    in_bands(_combine, rows, flat, flat_photo, by_maps, share, gradient.reshape(rows, -1), distance)
-    mean_distance, mean_similarity = float(distance.sum()) / picture.size, float(similarity.sum()) / picture.size
-    return Loss((1 - ssim_share) * mean_distance + ssim_share * (1 - mean_similarity), gradient)
+    maps = np.stack([picture, photo, picture * picture + photo * photo, picture * photo])
+    x, y, squares, product = blur(maps.reshape(-1, *picture.shape[1:])).reshape(maps.shape)
+    both, each = x * y, x * x + y * y
+    a1, a2 = 2 * both + _C1, 2 * (product - both) + _C2
+    b1, b2 = each + _C1, squares - each + _C2
+    per = 1 / (b1 * b2)
+    similar = a1 * a2 * per
+    # derivatives by the blurred maps: mean, sum of squares and product
+    by_product, by_squares = 2 * a1 * per, -similar / b2
+    by_mean = 2 * y * a2 * per - 2 * x * similar / b1 - y * by_product - 2 * x * by_squares
+    back = np.stack([by_mean, by_squares, by_product])
+    by_mean, by_squares, by_product = blur(back.reshape(-1, *picture.shape[1:])).reshape(back.shape)
+    difference = picture - photo
+    share, ssim_share = (np.float32(part / picture.size) for part in (1 - ssim_share, ssim_share))
+    through = by_mean + 2 * picture * by_squares + photo * by_product
+    gradient = np.where(difference > 0, share, -share) - ssim_share * through
+    distance, similarity = np.abs(difference).sum(dtype=np.float64), similar.sum(dtype=np.float64)
+    return Loss(float(share * distance + ssim_share * (picture.size - similarity)), gradient)
 
 
 def psnr(picture: Float32[np.ndarray, "*shape"], photo: Float32[np.ndarray, "*shape"]) -> float:
@@ -101,47 +104,3 @@ def _blur_along(a, out):
     for j in range(np.uint32(len(out))):
         far = _W[0] * (a[j] + last[j]) + _W[1] * (b[j] + k[j]) + _W[2] * (c[j] + i[j])
         out[j] = far + _W[3] * (d[j] + h[j]) + _W[4] * (e[j] + g[j]) + _W[5] * f[j]
-
-
-@compiled_fused
-@no_type_check
-def _products(first, end, picture, photo, maps):
-    for row in range(first, end):
-        for j in range(np.uint32(picture.shape[1])):
-            x, y = picture[row, j], photo[row, j]
-            maps[0, row, j], maps[1, row, j], maps[2, row, j], maps[3, row, j] = x, y, x * x + y * y, x * y
-
-
-@compiled_fused
-@no_type_check
-def _combine(first, end, picture, photo, by_maps, share, gradient, distance):
-    """Combine the gradients through the SSIM maps with that of L1; write the sum of absolute differences."""
-    for row in range(first, end):
-        total = np.float32(0)
-        for j in range(np.uint32(picture.shape[1])):
-            x, y = picture[row, j], photo[row, j]
-            through = by_maps[0, row, j] + _TWO * x * by_maps[1, row, j] + y * by_maps[2, row, j]
-            gradient[row, j] = (share if x > y else -share) - through
-            total += abs(x - y)
-        distance[row] = total
-
-
-@compiled_fused
-@no_type_check
-def _compare(first, end, blurred, share, back, values):
-    """Compute SSIM from blurred maps, with its derivatives by the mean, the sum of squares and the product."""
-    for row in range(first, end):
-        total = 0.0
-        for j in range(blurred.shape[2]):
-            x, y, squares, product = blurred[0, row, j], blurred[1, row, j], blurred[2, row, j], blurred[3, row, j]
-            a1, a2 = _TWO * x * y + _C1, _TWO * (product - x * y) + _C2
-            b1, b2 = x * x + y * y + _C1, squares - x * x - y * y + _C2
-            per = _ONE / (b1 * b2)
-            similar = a1 * a2 * per
-            by_product, by_squares = _TWO * a1 * per, -similar / b2
-            total += similar
-            back[0, row, j] = share * (
-                _TWO * y * a2 * per - _TWO * x * similar / b1 - y * by_product - _TWO * x * by_squares
-            )
-            back[1, row, j], back[2, row, j] = share * by_squares, share * by_product
-        values[row] = total
