@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, NEAR_M, PIXEL_PX2
+from dynamictree.gaussian.rasterize_kernel import NEAR_M, PIXEL_PX2
 from dynamictree.render.camera import Camera
 
 
@@ -29,7 +29,7 @@ def world_to_camera_matrix(camera: Camera) -> Float64[np.ndarray, "4 4"]:
 
 
 def render_with_gsplat(
-    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, antialias: bool
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int
 ) -> tuple[Float32[np.ndarray, "H W 3"], Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
     """Render a cloud; return colour times alpha, alpha, and mean depth [m]."""
     import gsplat
@@ -50,10 +50,10 @@ def render_with_gsplat(
             width=width,
             height=height,
             near_plane=float(NEAR_M),
-            eps2d=PIXEL_PX2 if antialias else BLUR_PX2,
+            eps2d=PIXEL_PX2,
             sh_degree=cloud.sh_degree,
             render_mode="RGB+ED",
-            rasterize_mode="antialiased" if antialias else "classic",
+            rasterize_mode="antialiased",
         )
     picture = seen[0].cpu().numpy()
     return np.ascontiguousarray(picture[..., :3]), alpha[0, ..., 0].cpu().numpy(), np.ascontiguousarray(picture[..., 3])

@@ -1,6 +1,7 @@
 """Render Gaussian clouds: Kerbl et al. 2023, with the antialiasing of Mip-Splatting (Yu et al. 2024).
 
-It runs on the CPU, or with gsplat on CUDA.
+It runs on the CPU, or with gsplat on CUDA. Gaussians below a pixel are fainter, not wider, so splats that were trained
+without antialiasing look thinner.
 
 Gaussians are projected to ellipses, sorted by depth and listed per tile of 16 × 16 pixels; each tile blends its list
 front to back.
@@ -37,7 +38,7 @@ class SplatPicture:
 
 
 def render_cloud(
-    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None
 ) -> SplatPicture:
     """Render a cloud, optionally in a pose; colours rotate with the Gaussians.
 
@@ -47,7 +48,6 @@ def render_cloud(
         width: width of the picture [px].
         height: height of the picture [px].
         pose: current pose of the Gaussians; at rest by default.
-        antialias: make Gaussians below a pixel fainter, not wider; splats trained without it look thinner.
 
     Raises:
         InputError: the size is out of bounds.
@@ -56,17 +56,17 @@ def render_cloud(
         raise InputError(f"the picture is {width} × {height}; from 1 × 1 to {MAX_PIXELS:,} pixels are allowed")
     if has_gsplat():
         posed_cloud = cloud if pose is None else apply_pose(cloud, pose)
-        color, alpha, depth = render_with_gsplat(posed_cloud, camera, width=width, height=height, antialias=antialias)
+        color, alpha, depth = render_with_gsplat(posed_cloud, camera, width=width, height=height)
         far = np.where(alpha > MIN_ALPHA, depth, np.float32(np.inf)).astype(np.float32)
         return SplatPicture(color=color, alpha=alpha, depth=far)
-    return render_on_cpu(cloud, camera, width=width, height=height, pose=pose, antialias=antialias)
+    return render_on_cpu(cloud, camera, width=width, height=height, pose=pose)
 
 
 def render_on_cpu(
-    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None
 ) -> SplatPicture:
     """Render like `render_cloud`, but always on the CPU."""
-    return _finished(draw(cloud, camera, width=width, height=height, pose=pose, antialias=antialias).picture)
+    return _finished(draw(cloud, camera, width=width, height=height, pose=pose).picture)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,6 @@ class Drawing:
 
     cloud: GaussianCloud
     view: Float32[np.ndarray, " 19"]
-    antialias: bool
     ellipses: Float32[np.ndarray, "G 10"]  # centre, conic, opacity, colour, depth
     bounds: Int32[np.ndarray, "G 4"]  # left, right, top, bottom [px]; empty if not visible
     order: Int32[np.ndarray, " listed"]  # Gaussians of each tile, nearest first
@@ -83,9 +82,7 @@ class Drawing:
     picture: Float32[np.ndarray, "H W 5"]  # colour and depth, both times alpha, and transmittance
 
 
-def draw(
-    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
-) -> Drawing:
+def draw(cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None) -> Drawing:
     """Project the Gaussians, list them by tiles, and blend each tile, on the CPU; arguments as for `render_cloud`."""
     now = pose or Pose(means=cloud.means, quaternions=cloud.quaternions, scales=cloud.scales)
     ellipses = np.zeros((cloud.num_gaussians, 10), np.float32)
@@ -93,12 +90,12 @@ def draw(
     view = _view(camera, width, height)
     shapes = (np.ascontiguousarray(part) for part in (now.means, now.quaternions, now.scales))
     looks = cloud.opacity, cloud.sh, cloud.quaternions
-    in_bands(project, len(bounds), *shapes, *looks, view, antialias, pose is not None, ellipses, bounds)
+    in_bands(project, len(bounds), *shapes, *looks, view, pose is not None, ellipses, bounds)
     order, starts = tile_lists(ellipses, bounds, width, height)
     picture = np.zeros((height, width, 5), np.float32)
     in_bands(blend, len(starts) - 1, ellipses, bounds, order, starts, picture)
     lists = {"ellipses": ellipses, "bounds": bounds, "order": order, "starts": starts}
-    return Drawing(cloud=cloud, view=view, antialias=antialias, **lists, picture=picture)
+    return Drawing(cloud=cloud, view=view, **lists, picture=picture)
 
 
 def tile_lists(

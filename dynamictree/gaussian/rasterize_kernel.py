@@ -10,16 +10,15 @@ from dynamictree.parallel import compiled_fused
 TILE = 16  # [px] per side; a row of a tile is one vector of 16 floats
 NEAR_M = 0.02
 """Near plane: least depth that is drawn [m]."""
-BLUR_PX2, PIXEL_PX2 = 0.3, 0.1
-"""Variance added to every ellipse [px²]: that of Kerbl et al. 2023; and that of Mip-Splatting, about a pixel's own, for
-antialiasing."""
+PIXEL_PX2 = 0.1
+"""Variance added to every ellipse [px²], about a pixel's own, for the antialiasing of Mip-Splatting."""
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.99  # bounds of alpha: Kerbl et al. 2023, appendix C
 WIDEST = 1.3  # [half picture]; slopes of the projection are clamped beyond, as in the code of Kerbl et al.
 _OPAQUE = np.float32(1e-4)  # transmittance at which a tile is finished, Kerbl et al. 2023, section 6
 
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
-_NEAR, _BLUR, _PIXEL = np.float32(NEAR_M), np.float32(BLUR_PX2), np.float32(PIXEL_PX2)
+_NEAR, _PIXEL = np.float32(NEAR_M), np.float32(PIXEL_PX2)
 _MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
 _SIZE = TILE * TILE
 # unsigned: indices cannot wrap around, so LLVM vectorizes the loop, which is 6 times as fast
@@ -31,12 +30,11 @@ _SIXTEENTH = np.float32(1 / 16)
 
 @compiled_fused
 @no_type_check
-def project(first, end, means, quaternions, scales, opacity, sh, rest, view, antialias, turned, ellipses, bounds):
+def project(first, end, means, quaternions, scales, opacity, sh, rest, view, turned, ellipses, bounds):
     """Compute each Gaussian's ellipse (centre, conic, opacity), colour, depth and bounds [px]."""
     degree = round(np.sqrt(sh.shape[1])) - 1
     values = np.empty(16, np.float32)
     axes, half = np.empty((3, 3), np.float32), np.empty((3, 2), np.float32)
-    blur = _PIXEL if antialias else _BLUR
     for g in range(first, end):
         dx, dy, dz = means[g, 0] - view[9], means[g, 1] - view[10], means[g, 2] - view[11]
         x = view[0] * dx + view[1] * dy + view[2] * dz
@@ -49,11 +47,8 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
         slope_x, slope_y = min(max(x / z, -view[17]), view[17]), min(max(y / z, -view[18]), view[18])
         for i in range(3):
             half[i, 0], half[i, 1], _ = half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
-        xx, xy, yy, sharp, determinant = covariance(half, blur)
-        xx, yy = xx + blur, yy + blur
-        visible_opacity = opacity[g]
-        if antialias:
-            visible_opacity = visible_opacity * np.sqrt(sharp / determinant)
+        xx, xy, yy, sharp, determinant = covariance(half)
+        visible_opacity = opacity[g] * np.sqrt(sharp / determinant)
         if not visible_opacity >= _MIN:  # also for NaN
             continue
         reach = _TWO * np.log(visible_opacity / _MIN)  # squared standard deviations at which alpha is `_MIN`
@@ -94,8 +89,8 @@ def half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
 
 @compiled_fused
 @no_type_check
-def covariance(half, blur):
-    """Compute the 2D covariance of the projected half axes (xx, xy, yy), and its determinants before and after blur.
+def covariance(half):
+    """Compute the blurred 2D covariance of the projected half axes (xx, xy, yy), and its determinants before and after.
 
     Both determinants are sums of non-negative terms, since `xx * yy - xy * xy` loses all digits for needles.
     """
@@ -104,7 +99,7 @@ def covariance(half, blur):
     yy = half[0, 1] * half[0, 1] + half[1, 1] * half[1, 1] + half[2, 1] * half[2, 1]
     c01, c02, c12 = cross(half, 0, 1), cross(half, 0, 2), cross(half, 1, 2)
     sharp = c01 * c01 + c02 * c02 + c12 * c12  # Cauchy-Binet
-    return xx, xy, yy, sharp, sharp + blur * (xx + yy + blur)
+    return xx + _PIXEL, xy, yy + _PIXEL, sharp, sharp + _PIXEL * (xx + yy + _PIXEL)
 
 
 @compiled_fused

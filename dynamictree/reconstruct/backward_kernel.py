@@ -10,10 +10,8 @@ import numpy as np
 
 from dynamictree.gaussian.harmonics import SH_CONSTANTS
 from dynamictree.gaussian.rasterize_kernel import (
-    BLUR_PX2,
     MAX_ALPHA,
     MIN_ALPHA,
-    PIXEL_PX2,
     TILE,
     covariance,
     cross,
@@ -29,7 +27,6 @@ ENTRY = 10
 
 _HALF, _ONE, _TWO, _ZERO = np.float32(0.5), np.float32(1), np.float32(2), np.float32(0)
 _MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
-_BLUR, _PIXEL = np.float32(BLUR_PX2), np.float32(PIXEL_PX2)
 _OPAQUE = np.float32(1e-4)  # same threshold as in `rasterize_kernel`
 _SIZE = TILE * TILE
 # unsigned: indices cannot wrap around, so LLVM vectorizes the loop
@@ -133,16 +130,13 @@ def gather(order, entries, gradients):
 
 @compiled_reordered
 @no_type_check
-def project_back(
-    first, end, means, quaternions, scales, opacity, sh, view, antialias, bounds, ellipses, gradients, out
-):
+def project_back(first, end, means, quaternions, scales, opacity, sh, view, bounds, ellipses, gradients, out):
     """Turn gradients of ellipses into those of mean, quaternion, ln scale, logit opacity (11 numbers), harmonics."""
     degree = round(np.sqrt(sh.shape[1])) - 1
     values, slopes = np.empty(9, np.float32), np.zeros((9, 3), np.float32)
     axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
     half, half_g = np.empty((3, 2), np.float32), np.empty((3, 2), np.float32)
     depth = np.empty(3, np.float32)
-    blur = _PIXEL if antialias else _BLUR
     for g in range(first, end):
         if bounds[g, 1] <= bounds[g, 0]:
             continue
@@ -156,23 +150,20 @@ def project_back(
         slope_x, slope_y = min(max(x / z, -view[17]), view[17]), min(max(y / z, -view[18]), view[18])
         for i in range(3):
             half[i, 0], half[i, 1], depth[i] = half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
-        xx, xy, yy, sharp, whole = covariance(half, blur)
-        wide_x, wide_y = xx + blur, yy + blur
+        xx, xy, yy, sharp, whole = covariance(half)
         # conic = inverse of the blurred covariance: dΣ = −Q dQ Q
-        a, b, c = wide_y / whole, -xy / whole, wide_x / whole
+        a, b, c = yy / whole, -xy / whole, xx / whole
         ga, gb, gc = e_g[2], _HALF * e_g[3], e_g[4]
         m00, m01 = a * ga + b * gb, a * gb + b * gc
         m10, m11 = b * ga + c * gb, b * gb + c * gc
         xx_g, yy_g = -(m00 * a + m01 * b), -(m10 * b + m11 * c)
         xy_g = -(m00 * b + m01 * c) - (m10 * a + m11 * b)
         filtered_opacity = ellipses[g, 5]
-        by_sharp = _ZERO
-        if antialias:  # drawn opacity = opacity · sqrt(sharp / whole)
-            share = _HALF * e_g[5] * filtered_opacity
-            xx_g -= share * a
-            yy_g -= share * c
-            xy_g += share * _TWO * xy / whole
-            by_sharp = _TWO * share / sharp
+        share = _HALF * e_g[5] * filtered_opacity  # drawn opacity = opacity · sqrt(sharp / whole)
+        xx_g -= share * a
+        yy_g -= share * c
+        xy_g += share * _TWO * xy / whole
+        by_sharp = _TWO * share / sharp
         for i in range(3):
             half_g[i, 0] = _TWO * xx_g * half[i, 0] + xy_g * half[i, 1]
             half_g[i, 1] = _TWO * yy_g * half[i, 1] + xy_g * half[i, 0]

@@ -35,6 +35,5 @@ def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"], *, wi
     gather(drawing.order, entries, of_ellipses)
     table = np.zeros((cloud.num_gaussians, max(width, 11 + cloud.sh[0].size)), np.float32)
     shapes = cloud.means, cloud.quaternions, cloud.scales, cloud.opacity, cloud.sh
-    camera = drawing.view, drawing.antialias
-    in_bands(project_back, cloud.num_gaussians, *shapes, *camera, bounds, ellipses, of_ellipses, table)
+    in_bands(project_back, cloud.num_gaussians, *shapes, drawing.view, bounds, ellipses, of_ellipses, table)
     return Gradients(table=table, centres_px=of_ellipses[:, :2])

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, NEAR_M, PIXEL_PX2, WIDEST
+from dynamictree.gaussian.rasterize_kernel import MAX_ALPHA, MIN_ALPHA, NEAR_M, PIXEL_PX2, WIDEST
 from dynamictree.render.camera import Camera
 
 Tensor = torch.Tensor
@@ -51,9 +51,7 @@ def harmonics(d: Tensor, degree: int) -> Tensor:
     return torch.stack(rows, dim=-1)
 
 
-def draw_slowly(
-    leaves: Leaves, camera: Camera, *, width: int, height: int, antialias: bool, min_alpha: float = MIN_ALPHA
-) -> Tensor:
+def draw_slowly(leaves: Leaves, camera: Camera, *, width: int, height: int, min_alpha: float = MIN_ALPHA) -> Tensor:
     """Colour and depth, both times alpha, and what is left of the light [H, W, 5]; of all, with `min_alpha=0`."""
     turn = torch.tensor(camera.world_to_camera)
     k = torch.tensor(camera.intrinsics_px(width, height))
@@ -80,10 +78,8 @@ def draw_slowly(
     )
     in_picture = jacobian @ half
     sharp = in_picture @ in_picture.transpose(1, 2)
-    blurred = sharp + (PIXEL_PX2 if antialias else BLUR_PX2) * torch.eye(2, dtype=torch.float64)
-    opacity = leaves.logit_opacity.sigmoid()
-    if antialias:
-        opacity = opacity * (torch.linalg.det(sharp) / torch.linalg.det(blurred)).sqrt()
+    blurred = sharp + PIXEL_PX2 * torch.eye(2, dtype=torch.float64)
+    opacity = leaves.logit_opacity.sigmoid() * (torch.linalg.det(sharp) / torch.linalg.det(blurred)).sqrt()
     conics = torch.linalg.inv(blurred)
     centres = (in_camera @ k.T / z[:, None])[:, :2]
     degree = round(leaves.sh.shape[1] ** 0.5) - 1

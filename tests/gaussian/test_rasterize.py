@@ -41,17 +41,12 @@ def decibels(picture: np.ndarray, expected: np.ndarray) -> float:
     return float(-10 * np.log10(max(np.square(picture - expected).mean(), 1e-20)))
 
 
-@pytest.mark.parametrize("antialias", [True, False])
 @pytest.mark.parametrize("size", [(96, 80), (53, 41)])
-def test_fast_and_slow_pictures_agree(
-    cloud: GaussianCloud, camera: Camera, antialias: bool, size: tuple[int, int]
-) -> None:
+def test_fast_and_slow_pictures_agree(cloud: GaussianCloud, camera: Camera, size: tuple[int, int]) -> None:
     width, height = size
-    fast = draw(cloud, camera, width=width, height=height, antialias=antialias).picture
+    fast = draw(cloud, camera, width=width, height=height).picture
     slow, whole = (
-        draw_slowly(
-            leaves_of(cloud), camera, width=width, height=height, antialias=antialias, min_alpha=min_alpha
-        ).numpy()
+        draw_slowly(leaves_of(cloud), camera, width=width, height=height, min_alpha=min_alpha).numpy()
         for min_alpha in (MIN_ALPHA, 0.0)
     )
     assert decibels(fast[..., :3], slow[..., :3]) > 80
@@ -86,18 +81,12 @@ def test_what_is_behind_or_beside_the_camera_is_not_seen(camera: Camera) -> None
 
 
 def test_antialiasing_keeps_the_light_of_what_is_small(camera: Camera) -> None:
-    """Seen from so far that it is a tenth of a pixel, a Gaussian's light falls with its area, as it should."""
-    small = one(0.002)
-    far_with, far_without = (
-        render_cloud(small, camera, width=64, height=64, antialias=antialias).alpha.sum() for antialias in (True, False)
-    )
+    """Seen from so far that it is a seventh of a pixel, a Gaussian's light falls with its area, as it should."""
+    small = one(0.005)
+    light = render_cloud(small, camera, width=64, height=64).alpha.sum()
     focal = camera.intrinsics_px(64, 64)[0, 0]
-    expected = 2 * np.pi * (0.002 * focal / np.linalg.norm(camera.position_m)) ** 2  # integral of the sharp one [px²]
-    assert abs(far_with - expected) < 0.5 * expected or far_with == 0
-    assert far_without > 20 * expected
-    near = Camera.look_at(camera.position_m / 400, np.zeros(3))
-    sums = [render_cloud(small, near, width=64, height=64, antialias=a).alpha.sum() for a in (True, False)]
-    np.testing.assert_allclose(sums[0], sums[1], rtol=0.02)
+    expected = 2 * np.pi * (0.005 * focal / np.linalg.norm(camera.position_m)) ** 2  # integral of the sharp one [px²]
+    assert abs(light - expected) < 0.5 * expected
 
 
 def test_turned_back_views_show_what_turned_harmonics_show(cloud: GaussianCloud, camera: Camera) -> None:

@@ -49,7 +49,7 @@ def mask_of(scene: GaussianCloud, own: np.ndarray, view: PhotoCamera) -> np.ndar
     """Pixels that show the chosen Gaussians rather than the others, hidden parts left out."""
     colors = np.where(own, 0.5, -0.5)[:, None, None] / SH_0
     labels = replace(scene, sh=np.repeat(colors, 3, axis=2).astype(np.float32))
-    picture = render_on_cpu(labels, view.camera, width=view.width, height=view.height, antialias=False)
+    picture = render_on_cpu(labels, view.camera, width=view.width, height=view.height)
     return picture.color[..., 0] > 0.5
 
 

@@ -72,7 +72,7 @@ def fake_rasterization(**given: Any) -> tuple[torch.Tensor, torch.Tensor, dict[s
         logit_opacity=given["opacities"].double().logit(),
         sh=given["colors"][:, : (given["sh_degree"] + 1) ** 2].double(),
     )
-    picture = draw_slowly(leaves, camera, width=width, height=height, antialias=True).float()
+    picture = draw_slowly(leaves, camera, width=width, height=height).float()
     return picture[None, ..., :3], 1 - picture[None, ..., 4:], {"width": width}
 
 
