@@ -17,7 +17,7 @@ from dynamictree.mesh import Surface, connected_parts, part_bounds
 from dynamictree.parallel import num_cores
 from dynamictree.voxel.clip_kernel import SurfacePieces
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.voxelize import grid_pieces
+from dynamictree.voxel.voxelize import surface_pieces
 
 SMALL_PART_VOXELS = 8.0
 """Largest extent of an attached part [voxels]; the motion of larger parts is determined by their own voxels."""
@@ -68,7 +68,7 @@ def find_attachments(mesh: Surface, grid: VoxelGrid) -> Attachments:
     small, few, card = extent < SMALL_PART_VOXELS, num_vertices <= FEW_VERTICES, num_vertices <= CARD_VERTICES
     stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk is never attached to its crown
     rank = np.argsort(np.lexsort((extent, ~card)))  # stems of any size carry cards
-    pieces = grid_pieces(mesh, grid)
+    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
     surface = _Surface(places=places, owner=owner, extent=extent, voxel_size_m=grid.voxel_size_m)

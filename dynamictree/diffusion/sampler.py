@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Float32
@@ -13,17 +12,13 @@ Denoise = Callable[[Tensor, float], Tensor]
 """Function from a noisy signal and its σ to the expected clean signal."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NoiseSchedule:
-    """ᾱ of each step: variance of the signal in the noisy one."""
+def linear_schedule() -> Float32[Tensor, " L"]:
+    """Return ᾱ of each step, the variance of the signal in the noisy one, for β from 1e-4 to 0.02 in equal steps.
 
-    alpha_bar: Float32[Tensor, " L"]
-
-
-def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
-    """Return the schedule of β from 1e-4 to 0.02 in equal steps, as in Ho et al. 2020 and XCube."""
-    betas = torch.linspace(1e-4, 0.02, num_steps, dtype=torch.float64)
-    return NoiseSchedule(alpha_bar=(1 - betas).cumprod(dim=0).float())
+    Ho et al. 2020 and XCube have this schedule.
+    """
+    betas = torch.linspace(1e-4, 0.02, NUM_STEPS, dtype=torch.float64)
+    return (1 - betas).cumprod(dim=0).float()
 
 
 def predicted_clean(
@@ -72,7 +67,7 @@ def sample_dpm_multistep(
 def sample_ddim(
     predict_clean: Callable[[Tensor, int], Tensor],
     start: Float[Tensor, "..."],
-    schedule: NoiseSchedule,
+    schedule: Float32[Tensor, " L"],
     *,
     num_steps: int = 100,
     on_step: Callable[[int, int], None] | None = None,
@@ -82,11 +77,11 @@ def sample_ddim(
     `predict_clean` maps a noisy signal and its step's index to the clean signal (`predicted_clean`), `start` is unit
     noise, and `on_step` receives the completed steps and their total. The last step of the schedule is included.
     """
-    steps = torch.linspace(len(schedule.alpha_bar) - 1, 0, num_steps).round().long().tolist()
+    steps = torch.linspace(len(schedule) - 1, 0, num_steps).round().long().tolist()
     signal = start
     for index, step in enumerate(steps):
-        alpha_bar = schedule.alpha_bar[step]
-        next_alpha_bar = schedule.alpha_bar[steps[index + 1]] if index + 1 < num_steps else torch.ones_like(alpha_bar)
+        alpha_bar = schedule[step]
+        next_alpha_bar = schedule[steps[index + 1]] if index + 1 < num_steps else torch.ones_like(alpha_bar)
         clean = predict_clean(signal, step)
         noise = (signal - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
         signal = next_alpha_bar.sqrt() * clean + (1 - next_alpha_bar).sqrt() * noise

@@ -164,7 +164,7 @@ def blend(first, end, ellipses, bounds, order, starts, picture):
             g = order[i]
             from_row, to_row = max(bounds[g, 2] - top, 0), min(bounds[g, 3] - top, TILE)
             _blend_one(ellipses[g], np.float32(left) + _HALF, np.float32(top) + _HALF, from_row, to_row, b)
-            if i % 16 == 15 and _is_opaque(b):
+            if i % 16 == 15 and is_opaque(b[_LIGHT:]):
                 break
         for row in range(min(TILE, height - top)):
             for column in range(min(TILE, width - left)):
@@ -207,8 +207,9 @@ def falloff(x):
 
 @compiled_fused
 @no_type_check
-def _is_opaque(b):
+def is_opaque(light):
+    """Whether a tile lets hardly any light through."""
     most = np.float32(0)
     for j in range(_SIZE):
-        most = max(most, b[4 * _SIZE + j])
+        most = max(most, light[j])
     return most < _OPAQUE

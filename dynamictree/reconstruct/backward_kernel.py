@@ -17,6 +17,7 @@ from dynamictree.gaussian.rasterize_kernel import (
     cross,
     falloff,
     half_axis,
+    is_opaque,
     rotation_axes,
 )
 from dynamictree.gaussian.turn import harmonic_values
@@ -27,7 +28,6 @@ ENTRY = 10
 
 _HALF, _ONE, _TWO, _ZERO = np.float32(0.5), np.float32(1), np.float32(2), np.float32(0)
 _MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
-_OPAQUE = np.float32(1e-4)  # same threshold as in `rasterize_kernel`
 _SIZE = TILE * TILE
 # unsigned: indices cannot wrap around, so LLVM vectorizes the loop
 _LANES = np.uint32(TILE)
@@ -59,7 +59,7 @@ def blend_back(first, end, ellipses, bounds, order, starts, picture, gradient, e
             g = order[i]
             from_row, to_row = max(bounds[g, 2] - top, 0), min(bounds[g, 3] - top, TILE)
             _one_back(ellipses[g], np.float32(left) + _HALF, np.float32(top) + _HALF, from_row, to_row, b, entries[i])
-            if i % 16 == 15 and _is_opaque(b):
+            if i % 16 == 15 and is_opaque(b):
                 break
 
 
@@ -107,15 +107,6 @@ def _one_back(e, left, top, from_row, to_row, b, out):
     out[2], out[3], out[4] = -_HALF * sum_xx, -sum_xy, -_HALF * sum_yy
     out[5] = sum_h / opacity
     out[6], out[7], out[8], out[9] = sum_r, sum_g, sum_b, sum_d
-
-
-@compiled_reordered
-@no_type_check
-def _is_opaque(b):
-    most = np.float32(0)
-    for j in range(_SIZE):
-        most = max(most, b[j])
-    return most < _OPAQUE
 
 
 @compiled_reordered

@@ -28,13 +28,12 @@ class Camera:
         position_m: Float[np.ndarray, "3"],
         target_m: Float[np.ndarray, "3"],
         *,
-        up: tuple[float, float, float] = (0.0, 0.0, 1.0),
         vertical_fov_deg: float = 32.0,
     ) -> "Camera":
         """Create a camera that looks from one point to another, with a level horizon."""
         forward = np.asarray(target_m, np.float64) - position_m
         forward /= np.linalg.norm(forward)
-        right = np.cross(forward, up)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
         rotation = np.stack([right, np.cross(forward, right), forward])  # [3, 3]
         focal = 0.5 / np.tan(np.radians(vertical_fov_deg) / 2)
@@ -47,7 +46,6 @@ class Camera:
         *,
         azimuth_deg: float = 25.0,
         elevation_deg: float = 8.0,
-        vertical_fov_deg: float = 32.0,
         aspect: float = 1.0,
     ) -> "Camera":
         """Create the nearest camera that shows all points, aimed at the centre of their bounding box.
@@ -59,12 +57,12 @@ class Camera:
         target = (low + high) / 2
         azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
         away = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
-        aimed = cls.look_at(target + away, target, vertical_fov_deg=vertical_fov_deg)
+        aimed = cls.look_at(target + away, target)
         x, y, z = aimed.world_to_camera @ (points - target).T  # [N] each
         half_height = 0.5 / aimed.focal / _MARGIN  # tangent of the largest half angle of the points
         # a point at depth d + z is inside if |y| <= (d + z) * half_height, and likewise for x
         distance = float(np.maximum(np.abs(y) / half_height - z, np.abs(x) / (half_height * aspect) - z).max())
-        return cls.look_at(target + away * distance, target, vertical_fov_deg=vertical_fov_deg)
+        return cls.look_at(target + away * distance, target)
 
     def intrinsics_px(self, width: int, height: int) -> Float64[np.ndarray, "3 3"]:
         """Return the matrix from camera axes to pixels, with pixel centres at half-integers."""

@@ -119,15 +119,10 @@ def surface_average(mesh: Surface, grid: VoxelGrid) -> scipy.sparse.csr_array:
 
 def _pieces_in(mesh: Surface, grid: VoxelGrid) -> tuple[SurfacePieces, Int64[np.ndarray, " P"]]:
     """Return the pieces of faces in the occupied voxels of a grid, and each piece's row."""
-    pieces, keys = grid_pieces(mesh, grid), grid.keys
+    pieces, keys = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution), grid.keys
     rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
     there = keys[rows] == pieces.keys
     return SurfacePieces(**{name: part[there] for name, part in vars(pieces).items()}), rows[there]
-
-
-def grid_pieces(mesh: Surface, grid: VoxelGrid) -> SurfacePieces:
-    """Return the pieces of faces in the voxels of a grid."""
-    return surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
 
 
 def surface_pieces(

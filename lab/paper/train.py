@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader
 
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, prediction_loss
-from dynamictree.diffusion.sampler import NoiseSchedule, linear_schedule, predicted_clean
+from dynamictree.diffusion.sampler import linear_schedule, predicted_clean
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.threads import to_device
 from dynamictree.models.weights_file import Provenance, write_weights
@@ -216,7 +216,7 @@ def paper_loss(
     clean: Float32[Tensor, "V J 6"],
     frequency: Int64[Tensor, "B J"],
     *,
-    schedule: NoiseSchedule,
+    schedule: Float32[Tensor, " L"],
     generator: torch.Generator,
     smoothness: LocalSmoothness | None,
     smoothness_weight: float = 1.0,
@@ -227,9 +227,9 @@ def paper_loss(
     normalised to unit size. The paper gives no weight of L_LSS beside L_DM.
     """
     sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
-    step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)
+    step = torch.randint(0, len(schedule), frequency.shape, generator=generator).to(clean.device)
     noise = torch.randn(clean.shape, generator=generator).to(clean.device)
-    alpha_bar = schedule.alpha_bar[step][sample][..., None]  # [V, J, 1]
+    alpha_bar = schedule[step][sample][..., None]  # [V, J, 1]
     noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
     predicted = network(noisy, step, frequency, network.condition(batch.inputs), batch.inputs).float()
     loss = prediction_loss(predicted.flatten(0, 1), noise.flatten(0, 1))

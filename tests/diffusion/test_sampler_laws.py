@@ -71,7 +71,7 @@ def test_ddim_takes_noise_to_the_distribution_that_the_predictor_knows() -> None
     schedule, variance = linear_schedule(), torch.tensor([4.0, 0.25])
 
     def predict_clean(noisy: torch.Tensor, step: int) -> torch.Tensor:
-        alpha_bar = schedule.alpha_bar[step]
+        alpha_bar = schedule[step]
         expected_noise = (1 - alpha_bar).sqrt() * noisy / (alpha_bar * variance + 1 - alpha_bar)
         return predicted_clean(noisy, expected_noise, alpha_bar)
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamictree.color import linear_from_bytes, linear_to_srgb
+from dynamictree.color import linear_from_bytes
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.mesh import Material, MeshLook, TriangleMesh
 from dynamictree.render import Camera, Renderer, RenderSettings
@@ -131,12 +131,6 @@ def test_under_a_crown_the_ground_sees_less_sky(two_balls):
     beside = light.sky_share(renderer._sky, 1.8, -1.9, 0.1)
     assert under < 0.6 < 0.85 < beside
     assert light.sky_share(renderer._sky, 50.0, 0.0, 0.0) == 1
-
-
-def test_bytes_are_the_nearest_to_the_srgb_curve(rng):
-    linear = np.concatenate([np.linspace(-0.1, 1.1, 20_001), rng.random(20_000) ** 3])
-    shaded = np.array([light._srgb_byte(value) for value in linear])
-    assert np.array_equal(shaded, np.floor(255 * linear_to_srgb(linear) + 0.5))
 
 
 def test_a_displacement_moves_what_is_seen(two_balls):

@@ -8,7 +8,7 @@ import pytest
 from dynamictree.mesh import TriangleMesh, join_meshes
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD, coarse_moments, moments_of
-from dynamictree.voxel.voxelize import grid_pieces, surface_moments, voxelize
+from dynamictree.voxel.voxelize import surface_moments, surface_pieces, voxelize
 from tests.devoxelize.test_interpolation import tube
 
 
@@ -82,7 +82,7 @@ def test_moments_of_many_pieces_take_little_memory() -> None:
     vertices = np.random.default_rng(0).normal(size=(6000, 3)).astype(np.float32)
     mesh = TriangleMesh(vertices=vertices, faces=np.arange(6000, dtype=np.int32).reshape(-1, 3))
     grid = voxelize(mesh, 64).grid
-    pieces = grid_pieces(mesh, grid)
+    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
     rows = np.searchsorted(grid.keys, pieces.keys)
     tracemalloc.start()
     moments_of(mesh, grid, pieces, rows)

@@ -128,7 +128,7 @@ def denoise(
 ) -> Float32[Tensor, "V J 6"]:
     """Return the network's clean spectra of one tree at a step of the linear schedule, of at most the data's size."""
     predicted = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, inputs)
-    return at_most_unit_size(predicted_clean(noisy, predicted, linear_schedule().alpha_bar[step]))
+    return at_most_unit_size(predicted_clean(noisy, predicted, linear_schedule()[step]))
 
 
 def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6"]:

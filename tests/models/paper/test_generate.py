@@ -90,7 +90,7 @@ def test_what_is_drawn_from_noise_is_of_the_datas_size_however_wrong_the_network
     schedule = linear_schedule()
 
     def predict_clean(noisy: torch.Tensor, step: int) -> torch.Tensor:
-        return at_most_unit_size(predicted_clean(noisy, noisy + 0.3 * error, schedule.alpha_bar[step]))
+        return at_most_unit_size(predicted_clean(noisy, noisy + 0.3 * error, schedule[step]))
 
     drawn = sample_ddim(predict_clean, start, schedule, num_steps=20)
     assert drawn.square().mean(dim=(0, 2)).max() <= 1 + 1e-5
