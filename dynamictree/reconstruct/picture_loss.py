@@ -44,11 +44,11 @@ def picture_loss(
     back = np.stack([by_mean, by_squares, by_product])
     by_mean, by_squares, by_product = blur(back.reshape(-1, *picture.shape[1:])).reshape(back.shape)
     difference = picture - photo
-    share, ssim_share = (np.float32(part / picture.size) for part in (1 - ssim_share, ssim_share))
+    of_distance, of_ssim = np.float32((1 - ssim_share) / picture.size), np.float32(ssim_share / picture.size)
     through = by_mean + 2 * picture * by_squares + photo * by_product
-    gradient = np.where(difference > 0, share, -share) - ssim_share * through
-    distance, similarity = np.abs(difference).sum(dtype=np.float64), similar.sum(dtype=np.float64)
-    return Loss(float(share * distance + ssim_share * (picture.size - similarity)), gradient)
+    gradient = np.where(difference > 0, of_distance, -of_distance) - of_ssim * through
+    distance, similarity = (float(part.mean(dtype=np.float64)) for part in (np.abs(difference), similar))
+    return Loss((1 - ssim_share) * distance + ssim_share * (1 - similarity), gradient)
 
 
 def psnr(picture: Float32[np.ndarray, "*shape"], photo: Float32[np.ndarray, "*shape"]) -> float:

@@ -118,7 +118,7 @@ class Renderer:
         view = View(position=camera.position_m, ray=np.ascontiguousarray(ray), supersampling=look.supersampling)
         light = np.empty((look.height, look.width, 3), np.float32)
         in_bands(shade_rows, look.height, light, visible.face, triangles, scene, view)
-        return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
+        return np.asarray(np.rint(255 * linear_to_srgb(light)), np.uint8)
 
     def buffers(self, camera: Camera | None = None) -> Buffers:
         """Render depth and faces of the rest pose, with one sample per pixel."""
