@@ -19,15 +19,18 @@ CENTRE = 13
 Pair = tuple[Int64[np.ndarray, " _"], Int64[np.ndarray, " _"]]
 
 
-def neighbour_pairs(coords: Int[np.ndarray, "V 3"]) -> list[Pair]:
-    """Return rows a and b of voxels with coords[b] = coords[a] + offset, for each of OFFSETS[:CENTRE]."""
-    shifted = coords.astype(np.int64) - coords.min(axis=0) + 1  # border of one: neighbours' keys cannot wrap around
-    span = int(shifted.max()) + 2
+def neighbour_pairs(
+    coords: Int[np.ndarray, "V 3"], offsets: Sequence[tuple[int, int, int]] = OFFSETS[:CENTRE]
+) -> list[Pair]:
+    """Return rows a and b of voxels with coords[b] = coords[a] + offset, for each offset."""
+    border = int(np.abs(offsets).max())  # with it, neighbours' keys cannot wrap around
+    shifted = coords.astype(np.int64) - coords.min(axis=0) + border
+    span = int(shifted.max()) + border + 1
     strides = np.array([span * span, span, 1])
     own = shifted @ strides
     order = np.argsort(own, kind="stable")
     keys, pairs = own[order], []
-    for step in np.array(OFFSETS[:CENTRE]) @ strides:
+    for step in np.array(offsets) @ strides:
         place = np.minimum(np.searchsorted(keys, own + step), len(keys) - 1)
         rows = np.flatnonzero(keys[place] == own + step)
         pairs.append((rows, order[place[rows]]))

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TypeAlias
 
 import numpy as np
 import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Bool, Float64, Int64
 
-Rows: TypeAlias = Int64[np.ndarray, " R"]
+from dynamictree.voxel.graph import neighbour_pairs
 
 CELLS_TALL = 200
 """Cells in the height of the tallest tree: 0.1 m for 20 m, so that a stem is two to four cells wide."""
@@ -113,11 +112,13 @@ def cell_graph(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
     The cells are in ascending order of x, y, z; a pair has one edge, if one is among the nearest of the other.
     """
     neighbours = 12
-    pairs = _near_pairs(coords)
+    gap = 2.5  # [cells], largest distance of connected cells
+    along = range(-int(gap), int(gap) + 1)
+    near = [offset for offset in product(along, repeat=3) if offset > (0, 0, 0) and _squared(offset) <= gap**2]
+    near.sort(key=_squared)
     count = np.zeros(len(coords), np.int64)  # number of nearer cells around each
     starts, ends, costs = [], [], []
-    for offset in sorted(pairs, key=_squared):
-        start, end = pairs[offset]
+    for offset, (start, end) in zip(near, neighbour_pairs(coords, near), strict=True):
         among_nearest = count[start] < neighbours
         count[start] += 1
         among_nearest |= count[end] < neighbours
@@ -127,28 +128,6 @@ def cell_graph(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
         costs.append(np.full(int(among_nearest.sum()), float(_squared(offset))))
     places = np.concatenate(starts), np.concatenate(ends)
     return scipy.sparse.coo_array((np.concatenate(costs), places), shape=(len(coords),) * 2).tocsr()
-
-
-def _near_pairs(coords: Int64[np.ndarray, "V 3"]) -> dict[tuple[int, int, int], tuple[Rows, Rows]]:
-    """Return the rows of the pairs of cells at each offset within the gap, without opposite offsets."""
-    gap = 2.5  # [cells], largest distance of connected cells
-    reach = int(gap)
-    columns = [column for column in product(range(-reach, reach + 1), repeat=2) if column >= (0, 0)]
-    _, span_y, span_z = coords.max(axis=0) + 1 + 2 * reach  # margin that makes keys unique
-    keys = (coords[:, 0] * span_y + coords[:, 1]) * span_z + coords[:, 2]
-    after_last = np.append(keys, np.iinfo(np.int64).max)
-    pairs = {}
-    for x, y in columns:
-        column = keys + (x * span_y + y) * span_z
-        first = 1 if (x, y) == (0, 0) else -reach
-        place = np.searchsorted(keys, column + first)
-        for z in range(first, reach + 1):
-            occupied = after_last[place] == column + z
-            if _squared((x, y, z)) <= gap**2:
-                start = np.flatnonzero(occupied)
-                pairs[x, y, z] = start, place[start]
-            place += occupied
-    return pairs
 
 
 def _squared(offset: tuple[int, int, int]) -> int:
