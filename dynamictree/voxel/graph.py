@@ -23,7 +23,7 @@ def neighbour_pairs(
     coords: Int[np.ndarray, "V 3"], offsets: Sequence[tuple[int, int, int]] = OFFSETS[:CENTRE]
 ) -> list[Pair]:
     """Return rows a and b of voxels with coords[b] = coords[a] + offset, for each offset."""
-    border = int(np.abs(offsets).max())  # with it, neighbours' keys cannot wrap around
+    border = int(np.abs(offsets).max())  # margin so that neighbours' keys cannot wrap around
     shifted = coords.astype(np.int64) - coords.min(axis=0) + border
     span = int(shifted.max()) + border + 1
     strides = np.array([span * span, span, 1])

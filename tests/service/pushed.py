@@ -77,7 +77,7 @@ def served_id(
     if sent:
         publish(services, lease, "reconstruct", "mesh.safetensors", written(write_bundle, mesh))
     publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
-    file = written(write_spectrum, spectrum)
+    file = written(write_spectrum, spectrum, dtype="float32")
     publish(services, lease, "diffuse", "tree.spectrum.safetensors", file)
     succeed(services.store, lease)
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])

@@ -114,7 +114,7 @@ def cell_graph(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
     neighbours = 12
     gap = 2.5  # [cells], largest distance of connected cells
     along = range(-int(gap), int(gap) + 1)
-    near = [offset for offset in product(along, repeat=3) if offset > (0, 0, 0) and _squared(offset) <= gap**2]
+    near = [offset for offset in product(along, along, along) if offset > (0, 0, 0) and _squared(offset) <= gap**2]
     near.sort(key=_squared)
     count = np.zeros(len(coords), np.int64)  # number of nearer cells around each
     starts, ends, costs = [], [], []
