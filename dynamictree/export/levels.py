@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Complex64, Float32, Int32, Int64
 
-from dynamictree.export.cards import MOST_SAMPLES, cards_of
+from dynamictree.export.cards import cards_of
 from dynamictree.export.moving_tree import Report
+from dynamictree.gaussian.binding import nearest_on_faces, solid_faces
 from dynamictree.mesh import MeshLook, TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.render.appearance import foliage_faces, is_leafy
 from dynamictree.spectrum import iter_motion
@@ -83,21 +84,11 @@ def motion_error(
 
     Each vertex of the tree's faces is compared with the point of the level's surface that is nearest to it at rest.
     """
-    samples_per_face = 16  # points at which a level's motion is compared, besides its vertices
-    from scipy.spatial import cKDTree
-
     if level is mesh:
         return 0.0, 0.0, 0.0
-    rng = np.random.default_rng(0)
-    count = min(samples_per_face * level.num_faces, MOST_SAMPLES)
-    face = np.concatenate([np.arange(level.num_faces), rng.integers(level.num_faces, size=count)])
-    weights = rng.dirichlet((1, 1, 1), len(face)).astype(np.float32)
-    corners = np.concatenate([level.faces[face], np.repeat(np.arange(level.num_vertices)[:, None], 3, axis=1)])
-    weights = np.concatenate([weights, np.tile(np.array([1, 0, 0], np.float32), (level.num_vertices, 1))])
-    points = np.einsum("pc,pcx->px", weights, level.vertices[corners])
-    used = np.unique(mesh.faces)
-    nearest = cKDTree(points).query(mesh.vertices[used])[1]
-    corners, weights = corners[nearest], weights[nearest]
+    used, faces = np.unique(mesh.faces), solid_faces(level)
+    _, face, weights = nearest_on_faces(mesh.vertices[used], level.vertices, faces)
+    corners = faces[face]
     phases = np.arange(num_frames) / num_frames
     total = missing = most = 0.0
     for truth, moved in zip(

@@ -66,7 +66,8 @@ def bind(cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | 
     rows = np.arange(cloud.num_gaussians) if mask is None else np.flatnonzero(mask)
     reach = _own_reach(cloud.scales[rows], extent)
     triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
-    nearest, nearest_weights = _nearest(cloud.means[rows], mesh.vertices, triangles, reach)
+    distance, nearest, nearest_weights = nearest_on_faces(cloud.means[rows], mesh.vertices, triangles)
+    nearest[distance > reach] = STILL
     if (nearest == STILL).all():
         raise InputError(
             f"no Gaussian is within {reach.max(initial=0):.3g} m of the mesh and in the part that moves; "
@@ -78,24 +79,22 @@ def bind(cloud: GaussianCloud, mesh: Surface, *, mask: Bool[np.ndarray, " G"] | 
     return _compact(cloud, mesh.vertices, triangles, face_of, weights)
 
 
-def _nearest(
-    points: Float32[np.ndarray, "G 3"],
-    vertices: Float32[np.ndarray, "N 3"],
-    triangles: Int32[np.ndarray, "F 3"],
-    reach_m: Float64[np.ndarray, " G"],
-) -> tuple[Int32[np.ndarray, " G"], Float32[np.ndarray, "G 3"]]:
-    """Find each point's nearest triangle, or STILL if none is within its reach, and the barycentric weights there."""
+def nearest_on_faces(
+    points: Float32[np.ndarray, "G 3"], vertices: Float32[np.ndarray, "N 3"], triangles: Int32[np.ndarray, "F 3"]
+) -> tuple[Float64[np.ndarray, " G"], Int32[np.ndarray, " G"], Float32[np.ndarray, "G 3"]]:
+    """Return each point's distance to the surface [m], its nearest triangle and the barycentric weights there."""
     points_at_once = 500_000  # 100 MB
-    face_of, weights = np.empty(len(points), np.int32), np.empty((len(points), 3), np.float32)
+    distance, face_of = np.empty(len(points)), np.empty(len(points), np.int32)
+    weights = np.empty((len(points), 3), np.float32)
     places, corners, tree = vertices.astype(np.float64), triangles.astype(np.int64), igl.AABB()
     tree.init(places, corners)
     for start in range(0, len(points), points_at_once):
         some = slice(start, start + points_at_once)
-        squared, nearest, place = tree.squared_distance(places, corners, points[some].astype(np.float64))
-        own = igl.barycentric_coordinates(place, *(places[corner] for corner in corners[nearest].T)).clip(0, 1)
-        face_of[some] = np.where(squared <= reach_m[some] ** 2, nearest, STILL)
+        squared, face_of[some], place = tree.squared_distance(places, corners, points[some].astype(np.float64))
+        own = igl.barycentric_coordinates(place, *(places[corner] for corner in corners[face_of[some]].T)).clip(0, 1)
+        distance[some] = np.sqrt(squared)
         weights[some] = own / own.sum(axis=1, keepdims=True)
-    return face_of, weights
+    return distance, face_of, weights
 
 
 def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.ndarray, " G"]:
