@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from dynamictree.errors import InputError, MeshError, ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
-from dynamictree.mesh import MeshLook, TriangleMesh, edges_of, vertex_normals
+from dynamictree.mesh import MeshLook, Surface, TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.fusion import EMPTY_SURFACE, Box, Surface, faces_above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import EMPTY_SURFACE, Box, faces_above, fuse, main_cluster
 from dynamictree.reconstruct.scene import CLUSTER_GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.surface_choice import NEAR_SHARE, best_mesh
@@ -54,7 +54,7 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     except (InputError, ValueError) as error:
         problem = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
         raise ReconstructionError(f"{problem}; {ADVICE}") from error
-    return main_cluster(Surface(mesh.vertices, mesh.faces), CLUSTER_GAP)
+    return main_cluster(mesh, CLUSTER_GAP)
 
 
 def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequence[str]) -> tuple[TriangleMesh, str]:
@@ -130,7 +130,7 @@ def _decimate(surface: Surface) -> Surface:
     if len(surface.faces) <= MAX_FACES:
         return surface
     vertices, faces = fast_simplification.simplify(surface.vertices, surface.faces, target_count=MAX_FACES)
-    return Surface(vertices.astype(np.float32), faces.astype(np.int32))
+    return Surface(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32))
 
 
 def _smooth(surface: Surface) -> Surface:
@@ -145,7 +145,7 @@ def _smooth(surface: Surface) -> Surface:
     for _ in range(smoothing_rounds):
         for step in smoothing:
             vertices = vertices + np.float32(step) * (links @ vertices / degree - vertices)
-    return Surface(vertices.astype(np.float32), surface.faces)
+    return Surface(vertices=vertices.astype(np.float32), faces=surface.faces)
 
 
 def mesh_of_plant(
@@ -166,7 +166,7 @@ def mesh_of_plant(
         mesh = mesh_of_cloud(scene.subset(own), cells_along=CELLS, max_faces=MAX_FACES, one_skin=True)
     except (InputError, MeshError, ValueError) as error:
         raise InputError(f"{int(own.sum())} Gaussians have no surface: {error}; choose more of the scene") from error
-    surface = main_cluster(Surface(mesh.vertices, mesh.faces), CLUSTER_GAP * radius_m)
+    surface = main_cluster(mesh, CLUSTER_GAP * radius_m)
     if len(surface.faces) < 50:
         raise InputError(f"the surface has {len(surface.faces)} faces; 50 are needed; choose more of the scene")
     assert mesh.look.vertex_colors is not None

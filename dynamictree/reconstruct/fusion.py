@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64
+from jaxtyping import Float32, Float64, Int64
 from scipy.ndimage import label, maximum_filter, minimum_filter
 from skimage.measure import marching_cubes
 
-from dynamictree.mesh import connected_parts
+from dynamictree.mesh import Surface, connected_parts
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.stereo import StereoView
 
@@ -24,13 +24,6 @@ class Box:
     high: Float64[np.ndarray, "3"]
 
 
-class Surface(NamedTuple):
-    """Triangle mesh without colours."""
-
-    vertices: Float32[np.ndarray, "N 3"]
-    faces: Int32[np.ndarray, "F 3"]
-
-
 class _Volume(NamedTuple):
     """Weighted sum of signed distances over views, and sum of the weights."""
 
@@ -40,7 +33,7 @@ class _Volume(NamedTuple):
     voxel: float
 
 
-EMPTY_SURFACE = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+EMPTY_SURFACE = Surface(vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32))
 
 
 def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box: Box, *, resolution: int) -> Surface:
@@ -61,7 +54,8 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
         return EMPTY_SURFACE
     # "descent" turns faces outward where the inside is negative (skimage's text says the opposite; tested)
     vertices, faces, _, _ = marching_cubes(distance, 0.0, mask=whole, gradient_direction="descent")  # type: ignore[no-untyped-call]
-    return Surface((box.low + (vertices + 0.5) * voxel).astype(np.float32), faces.astype(np.int32))
+    places = (box.low + (vertices + 0.5) * voxel).astype(np.float32)
+    return Surface(vertices=places, faces=faces.astype(np.int32))
 
 
 def main_cluster(surface: Surface, gap: float) -> Surface:
@@ -91,7 +85,7 @@ def faces_above(surface: Surface, height: float) -> Surface:
 
 def _with_faces(surface: Surface, chosen: Int64[np.ndarray, " C"]) -> Surface:
     used, faces = np.unique(surface.faces[chosen], return_inverse=True)
-    return Surface(surface.vertices[used], faces.reshape(-1, 3).astype(np.int32))
+    return Surface(vertices=surface.vertices[used], faces=faces.reshape(-1, 3).astype(np.int32))
 
 
 @compiled

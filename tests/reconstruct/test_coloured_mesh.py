@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from dynamictree.errors import ReconstructionError
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Surface, TriangleMesh
 from dynamictree.reconstruct.coloured_mesh import finished_mesh, photo_colors, stereo_surface
 from dynamictree.reconstruct.depth import stereo_view
-from dynamictree.reconstruct.fusion import Box, Surface, faces_above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import Box, faces_above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.stereo import Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.upright_frame import camera_up, find_upright_frame
@@ -109,13 +109,15 @@ def strip(start: float, num_faces: int, height: float) -> Surface:
     number = num_faces + 2
     vertices = np.stack([start + 0.5 * np.arange(number), np.arange(number) % 2, np.full(number, height)], axis=1)
     faces = np.stack([np.arange(num_faces), np.arange(1, num_faces + 1), np.arange(2, num_faces + 2)], axis=1)
-    return Surface(vertices.astype(np.float32), faces.astype(np.int32))
+    return Surface(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32))
 
 
 def together(*surfaces: Surface) -> Surface:
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
     faces = [surface.faces + start for surface, start in zip(surfaces, starts, strict=True)]
-    return Surface(np.concatenate([s.vertices for s in surfaces]), np.concatenate(faces).astype(np.int32))
+    return Surface(
+        vertices=np.concatenate([s.vertices for s in surfaces]), faces=np.concatenate(faces).astype(np.int32)
+    )
 
 
 def test_pieces_that_are_near_stay_and_far_ones_and_specks_go():
