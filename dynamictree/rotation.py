@@ -1,4 +1,4 @@
-"""Rotations: unit quaternions wxyz, matrices, and the rotation nearest to a deformation gradient."""
+"""Rotations: unit quaternions wxyz and matrices."""
 
 import numpy as np
 import scipy  # submodules load lazily, so the service starts without them
@@ -52,11 +52,3 @@ def unit_quaternions(quaternions: Float32[np.ndarray, "G 4"]) -> Float32[np.ndar
             f"the quaternion of Gaussian {index} is {quaternions[index].tolist()}; a rotation has a length"
         )
     return np.asarray(quaternions / length[:, None], np.float32)
-
-
-def polar_rotations(gradients: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3 3"]:
-    """Return R of the polar decomposition F = R S: the rotation nearest to a deformation gradient, no reflection."""
-    u, _, vt = np.linalg.svd(gradients)
-    mirrored = np.linalg.det(u @ vt) < 0
-    u[mirrored, :, 2] *= -1  # flip the least stretched axis
-    return np.asarray(u @ vt)

@@ -9,7 +9,6 @@ from dynamictree.gaussian.harmonics import harmonics, turn_sh
 from dynamictree.gaussian.turn import turn_sh_fast
 from dynamictree.rotation import (
     matrix_quaternions,
-    polar_rotations,
     quaternion_matrices,
     quaternion_products,
     unit_quaternions,
@@ -35,15 +34,6 @@ def test_the_product_turns_by_the_right_one_first(rng) -> None:
     left, right = _rotations(rng, 50), _rotations(rng, 50)[::-1].copy()
     product = quaternion_products(matrix_quaternions(left), matrix_quaternions(right))
     np.testing.assert_allclose(quaternion_matrices(product), left @ right, atol=1e-12)
-
-
-def test_the_polar_rotation_is_the_nearest_one_and_never_a_mirror(rng) -> None:
-    rotations = _rotations(rng, 100)
-    stretch = rng.normal(size=(100, 3, 3)) * 0.3
-    stretch = np.eye(3) + (stretch + stretch.transpose(0, 2, 1)) / 4
-    np.testing.assert_allclose(polar_rotations(rotations @ stretch), rotations, atol=1e-9)
-    mirrored = polar_rotations(np.diag([1.0, 2.0, -0.1])[None])
-    np.testing.assert_allclose(mirrored, np.diag([1.0, 1.0, 1.0])[None], atol=1e-12)
 
 
 def test_a_quaternion_without_length_is_refused() -> None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy  # submodules load lazily, so the service starts without them
 from jaxtyping import Float32, Float64
 
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
@@ -16,7 +17,7 @@ from dynamictree.formats.splat.activations import scales_from_log
 from dynamictree.gaussian.axes import to_source_axes, transform_cloud
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, join_clouds
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.rotation import polar_rotations, unit_quaternions
+from dynamictree.rotation import unit_quaternions
 
 UP_AXIS = "+Y"
 EXTENSION = "KHR_gaussian_splatting"
@@ -125,7 +126,7 @@ def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> Gaus
     max_shear = 1e-3  # share of a node's scale; a Gaussian keeps its shape only under rotation and uniform scale
     linear = transform[:3, :3]
     scale = float(np.cbrt(np.linalg.det(linear)))
-    rotation = polar_rotations(linear[None])[0]
+    rotation, _ = scipy.linalg.polar(linear)
     if not scale > 0 or np.abs(linear - scale * rotation).max() > max_shear * scale:
         raise FormatError(
             "a node of the GLB file mirrors, shears or stretches its splat; bake the transform into the splat"
