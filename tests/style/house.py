@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 31_534,
+    "lines in dynamictree": 31_527,
     "lines in lab": 6_093,
     "lines in service, jobs and worker": 13_354,
-    "lines in tests": 35_710,
+    "lines in tests": 35_663,
     "names bound to numbers in dynamictree": 540,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
