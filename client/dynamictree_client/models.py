@@ -568,7 +568,7 @@ class Reached(Model):
 
 
 class Ready(Model):
-    """State of the parts; `reader` reads uploads. `absent` means that jobs wait; any state but ok and absent is 503."""
+    """State of the parts; `reader` reads uploads, absent before it starts. Any state but ok and absent is 503."""
 
     status: Literal["ready", "unready"]
     database: Literal["ok", "unavailable", "full", "absent"]

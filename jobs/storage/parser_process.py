@@ -28,9 +28,7 @@ SERVER = ("-P", "-m", "worker.parse_server")
 FOLDER = "/"
 """Current folder of the child, which holds no files of users."""
 
-END_S = 5.0
-"""Time for the server to end its children [s]."""
-
+END_S = 5.0  # time for the server to end its children [s]
 MAX_ANSWER_BYTES = 64 * 1024
 INHERITED = ("PATH", "LANG", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "TMPDIR")
 """Environment variables of the child: no credentials, no home, and no PYTHONPATH (it may name a user folder)."""
@@ -84,20 +82,20 @@ class _Server:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
-        self._control: socket.socket | None = None
+        self.control: socket.socket | None = None  # None before the first use
 
     def read(self, connection: socket.socket) -> None:
         """Let the server read an upload; request and response use the connection."""
         with self._lock:
             try:
-                socket.send_fds(self._control or self._started(), [b"u"], [connection.fileno()])
+                socket.send_fds(self.control or self._started(), [b"u"], [connection.fileno()])
             except OSError:  # the server has ended
                 socket.send_fds(self._started(), [b"u"], [connection.fileno()])
 
     def end(self) -> None:
         """End the server and its forks."""
-        if self._process is not None and self._control is not None:
-            self._control.close()
+        if self._process is not None and self.control is not None:
+            self.control.close()
             try:
                 self._process.wait(END_S)
             except subprocess.TimeoutExpired:
@@ -107,7 +105,7 @@ class _Server:
     def _started(self) -> socket.socket:
         """Start the server again and return its control socket."""
         self.end()
-        self._control, theirs = socket.socketpair()
+        self.control, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, *SERVER],
@@ -117,11 +115,11 @@ class _Server:
                 cwd=FOLDER,
                 start_new_session=True,
             )
-        return self._control
+        return self.control
 
 
-_server = _Server()
-atexit.register(_server.end)
+server = _Server()
+atexit.register(server.end)
 
 
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
@@ -170,7 +168,7 @@ async def _content(request: ParseRequest) -> bytes | None:
     ours, theirs = socket.socketpair()
     with theirs:
         try:
-            await asyncio.to_thread(_server.read, theirs)
+            await asyncio.to_thread(server.read, theirs)
         except OSError as error:
             ours.close()
             raise NoServerError from error

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Response
 
 from jobs.errors import StorageAwayError
 from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, lease_names
+from jobs.storage import parser_process
 from jobs.storage.disk import free_bytes
 from jobs.storage.parser_process import reader_works
 from service.http.routing import refusals
@@ -28,7 +29,7 @@ class LivePayload(Payload):
 
 
 class ReadyPayload(Payload):
-    """State of the parts; `reader` reads uploads. `absent` means that jobs wait; any state but ok and absent is 503."""
+    """State of the parts; `reader` reads uploads, absent before it starts. Any state but ok and absent is 503."""
 
     status: Literal["ready", "unready"]
     database: Check
@@ -52,9 +53,10 @@ async def get_liveness() -> LivePayload:
 def get_readiness(response: Response, owned: OwnedDep) -> ReadyPayload:
     """Return whether the service can accept and run jobs."""
     database, there = _database(owned)
-    reader: Check = "ok" if reader_works(owned.services.settings) else "unavailable"
+    used = parser_process.server.control is not None
+    reader: Check = "absent" if not used else "ok" if reader_works(owned.services.settings) else "unavailable"
     checks = {"database": database, "redis": _redis(owned), "storage": _storage(owned), "reader": reader}
-    ready = all(check == "ok" for check in checks.values())
+    ready = all(check in ("ok", "absent") for check in checks.values())
     if not ready:
         logger.warning("not ready", extra=checks)
         response.status_code = 503

@@ -36,7 +36,7 @@ def test_a_killed_worker_loses_no_job(service: Service, killed: str, seed: int) 
 
 
 def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
-    assert set(service.client.get("/readyz").json().values()) == {"ready", "ok"}
+    wait_for(lambda: set(service.client.get("/readyz").json().values()) == {"ready", "ok"}, "the start of all parts")
     asset_id = service.upload("tree.obj", bumpy_sphere(12, width=0.2))
     params = {"num_steps": 1, "formats": ["ply", "glb", "motion", "png"]}
     url = service.create(type="animate", asset_id=asset_id, seed=3, params=params)

@@ -13,8 +13,6 @@ from service.uploads.exif_privacy import without_location
 from tests.formats.meshes import written
 
 GPS, ORIENTATION, FOCAL = 0x8825, 0x0112, 0xA405
-
-
 XMP = b'<x:xmpmeta xmlns:x="adobe:ns:meta/">GPSLatitude 48.13</x:xmpmeta>'
 
 

@@ -67,14 +67,16 @@ def test_operations_move_to_an_address_of_their_own(settings: Settings) -> None:
             assert own.get("/v1/jobs").status_code == 404
 
 
-def test_a_service_that_cannot_read_uploads_is_not_ready(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parser_process, "_server", parser_process._Server())
+def test_a_service_that_cannot_read_uploads_is_not_ready(client, services: Services, monkeypatch) -> None:
+    monkeypatch.setattr(parser_process, "server", parser_process._Server())
+    assert client.get("/readyz").json()["reader"] == "absent"
     with monkeypatch.context() as broken:
         broken.setattr(sys, "executable", "/bin/false")
+        assert not parser_process.reader_works(services.settings)
         assert client.get("/readyz").json()["reader"] == "unavailable"
     parser_process.reader_works.cache_clear()
     assert client.get("/readyz").json()["reader"] == "ok"
-    parser_process._server.end()
+    parser_process.server.end()
     monkeypatch.delattr(parser_process, "parse")  # no file is read per request
     assert client.get("/readyz").json()["reader"] == "ok"
 
