@@ -3,7 +3,7 @@
 A face's deformation gradient F has a polar decomposition F = R S. A Gaussian rotates by R; its scales become |F e_i|
 along its own axes e_i; its mean retains its weights in the face, and its offset rotates by R. Along the normal F is 1.
 
-`Deformer` computes all data at rest once.
+`Deformer` arranges all data at rest once, in blocks for vector units.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from jaxtyping import Float32, Float64, Int32
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.deform_kernel import FACE_COLUMNS, turn_faces, turn_gaussians
+from dynamictree.gaussian.deform_kernel import BLOCK, FACE_COLUMNS, turn_faces, turn_gaussians
 from dynamictree.gaussian.turn import turn_sh_fast
 from dynamictree.parallel import in_bands
 from dynamictree.rotation import matrix_quaternions, quaternion_matrices, quaternion_products
@@ -48,11 +48,14 @@ class Deformer:
             ],
             axis=1,
         )  # [U, 13]
-        self._face_rest = face_rest.astype(np.float32)
-        self._faces = np.zeros((num_faces + 1, FACE_COLUMNS), np.float32)  # the last is at rest, for still Gaussians
-        self._faces[num_faces, 9] = 1  # w of the identity
-        self._face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
-        self._rest = self._gaussian_rest(frames, self._face_of).astype(np.float32)
+        self._face_rest = _in_blocks(face_rest)
+        self._triangles = _padded(binding.triangles)
+        still = len(self._triangles)
+        self._faces = np.zeros((still + 1, FACE_COLUMNS), np.float32)  # the last is at rest, for still Gaussians
+        self._faces[still, 9] = 1  # w of the identity
+        face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
+        self._rest = _in_blocks(self._gaussian_rest(frames, face_of))
+        self._face_of = _padded(np.where(binding.face_of == STILL, np.int32(still), face_of))
 
     def pose(
         self, displacement: Float32[np.ndarray, "N 3"], leaf_turns: Float32[np.ndarray, "M 3"] | None = None
@@ -71,7 +74,7 @@ class Deformer:
                 f"the displacement is of {len(displacement)} vertices; the mesh has {len(self.binding.vertices)}"
             )
         moved = np.ascontiguousarray(displacement)
-        in_bands(turn_faces, len(self._face_rest), self._face_rest, self.binding.triangles, moved, self._faces)
+        in_bands(turn_faces, len(self._face_rest), self._face_rest, self._triangles, moved, self._faces)
         num_gaussians = self.binding.cloud.num_gaussians
         means, quaternions, scales = (np.empty((num_gaussians, width), np.float32) for width in (3, 4, 3))
         in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, means, quaternions, scales)
@@ -137,3 +140,16 @@ def _bound_points(binding: Binding) -> Float64[np.ndarray, "G 3"]:
     corners = binding.vertices.astype(np.float64)[binding.triangles[binding.face_of]]  # [G, 3, 3]
     places: Float64[np.ndarray, "G 3"] = np.einsum("gc,gcx->gx", binding.weights.astype(np.float64), corners)
     return places
+
+
+def _in_blocks(rows: Float64[np.ndarray, "M W"]) -> Float32[np.ndarray, "blocks WB"]:
+    """Arrange rows in blocks, column by column within a block; the last block is padded with its last row."""
+    num_blocks = -(-len(rows) // BLOCK)
+    padded = np.pad(rows.astype(np.float32), ((0, num_blocks * BLOCK - len(rows)), (0, 0)), mode="edge")
+    return np.ascontiguousarray(padded.reshape(num_blocks, BLOCK, -1).transpose(0, 2, 1)).reshape(num_blocks, -1)
+
+
+def _padded(rows: Int32[np.ndarray, "..."]) -> Int32[np.ndarray, "..."]:
+    """Pad rows to whole blocks with the last row."""
+    missing = -len(rows) % BLOCK
+    return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode="edge")

@@ -1,4 +1,9 @@
-"""Kernels of `deform.Deformer`: current state of each face, and from it the pose of each Gaussian."""
+"""Kernels of `deform.Deformer`, written so that the compiler vectorizes them.
+
+Each works on blocks: it gathers a block's inputs into one flat buffer, column by column, computes without branches, and
+writes rows. Columns of the buffers are numbered in the order in which they are named. The last block is padded with the
+last rows of `triangles` and `face_of`.
+"""
 
 from typing import no_type_check
 
@@ -6,12 +11,14 @@ import numpy as np
 
 from dynamictree.parallel import compiled_fused
 
-FACE_COLUMNS = 16  # state of a face: three displacements, quaternion of the axes, strain
+BLOCK = 64  # rows per block; buffers of 41 columns fit into the L1 cache
+FACE_COLUMNS = 16  # of a face's current state: three displacements, quaternion of the axes, strain
 MAX_STRETCH = 4.0
 """Largest factor by which a Gaussian's scale changes, whatever its face does."""
 COLLAPSED = 1e-6
 """Ratio of area to the edges' squares below which a face is a line or a point."""
 
+_B = BLOCK
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
 _LOW, _HIGH = np.float32(MAX_STRETCH**-2), np.float32(MAX_STRETCH**2)
 _TINY = np.float32(1e-30)
@@ -27,13 +34,35 @@ def turn_faces(first, end, rest, triangles, moved, out):
 
     rest: edges 01 and 02, quaternion of the axes, 1/L, X, 1/Y (see `deform.rest_frames`).
     """
-    for f in range(first, end):
-        for c in range(3):
-            out[f, c] = moved[triangles[f, 0], c]
-            out[f, 3 + c] = moved[triangles[f, 1], c] - out[f, c]
-            out[f, 6 + c] = moved[triangles[f, 2], c] - out[f, c]
-        x1, y1, z1 = rest[f, 0] + out[f, 3], rest[f, 1] + out[f, 4], rest[f, 2] + out[f, 5]
-        x2, y2, z2 = rest[f, 3] + out[f, 6], rest[f, 4] + out[f, 7], rest[f, 5] + out[f, 8]
+    b = np.empty(22 * _B, np.float32)
+    o = np.empty(FACE_COLUMNS * _B, np.float32)
+    for block in range(first, end):
+        start = block * _B
+        for i in range(13 * _B):
+            b[i] = rest[block, i]
+        for j in range(_B):
+            for corner in range(3):
+                vertex = triangles[start + j, corner]
+                for c in range(3):
+                    b[(13 + 3 * corner + c) * _B + j] = moved[vertex, c]
+        _turn_block(b, o)
+        for j in range(_B):
+            if o[12 * _B + j] != o[12 * _B + j]:  # NaN marks a collapsed face
+                _turn_collapsed(b, o, j)
+        for j in range(_B):
+            for k in range(FACE_COLUMNS):
+                out[start + j, k] = o[k * _B + j]
+
+
+@compiled_fused
+@no_type_check
+def _turn_block(b, o):
+    for j in range(_B):
+        ux, uy, uz = b[13 * _B + j], b[14 * _B + j], b[15 * _B + j]
+        dx1, dy1, dz1 = b[16 * _B + j] - ux, b[17 * _B + j] - uy, b[18 * _B + j] - uz
+        dx2, dy2, dz2 = b[19 * _B + j] - ux, b[20 * _B + j] - uy, b[21 * _B + j] - uz
+        x1, y1, z1 = b[j] + dx1, b[_B + j] + dy1, b[2 * _B + j] + dz1
+        x2, y2, z2 = b[3 * _B + j] + dx2, b[4 * _B + j] + dy2, b[5 * _B + j] + dz2
         # current axes: t along edge 01, s across, n normal
         squares1, squares2 = x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
         length = np.sqrt(squares1)
@@ -44,72 +73,74 @@ def turn_faces(first, end, rest, triangles, moved, out):
         nx, ny, nz = nx * per_area, ny * per_area, nz * per_area
         sx, sy, sz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
         # deformation gradient in the plane, A = [[a00, a01], [0, a11]], maps (L, 0) and (X, Y) to current positions
-        a00 = length * rest[f, 10]
-        a01 = (x2 * tx + y2 * ty + z2 * tz - a00 * rest[f, 11]) * rest[f, 12]
-        a11 = area * per_length * rest[f, 12]
-        # AᵀA - 1: relative growth of squared lengths in the plane
-        out[f, 13] = a00 * a00 - _ONE
-        out[f, 14] = _TWO * a00 * a01
-        out[f, 15] = a01 * a01 + a11 * a11 - _ONE
-        quaternion = rest[f, 6], rest[f, 7], rest[f, 8], rest[f, 9]
-        if area <= _COLLAPSED * (squares1 + squares2):
-            edge, now, square = (0, (x1, y1, z1), squares1) if squares1 >= squares2 else (3, (x2, y2, z2), squares2)
-            arc = _shortest_arc((rest[f, edge], rest[f, edge + 1], rest[f, edge + 2]), now, square)
-            out[f, 9], out[f, 10], out[f, 11], out[f, 12] = _product(arc, quaternion)
-            continue
+        a00 = length * b[10 * _B + j]
+        a01 = (x2 * tx + y2 * ty + z2 * tz - a00 * b[11 * _B + j]) * b[12 * _B + j]
+        a11 = area * per_length * b[12 * _B + j]
         # rotation of its polar decomposition, within the plane of t and s
         cosine, sine = a00 + a11, -a01
         per_both = _ONE / max(np.sqrt(cosine * cosine + sine * sine), _TINY)
         cosine, sine = cosine * per_both, sine * per_both
         ax, ay, az = cosine * tx + sine * sx, cosine * ty + sine * sy, cosine * tz + sine * sz
         bx, by, bz = cosine * sx - sine * tx, cosine * sy - sine * ty, cosine * sz - sine * tz
-        # quaternion of the axes [a b n]: the one of Shepperd's four cases that divides by most
+        # quaternion of the axes [a b n]: Shepperd's four cases, all computed, one chosen
         w2, x22 = _ONE + ax + by + nz, _ONE + ax - by - nz
         y22, z22 = _ONE - ax + by - nz, _ONE - ax - by + nz
+        wx, wy, wz = bz - ny, nx - az, ay - bx
+        xy, xz, yz = ay + bx, az + nx, bz + ny
         best = max(w2, x22, y22, z22)
-        if w2 == best:
-            q = w2, bz - ny, nx - az, ay - bx
-        elif x22 == best:
-            q = bz - ny, x22, ay + bx, az + nx
-        elif y22 == best:
-            q = nx - az, ay + bx, y22, bz + ny
-        else:
-            q = ay - bx, az + nx, bz + ny, z22
+        by_w, by_x, by_y = w2 == best, x22 == best, y22 == best
+        qw = w2 if by_w else (wx if by_x else (wy if by_y else wz))
+        qx = wx if by_w else (x22 if by_x else (xy if by_y else xz))
+        qy = wy if by_w else (xy if by_x else (y22 if by_y else yz))
+        qz = wz if by_w else (xz if by_x else (yz if by_y else z22))
+        per_norm = _HALF / np.sqrt(max(best, _TINY))
         # choose q or -q, the nearer to rest, so that motions have no jumps
-        along = q[0] * quaternion[0] + q[1] * quaternion[1] + q[2] * quaternion[2] + q[3] * quaternion[3]
-        per_norm = (_HALF if along >= 0 else -_HALF) / np.sqrt(max(best, _TINY))
-        for c in range(4):
-            out[f, 9 + c] = q[c] * per_norm
+        along = qw * b[6 * _B + j] + qx * b[7 * _B + j] + qy * b[8 * _B + j] + qz * b[9 * _B + j]
+        per_norm = per_norm if along >= 0 else -per_norm
+        collapsed = area <= _COLLAPSED * (squares1 + squares2)
+        o[j], o[_B + j], o[2 * _B + j] = ux, uy, uz
+        o[3 * _B + j], o[4 * _B + j], o[5 * _B + j] = dx1, dy1, dz1
+        o[6 * _B + j], o[7 * _B + j], o[8 * _B + j] = dx2, dy2, dz2
+        o[9 * _B + j], o[10 * _B + j], o[11 * _B + j] = qw * per_norm, qx * per_norm, qy * per_norm
+        o[12 * _B + j] = np.float32(np.nan) if collapsed else qz * per_norm
+        # AᵀA - 1: relative growth of squared lengths in the plane
+        o[13 * _B + j] = a00 * a00 - _ONE
+        o[14 * _B + j] = _TWO * a00 * a01
+        o[15 * _B + j] = a01 * a01 + a11 * a11 - _ONE
 
 
 @compiled_fused
 @no_type_check
-def _shortest_arc(before, after, square):
-    """Quaternion of the shortest arc from a vector to another, whose squared length is given; 1 if there is none."""
+def _turn_collapsed(b, o, j):
+    """Rotate a collapsed face's axes by the shortest arc that maps its longer edge to its current direction."""
+    before, after = np.empty(3, np.float32), np.empty(3, np.float32)
+    longest = np.float32(0)
+    for edge in range(2):
+        squares = np.float32(0)
+        for c in range(3):
+            value = b[(3 * edge + c) * _B + j] + o[(3 + 3 * edge + c) * _B + j]
+            squares += value * value
+        if squares > longest:
+            longest = squares
+            for c in range(3):
+                before[c] = b[(3 * edge + c) * _B + j]
+                after[c] = before[c] + o[(3 + 3 * edge + c) * _B + j]
     w, x, y, z = _ONE, np.float32(0), np.float32(0), np.float32(0)
-    if square > 0:
-        per_both = _ONE / np.sqrt(square * (before[0] ** 2 + before[1] ** 2 + before[2] ** 2))
+    if longest > 0:
+        per_both = _ONE / np.sqrt(longest * (before[0] ** 2 + before[1] ** 2 + before[2] ** 2))
         w += (before[0] * after[0] + before[1] * after[1] + before[2] * after[2]) * per_both
         x = (before[1] * after[2] - before[2] * after[1]) * per_both
         y = (before[2] * after[0] - before[0] * after[2]) * per_both
         z = (before[0] * after[1] - before[1] * after[0]) * per_both
     norm = np.sqrt(w * w + x * x + y * y + z * z)
     if norm < _COLLAPSED:
-        return _ONE, np.float32(0), np.float32(0), np.float32(0)
-    return w / norm, x / norm, y / norm, z / norm
-
-
-@compiled_fused
-@no_type_check
-def _product(a, b):
-    """Product of two quaternions w, x, y, z."""
-    (qw, qx, qy, qz), (w, x, y, z) = a, b
-    return (
-        qw * w - qx * x - qy * y - qz * z,
-        qw * x + qx * w + qy * z - qz * y,
-        qw * y - qx * z + qy * w + qz * x,
-        qw * z + qx * y - qy * x + qz * w,
-    )
+        w, x, y, z, norm = _ONE, np.float32(0), np.float32(0), np.float32(0), _ONE
+    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    rw, rx, ry, rz = b[6 * _B + j], b[7 * _B + j], b[8 * _B + j], b[9 * _B + j]
+    o[9 * _B + j] = w * rw - x * rx - y * ry - z * rz
+    o[10 * _B + j] = w * rx + x * rw + y * rz - z * ry
+    o[11 * _B + j] = w * ry - x * rz + y * rw + z * rx
+    o[12 * _B + j] = w * rz + x * ry - y * rx + z * rw
 
 
 @compiled_fused
@@ -119,21 +150,50 @@ def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales)
 
     rest: weights 1 and 2, offset in the face's axes, point on the face, quaternion from the face's axes, scales.
     """
-    for g in range(first, end):
-        face, row = faces[face_of[g]], rest[g]
-        dx, dy, dz = row[2], row[3], row[4]
-        qw, qx, qy, qz = face[9], face[10], face[11], face[12]
-        cx, cy, cz = _TWO * (qy * dz - qz * dy), _TWO * (qz * dx - qx * dz), _TWO * (qx * dy - qy * dx)
-        turned = dx + qw * cx + qy * cz - qz * cy, dy + qw * cy + qz * cx - qx * cz, dz + qw * cz + qx * cy - qy * cx
-        for c in range(3):  # point + displacement of the point + rotated offset
-            means[g, c] = row[5 + c] + (face[c] + row[0] * face[3 + c] + row[1] * face[6 + c] + turned[c])
-        w, x, y, z = row[8], row[9], row[10], row[11]
-        quaternions[g, 0], quaternions[g, 1], quaternions[g, 2], quaternions[g, 3] = _product(
-            (qw, qx, qy, qz), (w, x, y, z)
-        )
-        # components p, s of the Gaussian's axes along the face's t, s; |F e|² = 1 + (p, s)·(AᵀA - 1)·(p, s)
-        p = _ONE - _TWO * (y * y + z * z), _TWO * (x * y - w * z), _TWO * (x * z + w * y)
-        s = _TWO * (x * y + w * z), _ONE - _TWO * (x * x + z * z), _TWO * (y * z - w * x)
-        for c in range(3):
-            growth = _ONE + p[c] * (face[13] * p[c] + face[14] * s[c]) + face[15] * s[c] * s[c]
-            scales[g, c] = row[12 + c] * np.sqrt(min(max(growth, _LOW), _HIGH))
+    b = np.empty(31 * _B, np.float32)
+    o = np.empty(10 * _B, np.float32)
+    for block in range(first, end):
+        start = block * _B
+        for i in range(15 * _B):
+            b[i] = rest[block, i]
+        for j in range(_B):
+            face = face_of[start + j]
+            for k in range(FACE_COLUMNS):
+                b[(15 + k) * _B + j] = faces[face, k]
+        for j in range(_B):
+            w1, w2 = b[j], b[_B + j]
+            dx, dy, dz = b[2 * _B + j], b[3 * _B + j], b[4 * _B + j]
+            qw, qx, qy, qz = b[24 * _B + j], b[25 * _B + j], b[26 * _B + j], b[27 * _B + j]
+            cx, cy, cz = _TWO * (qy * dz - qz * dy), _TWO * (qz * dx - qx * dz), _TWO * (qx * dy - qy * dx)
+            # point + displacement of the point + rotated offset
+            o[j] = b[5 * _B + j] + (
+                b[15 * _B + j] + w1 * b[18 * _B + j] + w2 * b[21 * _B + j] + dx + qw * cx + qy * cz - qz * cy
+            )
+            o[_B + j] = b[6 * _B + j] + (
+                b[16 * _B + j] + w1 * b[19 * _B + j] + w2 * b[22 * _B + j] + dy + qw * cy + qz * cx - qx * cz
+            )
+            o[2 * _B + j] = b[7 * _B + j] + (
+                b[17 * _B + j] + w1 * b[20 * _B + j] + w2 * b[23 * _B + j] + dz + qw * cz + qx * cy - qy * cx
+            )
+            w, x, y, z = b[8 * _B + j], b[9 * _B + j], b[10 * _B + j], b[11 * _B + j]
+            o[3 * _B + j] = qw * w - qx * x - qy * y - qz * z
+            o[4 * _B + j] = qw * x + qx * w + qy * z - qz * y
+            o[5 * _B + j] = qw * y - qx * z + qy * w + qz * x
+            o[6 * _B + j] = qw * z + qx * y - qy * x + qz * w
+            # components p, s of the Gaussian's axes along the face's t, s; |F e|² = 1 + (p, s)·(AᵀA - 1)·(p, s)
+            xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
+            p0, p1, p2 = _ONE - _TWO * (yy + zz), _TWO * (xy - wz), _TWO * (xz + wy)
+            s0, s1, s2 = _TWO * (xy + wz), _ONE - _TWO * (xx + zz), _TWO * (yz - wx)
+            e0, e1, e2 = b[28 * _B + j], b[29 * _B + j], b[30 * _B + j]
+            c0 = _ONE + p0 * (e0 * p0 + e1 * s0) + e2 * s0 * s0
+            c1 = _ONE + p1 * (e0 * p1 + e1 * s1) + e2 * s1 * s1
+            c2 = _ONE + p2 * (e0 * p2 + e1 * s2) + e2 * s2 * s2
+            o[7 * _B + j] = b[12 * _B + j] * np.sqrt(min(max(c0, _LOW), _HIGH))
+            o[8 * _B + j] = b[13 * _B + j] * np.sqrt(min(max(c1, _LOW), _HIGH))
+            o[9 * _B + j] = b[14 * _B + j] * np.sqrt(min(max(c2, _LOW), _HIGH))
+        for j in range(min(_B, len(means) - start)):
+            for k in range(3):
+                means[start + j, k] = o[k * _B + j]
+                scales[start + j, k] = o[(7 + k) * _B + j]
+            for k in range(4):
+                quaternions[start + j, k] = o[(3 + k) * _B + j]
