@@ -14,8 +14,9 @@ from jaxtyping import Float32, Float64, Int32
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.deform_kernel import BLOCK, FACE_COLUMNS, turn_faces, turn_gaussians
+from dynamictree.gaussian.deform_kernel import BLOCK, turn_faces, turn_gaussians
 from dynamictree.gaussian.turn import turn_sh_fast
+from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES, LANES
 from dynamictree.parallel import in_bands
 from dynamictree.rotation import matrix_quaternions, quaternion_matrices, quaternion_products
 
@@ -27,6 +28,12 @@ class Pose:
     means: Float32[np.ndarray, "G 3"]  # [m]
     quaternions: Float32[np.ndarray, "G 4"]  # wxyz
     scales: Float32[np.ndarray, "G 3"]  # [m]
+
+    @classmethod
+    def empty(cls, num_gaussians: int) -> "Pose":
+        """Allocate a pose aligned to cache lines, to which `Deformer.pose` writes fastest."""
+        means, quaternions, scales = (_at_cache_line((num_gaussians, width)) for width in (3, 4, 3))
+        return cls(means=means, quaternions=quaternions, scales=scales)
 
 
 class Deformer:
@@ -51,20 +58,26 @@ class Deformer:
         self._face_rest = _in_blocks(face_rest)
         self._triangles = _padded(binding.triangles)
         still = len(self._triangles)
-        self._faces = np.zeros((still + 1, FACE_COLUMNS), np.float32)  # the last is at rest, for still Gaussians
+        self._faces = _at_cache_line((still + 1, LANES))  # current state; the last face is at rest, for still Gaussians
+        self._faces[:] = 0
         self._faces[still, 9] = 1  # w of the identity
         face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
         self._rest = _in_blocks(self._gaussian_rest(frames, face_of))
         self._face_of = _padded(np.where(binding.face_of == STILL, np.int32(still), face_of))
 
     def pose(
-        self, displacement: Float32[np.ndarray, "N 3"], leaf_turns: Float32[np.ndarray, "M 3"] | None = None
+        self,
+        displacement: Float32[np.ndarray, "N 3"],
+        leaf_turns: Float32[np.ndarray, "M 3"] | None = None,
+        *,
+        out: Pose | None = None,
     ) -> Pose:
         """Compute the Gaussians' pose for a displacement of the mesh's vertices.
 
         Args:
             displacement: displacement of every vertex from rest [m].
             leaf_turns: rotation θ of each leaf [rad]; by default leaves do not flutter.
+            out: contiguous memory to write to, which is also returned; newly allocated by default.
 
         Raises:
             InputError: the displacement has another shape than the mesh's vertices.
@@ -75,18 +88,21 @@ class Deformer:
             )
         moved = np.ascontiguousarray(displacement)
         in_bands(turn_faces, len(self._face_rest), self._face_rest, self._triangles, moved, self._faces)
-        num_gaussians = self.binding.cloud.num_gaussians
-        means, quaternions, scales = (np.empty((num_gaussians, width), np.float32) for width in (3, 4, 3))
-        in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, means, quaternions, scales)
+        posed = Pose.empty(self.binding.cloud.num_gaussians) if out is None else out
+        parts = posed.means, posed.quaternions, posed.scales
+        assert all(part.flags.c_contiguous for part in parts)
+        flat = [part.reshape(-1) for part in parts]
+        streamed = all(part.ctypes.data % CACHE_LINE_BYTES == 0 for part in flat)
+        in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, *flat, streamed)
         if leaf_turns is not None and (leaves := self.binding.leaves) is not None:
             rows = np.flatnonzero(leaves.of != STILL)
             leaf, foot = leaves.of[rows], (self.binding.vertices + moved)[leaves.vertex]
             cosine = 1 / np.sqrt(1 + (leaf_turns**2).sum(axis=1, keepdims=True))  # an angle of atan |θ|
             turns = np.concatenate([np.sqrt((1 + cosine) / 2), leaf_turns * cosine / np.sqrt(2 + 2 * cosine)], axis=1)
-            arms = means[rows] - foot[leaf]
-            means[rows] = foot[leaf] + np.einsum("gij,gj->gi", quaternion_matrices(turns)[leaf], arms)
-            quaternions[rows] = quaternion_products(turns[leaf], quaternions[rows])
-        return Pose(means=means, quaternions=quaternions, scales=scales)
+            arms = posed.means[rows] - foot[leaf]
+            posed.means[rows] = foot[leaf] + np.einsum("gij,gj->gi", quaternion_matrices(turns)[leaf], arms)
+            posed.quaternions[rows] = quaternion_products(turns[leaf], posed.quaternions[rows])
+        return posed
 
     def _gaussian_rest(
         self, frames: Float64[np.ndarray, "U 3 3"], face_of: Int32[np.ndarray, " G"]
@@ -153,3 +169,11 @@ def _padded(rows: Int32[np.ndarray, "..."]) -> Int32[np.ndarray, "..."]:
     """Pad rows to whole blocks with the last row."""
     missing = -len(rows) % BLOCK
     return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode="edge")
+
+
+def _at_cache_line(shape: tuple[int, int]) -> Float32[np.ndarray, "rows width"]:
+    """Allocate memory that is aligned to a cache line."""
+    num_bytes = 4 * shape[0] * shape[1]
+    raw = np.empty(num_bytes + CACHE_LINE_BYTES, np.uint8)
+    start = -raw.ctypes.data % CACHE_LINE_BYTES
+    return raw[start : start + num_bytes].view(np.float32).reshape(shape)

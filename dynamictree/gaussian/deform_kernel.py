@@ -9,10 +9,18 @@ from typing import no_type_check
 
 import numpy as np
 
+from dynamictree.gaussian.vector_rows import (
+    LANES,
+    gather_columns,
+    interleave3,
+    interleave4,
+    scatter_columns,
+    stream3,
+    stream4,
+)
 from dynamictree.parallel import compiled_fused
 
 BLOCK = 64  # rows per block; buffers of 41 columns fit into the L1 cache
-FACE_COLUMNS = 16  # of a face's current state: three displacements, quaternion of the axes, strain
 MAX_STRETCH = 4.0
 """Largest factor by which a Gaussian's scale changes, whatever its face does."""
 COLLAPSED = 1e-6
@@ -35,7 +43,7 @@ def turn_faces(first, end, rest, triangles, moved, out):
     rest: edges 01 and 02, quaternion of the axes, 1/L, X, 1/Y (see `deform.rest_frames`).
     """
     b = np.empty(22 * _B, np.float32)
-    o = np.empty(FACE_COLUMNS * _B, np.float32)
+    o = np.empty(16 * _B, np.float32)
     for block in range(first, end):
         start = block * _B
         for i in range(13 * _B):
@@ -49,9 +57,8 @@ def turn_faces(first, end, rest, triangles, moved, out):
         for j in range(_B):
             if o[12 * _B + j] != o[12 * _B + j]:  # NaN marks a collapsed face
                 _turn_collapsed(b, o, j)
-        for j in range(_B):
-            for k in range(FACE_COLUMNS):
-                out[start + j, k] = o[k * _B + j]
+        for j in range(0, _B, LANES):
+            scatter_columns(o, j, _B, out, start + j)
 
 
 @compiled_fused
@@ -145,21 +152,23 @@ def _turn_collapsed(b, o, j):
 
 @compiled_fused
 @no_type_check
-def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales):
-    """Compute each Gaussian's mean, quaternion and scales.
+def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales, streamed):
+    """Compute each Gaussian's mean, quaternion and scales, in flat arrays.
+
+    With `streamed`, the arrays are aligned to cache lines and written past the caches, which would read them first.
 
     rest: weights 1 and 2, offset in the face's axes, point on the face, quaternion from the face's axes, scales.
     """
+    num_gaussians = len(means) // 3
     b = np.empty(31 * _B, np.float32)
     o = np.empty(10 * _B, np.float32)
     for block in range(first, end):
         start = block * _B
+        count = min(_B, num_gaussians - start)
         for i in range(15 * _B):
             b[i] = rest[block, i]
-        for j in range(_B):
-            face = face_of[start + j]
-            for k in range(FACE_COLUMNS):
-                b[(15 + k) * _B + j] = faces[face, k]
+        for j in range(0, _B, LANES):
+            gather_columns(faces, face_of, start + j, b, 15 * _B + j, _B)
         for j in range(_B):
             w1, w2 = b[j], b[_B + j]
             dx, dy, dz = b[2 * _B + j], b[3 * _B + j], b[4 * _B + j]
@@ -191,9 +200,20 @@ def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales)
             o[7 * _B + j] = b[12 * _B + j] * np.sqrt(min(max(c0, _LOW), _HIGH))
             o[8 * _B + j] = b[13 * _B + j] * np.sqrt(min(max(c1, _LOW), _HIGH))
             o[9 * _B + j] = b[14 * _B + j] * np.sqrt(min(max(c2, _LOW), _HIGH))
-        for j in range(min(_B, len(means) - start)):
-            for k in range(3):
-                means[start + j, k] = o[k * _B + j]
-                scales[start + j, k] = o[(7 + k) * _B + j]
-            for k in range(4):
-                quaternions[start + j, k] = o[(3 + k) * _B + j]
+        if count < _B:
+            for j in range(count):
+                for k in range(3):
+                    means[3 * (start + j) + k] = o[k * _B + j]
+                    scales[3 * (start + j) + k] = o[(7 + k) * _B + j]
+                for k in range(4):
+                    quaternions[4 * (start + j) + k] = o[(3 + k) * _B + j]
+        elif streamed:
+            for j in range(0, _B, LANES):
+                stream3(o, j, _B, means, 3 * (start + j))
+                stream4(o, 3 * _B + j, _B, quaternions, 4 * (start + j))
+                stream3(o, 7 * _B + j, _B, scales, 3 * (start + j))
+        else:
+            for j in range(0, _B, LANES):
+                interleave3(o, j, _B, means, 3 * (start + j))
+                interleave4(o, 3 * _B + j, _B, quaternions, 4 * (start + j))
+                interleave3(o, 7 * _B + j, _B, scales, 3 * (start + j))

@@ -275,14 +275,16 @@ def _iter_vertices(tree: ServedTree, answer: Answer) -> Iterator[Float32[np.ndar
 
 def _gaussians(body: InteractRequest, tree: ServedTree, answer: Answer, left: threading.Event) -> dict[str, np.ndarray]:
     """Return the moving Gaussians: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
+    from dynamictree.gaussian.deform import Pose  # imports numba
+
     moving = tree.gaussians()
     _refuse_costly(answer, len(moving.rows), 40)
     shape = body.num_frames, len(moving.rows)
     means, quaternions, scales = (np.empty((*shape, width), np.float32) for width in (3, 4, 3))
     with moving.alone:
         for frame, vertices in enumerate(_until_disconnected(_iter_vertices(tree, answer), left)):
-            pose = moving.deformer.pose(vertices)
-            means[frame], quaternions[frame], scales[frame] = pose.means, pose.quaternions, pose.scales
+            out = Pose(means=means[frame], quaternions=quaternions[frame], scales=scales[frame])
+            moving.deformer.pose(vertices, out=out)
     return {"rows": moving.rows, "means": means, "quaternions": quaternions, "scales": scales}
 
 

@@ -11,10 +11,11 @@ from benchmarks._gaussian_scene import wavy_sheet
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding, bind, bind_to_faces, solid_faces
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
-from dynamictree.gaussian.deform import Deformer, apply_pose
+from dynamictree.gaussian.deform import Deformer, Pose, apply_pose
 from dynamictree.gaussian.deform_kernel import COLLAPSED, MAX_STRETCH
 from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.turn import harmonic_values, turn_sh_fast
+from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.rotation import quaternion_matrices
 from tests.clouds import cloud_at
@@ -121,6 +122,24 @@ def test_a_pose_is_that_of_each_faces_polar_decomposition(binding: Binding, clou
             np.testing.assert_allclose(now, rotation @ own, atol=2e-4)
             stretch = np.clip(np.linalg.norm(gradient @ own, axis=0), 1 / MAX_STRETCH, MAX_STRETCH)
             np.testing.assert_allclose(pose.scales[g], cloud.scales[g] * stretch, rtol=2e-3)
+
+
+def test_a_pose_is_the_same_wherever_it_is_written(binding: Binding) -> None:
+    """Memory at a cache line is written past the caches, other memory through them."""
+    count, deformer = binding.cloud.num_gaussians, Deformer(binding)
+    whole = np.empty((10, 3 * count + 1), np.float32)
+    means, quaternions, scales = (
+        memory[1 : 1 + width * count].reshape(count, width)
+        for memory, width in zip((whole[0], whole[2:4].ravel(), whole[5]), (3, 4, 3), strict=True)
+    )
+    out = Pose(means=means, quaternions=quaternions, scales=scales)
+    beside = deformer.pose(sway(binding.vertices), out=out)
+    assert beside is out
+    aligned = deformer.pose(sway(binding.vertices))
+    for name in ("means", "quaternions", "scales"):
+        assert getattr(aligned, name).ctypes.data % CACHE_LINE_BYTES == 0
+        assert getattr(beside, name).ctypes.data % CACHE_LINE_BYTES != 0
+        np.testing.assert_array_equal(getattr(beside, name), getattr(aligned, name))
 
 
 def test_a_motion_is_without_jumps(binding: Binding) -> None:

@@ -5,17 +5,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 31_527,
+    "lines in dynamictree": 31_789,
     "lines in lab": 6_093,
-    "lines in service, jobs and worker": 13_354,
-    "lines in tests": 35_663,
-    "names bound to numbers in dynamictree": 540,
+    "lines in service, jobs and worker": 13_356,
+    "lines in tests": 35_682,
+    "names bound to numbers in dynamictree": 548,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,
-    "lines of documents": 2_985,
+    "lines of documents": 2_986,
 }
 _MOST_ARGUMENTS = 6
-_COMPILED = ("compiled", "compiled_fused", "compiled_reordered")
+_COMPILED = ("compiled", "compiled_fused", "compiled_reordered", "intrinsic")
 """Decorators of kernels, which take arrays one by one and may have as many arguments as they need."""
 
 

@@ -1,7 +1,7 @@
 """A cloud's motion as one 3DGS PLY per frame: the paper's output.
 
-Frames are in the source's axes and units, at the place of the capture. Files are produced one by one: 500,000 Gaussians ×
-100 frames of SH degree 3 are 12.4 GB.
+Frames are in the source's axes and units, at the place of the capture. Files are produced one by one: 500,000
+Gaussians × 100 frames of SH degree 3 are 12.4 GB.
 """
 
 from collections.abc import Iterable, Iterator
