@@ -20,9 +20,8 @@ from typing import Any
 
 import httpx
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-from safetensors.numpy import load_file
+from safetensors.numpy import load, load_file
 
 SPECIES = "round-broadleaf"
 SEED = 7
@@ -52,7 +51,9 @@ def main() -> None:
         print(f"  {stage['name']:<10} {seconds.total_seconds():6.1f} s")
     print(f"  interact   {push['seconds'] * 1e3:6.0f} ms for {PUSH_FRAMES} frames")
     print(f"  all        {time.perf_counter() - began:6.1f} s")
-    print(f"\n  the branch: held {push['held_m'] * 100:.1f} cm aside, {push['left_m'] * 100:.2f} cm left at the end\n")
+    print(
+        f"\n  the branch: pulled {push['pulled_m'] * 100:.1f} cm aside, {push['left_m'] * 100:.2f} cm left at the end\n"
+    )
     for path in [*paths.values(), output / "push.json"]:
         print(f"  {path}  {path.stat().st_size / 1e6:.2f} MB")
 
@@ -156,7 +157,11 @@ def download(client: httpx.Client, job: dict[str, Any], folder: Path) -> dict[st
 
 
 def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, answer_path: Path) -> dict[str, float]:
-    """Pull the voxel farthest from the trunk aside by a twentieth of the height, release it, and measure its swing."""
+    """Pull the voxel farthest from the trunk aside by a twentieth of the height, release it, and measure its swing.
+
+    Returns:
+        Time of the answer, how far the voxel is pulled, and how far it still swings after PUSH_FRAMES [s, m, m].
+    """
     tensors = load_file(spectrum_path)
     outward = (tensors["coords"] - tensors["coords"].mean(axis=0))[:, :2]
     tip = int(np.argmax(np.linalg.norm(outward, axis=1)))
@@ -171,26 +176,23 @@ def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, 
     answer = response_body(client.post("/v1/interact", json=request))
     seconds = time.perf_counter() - began
     answer_path.write_text(json.dumps(answer))
-    shapes = 2 * as_complex(tensors["coefficients"][tip])  # [K, 3], φ_k = 2 c_k at the tip; weight 1 there
-    swing = np.sum(
-        [(as_complex(np.array(group["q"])) @ shapes).real for group in answer["groups"]], axis=0
-    )  # [frames, 3]
-    sideways = swing @ aside
-    after = np.abs(sideways[round(60 * PULL_S) :])
-    return {"seconds": seconds, "aside_m": aside_m, "held_m": float(sideways[0]), "left_m": float(after[-30:].max())}
-
-
-def as_complex(pairs: NDArray[Any]) -> NDArray[np.complex128]:
-    """Convert real and imaginary parts, the last axis, to complex numbers."""
-    return np.asarray(pairs[..., 0].astype(np.float64) + 1j * pairs[..., 1])
+    later = {"initial_state": answer["final_state"], "forces": [], "num_frames": 30, "output": "voxels"}
+    swing = load(checked(client.post("/v1/interact", json=request | later)).content)["displacement"][:, tip]
+    pulled_m, left_m = float(aside @ answer["reached"][0]["reached_m"]), float(np.abs(swing @ aside).max())
+    return {"seconds": seconds, "pulled_m": pulled_m, "left_m": left_m}
 
 
 def response_body(response: httpx.Response) -> dict[str, Any]:
-    """Return the response's body, or exit with the problem that the service reported."""
+    """Return the response's JSON body, or exit with the problem that the service reported."""
+    body: dict[str, Any] = checked(response).json()
+    return body
+
+
+def checked(response: httpx.Response) -> httpx.Response:
+    """Return the response, or exit with the problem that the service reported."""
     if response.is_error:
         raise SystemExit(f"{response.request.method} {response.request.url}: {response.status_code}\n{response.text}")
-    body: dict[str, Any] = response.json()
-    return body
+    return response
 
 
 if __name__ == "__main__":

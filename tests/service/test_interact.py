@@ -13,12 +13,14 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
+from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.storage.assets import delete_asset
+from recipes.demo import push_branch
 from service.http.request_headers import SAFETENSORS
 from service.http.slots import FairSlots
 from service.interact.forces import MAX_FORCES
@@ -61,6 +63,17 @@ def test_state_in_and_state_out_join_calls(client: TestClient, spectrum_id: str,
     for group, begun in zip(whole["groups"], first["groups"], strict=True):
         joined = np.concatenate([coordinates(begun), by_place[json.dumps(group["locality"])]])
         np.testing.assert_allclose(joined, coordinates(group), rtol=1e-9, atol=1e-12)
+
+
+def test_the_demo_holds_a_branch_and_lets_it_go(client, spectrum_id, spectrum, tmp_path: Path) -> None:
+    stored, answer = tmp_path / "tree.spectrum.safetensors", tmp_path / "push.json"
+    with stored.open("wb") as stream:
+        write_spectrum(spectrum, stream)
+    push = push_branch(client, {"result": {"spectrum_id": spectrum_id}}, stored, answer)
+    height_m = np.ptp(spectrum.grid.coords[:, 2]) * spectrum.grid.voxel_size_m
+    assert push["pulled_m"] == pytest.approx(0.05 * height_m, rel=0.01)
+    assert 0 < push["left_m"] < push["pulled_m"] / 3
+    assert json.loads(answer.read_text())["groups"]
 
 
 def test_the_same_request_gives_the_same_bytes(client: TestClient, spectrum_id: str, poke: dict) -> None:
