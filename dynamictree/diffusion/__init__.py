@@ -1,1 +1,1 @@
-"""Model-independent parts of diffusion: noise schedules, samplers, losses and channel packing."""
+"""Model-independent parts of diffusion: noise schedules, samplers and channel packing."""

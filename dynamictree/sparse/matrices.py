@@ -1,7 +1,7 @@
-"""Sparse matrices between fine voxels and the coarser nodes of the diffusion, and for noise smooth along the tree.
+"""Sparse matrices between fine voxels and the coarser nodes of the diffusion.
 
-They are built once per tree: `pool_matrix` (mean over a node's voxels), `upsample_matrix` (back, smooth, and only over
-touching voxels) and `unit_rows` (rows of unit length, so that white noise keeps unit variance).
+They are built once per tree: `pool_matrix` (mean over a node's voxels) and `upsample_matrix` (back, smooth, and only
+over touching voxels).
 """
 
 from dataclasses import dataclass
@@ -80,12 +80,6 @@ def pool_matrix(grids: Pyramid, coarse: int, fine: int) -> csr_array:
     ones = np.ones(len(ancestor), np.float32)
     shape = (len(grids.levels[coarse]), len(ancestor))
     return _row_normalised(csr_array((ones, (ancestor.numpy(), np.arange(len(ancestor)))), shape=shape))
-
-
-def unit_rows(matrix: csr_array) -> csr_array:
-    """Scale rows to unit length, so that white noise of unit variance keeps it."""
-    lengths = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
-    return csr_array(diags_array(1 / lengths) @ matrix)
 
 
 def _row_normalised(matrix: csr_array) -> csr_array:

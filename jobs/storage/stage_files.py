@@ -7,7 +7,7 @@ VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
 STILL = "still.webp"  # small preview (2 to 8 kB) beside `preview.png`
 
-STAGE_VERSION = "38"
+STAGE_VERSION = "39"
 """Part of every stage's key; raised when the output of a stage changes for the same inputs."""
 HALF_DONE = "half-done-"
 """Prefix of the scratch folders of half-done reconstructions."""

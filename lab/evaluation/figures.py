@@ -7,7 +7,6 @@ import scipy.sparse
 from jaxtyping import Complex64, Float32, Int32, Int64
 from torch import Tensor
 
-from dynamictree.diffusion.loss import LocalSmoothness, nearest_voxels
 from dynamictree.mesh import edges_of
 from dynamictree.voxel.voxelize import surface_average
 from lab.evaluation.held_out_trees import HeldOutTree
@@ -24,6 +23,7 @@ from lab.evaluation.metrics import (
     roughness,
     smoothness_loss,
 )
+from lab.training.loss import LocalSmoothness, nearest_voxels
 
 
 @dataclass(frozen=True, kw_only=True)

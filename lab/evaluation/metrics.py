@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 
-from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness
 from dynamictree.spectrum import bin_weights, to_motion
+from lab.training.loss import LocalSmoothness, local_smoothness
 
 FLOOR = 1e-5
 """Smallest size [share of the tree's height]; smaller ones are raised to it, so that the logarithm is finite."""

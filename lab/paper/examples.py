@@ -17,7 +17,6 @@ from safetensors.torch import load_file, save_file
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from dynamictree.diffusion.loss import LocalSmoothness, nearest_voxels
 from dynamictree.errors import InputError
 from dynamictree.models.paper.network import PaperInputs, PaperPreset, unit_positions
 from dynamictree.models.wind import wind_axes, wind_sizes
@@ -25,6 +24,7 @@ from dynamictree.sparse.level import batch_pyramids, pyramid
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.shards import StoredTree, iter_shard
+from lab.training.loss import LocalSmoothness, nearest_voxels
 
 RESOLUTION = 128  # resolution of the voxels and spectra in the shards
 HALF_SCALE = 1000.0

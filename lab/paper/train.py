@@ -18,7 +18,6 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from dynamictree.diffusion.channels import pack_channels
-from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, prediction_loss
 from dynamictree.diffusion.sampler import linear_schedule, predicted_clean
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.threads import to_device
@@ -27,6 +26,7 @@ from lab.dataset.shards import shards_sha256
 from lab.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
 from lab.paper.sample_figures import sample_figures
 from lab.training.distributed import num_processes, process_rank, wait_for_all
+from lab.training.loss import LocalSmoothness, local_smoothness, prediction_loss
 from lab.training.progress import OnStep
 from lab.training.trainer import LearningRateSchedule, Trainer, TrainerOptions
 

@@ -5,14 +5,11 @@ from collections.abc import Iterable
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float64, Int64
-from scipy.spatial import cKDTree
 
 from dynamictree.models.small.amplitude import floor_of
 from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.prepared import PreparedTree
 from dynamictree.models.small.spread import speed_weights
 from dynamictree.models.wind import wind_axes
 from dynamictree.rig.rig import rig_of
@@ -42,39 +39,6 @@ def measure_spread(network: SmallNetwork, pairs: Iterable[tuple[Example, Example
     variance = torch.einsum("ut,tjx->ujx", fit, torch.stack(scatters)).clamp_min(0)
     network.spread.copy_(variance.mul(6).sqrt() / math.pi)  # variance of ln p: π² / 6 of a complex normal number
     network.log_gain.copy_(torch.einsum("ut,tjx->ujx", fit, torch.stack(ratios)) / 2)
-
-
-@torch.no_grad()
-def measure_leaves(network: SmallNetwork, trees: Iterable[StoredTree], seed: int) -> None:
-    """Set the share of a leaf's independent motion, from the excess likeness of leaves 5 to 6 voxels apart without it.
-
-    In the two lowest bins, leaves sway with their branches, so the share is 0. With the measured shares, 0.08 and 0.24,
-    edges of 14 trees differed by 19 % more than true ones; with 0, by 3 %.
-    """
-    network.leaf_share.zero_()
-    model, true, drawn = SmallModel(network, name="small"), [], []
-    for tree in trees:
-        voxels = voxels_of(tree)
-        pairs = distant_leaf_pairs(model.prepare(voxels, tree.wind))
-        true.append(coherence(tree.spectrum().coefficients, pairs))
-        drawn.append(coherence(model.generate(voxels, wind=tree.wind, seed=seed).coefficients, pairs))
-    share = 1 - np.mean(true, axis=0) / np.mean(drawn, axis=0)
-    network.leaf_share[2:] = torch.from_numpy(share)[2:].clamp(0, 0.9)
-
-
-def distant_leaf_pairs(prepared: PreparedTree) -> Int64[np.ndarray, "P 2"]:
-    """Return every twentieth pair of leaf voxels that are 5 to 6 voxels apart."""
-    coords, base = prepared.voxels.grid.coords, prepared.leaves.base.numpy()
-    pairs = cKDTree(coords).query_pairs(6.0, output_type="ndarray")
-    pairs = pairs[(base != np.arange(len(base)))[pairs].all(axis=1)]
-    return np.asarray(pairs[np.linalg.norm(np.diff(coords[pairs], axis=1)[:, 0], axis=1) >= 5.0][::20], np.int64)
-
-
-def coherence(motion: Complex64[np.ndarray, "V K 3"], pairs: Int64[np.ndarray, "P 2"]) -> Float64[np.ndarray, " J"]:
-    """Return the size-weighted correlation of pairs of voxels in each bin k >= 1: 1 is identical, 0 independent."""
-    one, other = motion[pairs[:, 0], 1:], motion[pairs[:, 1], 1:]
-    sizes = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)
-    return np.asarray((one * other.conj()).real.sum(axis=(0, 2)) / np.maximum(sizes.sum(axis=0), 1e-30), np.float64)
 
 
 @torch.no_grad()

@@ -18,7 +18,7 @@ from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.weights_file import Provenance, write_weights
 from lab.dataset.shards import shards_sha256
 from lab.small.examples import example_of, gust_pair, iter_training
-from lab.small.spread import measure_field, measure_leaves, measure_spread
+from lab.small.spread import measure_field, measure_spread
 from lab.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
 from lab.small.training_steps import (
     AmplitudeRows,
@@ -166,8 +166,7 @@ def _train_denoiser(
     first = plan.foliage_trees + plan.amplitude_trees
     num_measured = min(NUM_MEASURED, plan.denoiser_trees)
     measured = map(example_of, iter_training(shards, first=first, count=num_measured))
-    rng = np.random.default_rng(plan.denoiser.seed)
-    deviation = measure(network, measured, rng)
+    deviation = measure(network, measured)
     options = plan.denoiser
     if plan.start_from is not None:
         load_part(network.denoiser, load_file(plan.start_from), "denoiser")
@@ -183,5 +182,4 @@ def _train_denoiser(
     network.denoiser.load_state_dict(trainer.average.state_dict())
     trees = iter_training(shards, first=first, count=plan.denoiser_trees)
     measure_spread(network, map(gust_pair, trees))
-    measure_leaves(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)
     measure_field(network, iter_training(shards, first=first, count=num_measured), plan.denoiser.seed)

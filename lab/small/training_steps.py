@@ -10,8 +10,7 @@ from jaxtyping import Complex64, Float16, Float32, Int64
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from dynamictree.diffusion.channels import CHANNELS, pack_channels
-from dynamictree.diffusion.loss import denoising_loss
+from dynamictree.diffusion.channels import pack_channels
 from dynamictree.models.small.amplitude import AmplitudeNetwork, amplitude_inputs, floor_of, mirror_inputs
 from dynamictree.models.small.denoiser import denoise
 from dynamictree.models.small.features import NUM_WIND, batch_features, wind_vector
@@ -20,6 +19,7 @@ from dynamictree.models.small.mixer import batch_neighbourhoods
 from dynamictree.models.small.network import SmallNetwork
 from lab.small.examples import Example
 from lab.small.whitening import WhiteExample
+from lab.training.loss import denoising_loss
 
 MIN_MOTION = 3e-5  # smallest motion whose centroid and lean count [share of the height at drag and gust 1]
 CENTROID_WEIGHT = 0.15
@@ -179,7 +179,8 @@ def denoising_step(
         chosen = torch.from_numpy(np.sort(rng.choice(bins, FREQUENCIES_PER_TREE, replace=False, p=chance)))
         phase = torch.exp(2j * torch.pi * torch.rand(len(chosen), generator=generator))  # a time shift per bin
         clean.append(pack_channels(white.whitened[:, chosen - 1] * phase[:, None]))
-        noises.append(white.noise.draw(network.noise_shares[chosen - 1], generator, channels=CHANNELS))
+        noise = white.noise.of_bins(chosen - 1)
+        noises.append(noise.pool.apply(noise.field(noise.draw(network.common_share[chosen - 1], generator))))
         sizes.append(white.log_amplitude[:, chosen - 1])
         frequencies.append(chosen)
     nodes = batch_features([white.nodes for white in chosen_trees])

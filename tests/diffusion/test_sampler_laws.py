@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from dynamictree.diffusion.loss import denoising_loss
 from dynamictree.diffusion.sampler import (
     karras_schedule,
     linear_schedule,
@@ -11,6 +10,7 @@ from dynamictree.diffusion.sampler import (
     sample_ddim,
     sample_dpm_multistep,
 )
+from lab.training.loss import denoising_loss
 
 VARIANCE = torch.tensor([4.0, 1.0, 0.01])
 

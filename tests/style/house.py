@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 31_789,
-    "lines in lab": 6_093,
+    "lines in dynamictree": 31_752,
+    "lines in lab": 6_067,
     "lines in service, jobs and worker": 13_356,
-    "lines in tests": 35_682,
+    "lines in tests": 35_640,
     "names bound to numbers in dynamictree": 548,
     "functions of dynamictree with more than 6 arguments": 4,
     "modules of dynamictree with TYPE_CHECKING": 4,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int32, Int64
+from jaxtyping import Bool, Float32, Int32, Int64
 from torch import Tensor
 
 from dynamictree.models.small.surface_shape import surface_features
@@ -36,6 +36,16 @@ NUM_WIND = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Stems:
+    """Stems of a tree, the trunk among them; it is one, however many roots it has."""
+
+    of_voxel: Int64[Tensor, " V"]
+    base: Int64[Tensor, " S"]  # voxel that a stem grows from, the trunk's own first
+    tip: Int64[Tensor, " S"]  # last voxel
+    is_trunk: Bool[Tensor, " S"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TreeFeatures:
     """Features of one tree or a batch of trees, without the wind."""
 
@@ -48,6 +58,7 @@ class TreeFeatures:
     girth: Float32[Tensor, "V C"]  # ln of the radius of the cross-section at these [m]
     surface: Float32[Tensor, "V I"]  # see `surface_features`; nodes have none
     tensors: Float32[Tensor, "V R 3 3"]  # components along the grid's axes
+    stems: Stems | None = None  # nodes and batches have none
 
 
 def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
@@ -81,6 +92,7 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
         girth=torch.from_numpy(girth.astype(np.float32)),
         surface=torch.from_numpy(surface),
         tensors=torch.from_numpy(tensors),
+        stems=_stems(skeleton),
     )
 
 
@@ -165,6 +177,21 @@ def _scalars(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> Float32[np
         np.full(len(grid), math.log(grid.voxel_size_m) + 2),
     ]
     return np.stack(columns, axis=1).astype(np.float32)
+
+
+def _stems(skeleton: Skeleton) -> Stems:
+    trunk = skeleton.level == 0
+    main = int(np.where(trunk, skeleton.num_beyond, 0).argmax())
+    first, of_voxel = np.unique(np.where(trunk, main, skeleton.first), return_inverse=True)
+    tip = np.empty(len(first), np.int64)
+    by_distance = np.argsort(np.where(trunk & (skeleton.first != main), -1, skeleton.distance_m), kind="stable")
+    tip[of_voxel[by_distance]] = by_distance  # the last assignment is the furthest voxel
+    return Stems(
+        of_voxel=torch.from_numpy(of_voxel.astype(np.int64)),
+        base=torch.from_numpy(np.where(first == main, main, skeleton.base[first]).astype(np.int64)),
+        tip=torch.from_numpy(tip),
+        is_trunk=torch.from_numpy(first == main),
+    )
 
 
 def _chain(grid: VoxelGrid, skeleton: Skeleton) -> Int32[np.ndarray, "V 4"]:

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Complex64, Float32
 from torch import Tensor
 
-from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.sampler import karras_schedule, sample_dpm_multistep
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
@@ -30,7 +29,7 @@ MAX_VOXELS = 2_400_000
 """Limit of the spectrum's grid, at 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
 
 
-def noise_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
+def noise_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], Tensor]) -> Tensor:
     """Return the noise of a seed at a speed; it becomes independent noise within an octave of the speed.
 
     The wind carries turbulence past the tree unchanged (Taylor): frequency f is driven by eddies of wave number f / U,
@@ -43,7 +42,7 @@ def noise_at(speed_m_s: float, seed: int, draw: Callable[[torch.Generator], tupl
         for one in (low, low + 1)
     )
     turn = math.pi / 2 * (octave - low)
-    return tuple(math.cos(turn) * one + math.sin(turn) * other for one, other in zip(below, above, strict=True))
+    return math.cos(turn) * below + math.sin(turn) * above
 
 
 class SmallModel(MotionModel):
@@ -78,16 +77,11 @@ class SmallModel(MotionModel):
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"], float | None]:
         self._check(voxels.grid)
         prepared = self.prepare(voxels, wind)
-        start, residual = noise_at(wind.speed_m_s, sampling.seed, partial(self._draw, prepared))
-        whitened = self._denoise(prepared, start, sampling)
-        coefficients = prepared.to_metres(prepared.assemble(whitened, residual))
+        draw = partial(prepared.noise.draw, self.network.common_share)
+        start = prepared.noise.field(noise_at(wind.speed_m_s, sampling.seed, draw))
+        whitened = self._denoise(prepared, prepared.noise.pool.apply(start), sampling)
+        coefficients = prepared.to_metres(prepared.assemble(start, whitened))
         return voxels.grid, coefficients, prepared.foliage
-
-    def _draw(self, prepared: PreparedTree, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Draw the noise on the nodes, from which the sampler starts, and the noise below them."""
-        start = prepared.noise.draw(self.network.noise_shares, generator, channels=CHANNELS)
-        local = torch.randn(prepared.leaf_lift.num_columns, len(prepared.spread), CHANNELS, generator=generator)
-        return start, local / math.sqrt(2)
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
         """Compute the deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""

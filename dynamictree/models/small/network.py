@@ -1,9 +1,8 @@
 """Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
 
-The field of a motion is √(1 - ρ²) lift(u) + ρ n, with u and n of unit variance. u is on the nodes (level `top` of the
-pyramid, 32³ of a 128³ grid). n is noise per leaf, for motion smaller than a node; ρ² is its share, per frequency, in a
-voxel that is all leaf; wood moves like its nodes. A spectrum has the field's phases, and sizes that spread about A like
-the field's (`spread.with_spread`). Shape and wind alone decide the whole crown's size: more wind moves it further.
+A spectrum has the phases of a field of unit variance: noise of rotating stems (`StemNoise`), which the denoiser changes
+on the nodes (level `top` of the pyramid, 32³ of a 128³ grid). Its sizes spread about A like the field's
+(`spread.with_spread`). Shape and wind alone decide the whole crown's size: more wind moves it further.
 """
 
 from dataclasses import dataclass, field
@@ -12,7 +11,6 @@ import torch
 from torch import Tensor
 
 from dynamictree.models.small.amplitude import AmplitudeNetwork
-from dynamictree.models.small.correlated_noise import NUM_SCALES
 from dynamictree.models.small.denoiser import Denoiser, DenoiserShape
 from dynamictree.models.small.foliage import FoliageNetwork
 from dynamictree.models.small.spread import speed_weights
@@ -39,10 +37,9 @@ class SmallPreset:
 class SmallNetwork(StorableNetwork):
     """Foliage and amplitude network, the denoiser of the whitened spectrum, and the statistics between them."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "12", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "13", SmallPreset
     preset: SmallPreset
-    noise_shares: Tensor  # [J, S]
-    leaf_share: Tensor  # [J], ρ²
+    common_share: Tensor  # [J], of the power of forces on stems
     spread: Tensor  # [U, J, 3], at the speeds of `speed_weights`
     log_gain: Tensor  # [U, J, 3], ln of the root mean square over A
 
@@ -54,7 +51,6 @@ class SmallNetwork(StorableNetwork):
             num_frequencies=preset.num_frequencies, width=preset.amplitude_width, depth=preset.amplitude_depth
         )
         self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
-        self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
-        self.register_buffer("leaf_share", torch.zeros(moving))
+        self.register_buffer("common_share", torch.zeros(moving))
         self.register_buffer("spread", torch.zeros(*speed_weights(torch.zeros(())).shape, moving, AXES))
         self.register_buffer("log_gain", torch.zeros_like(self.spread))

@@ -29,6 +29,7 @@ class Skeleton:
     level: Float32[np.ndarray, " V"]  # stems passed on the way from the root; 0 on the trunk
     base: Int32[np.ndarray, " V"]  # voxel of the bearing stem from which this one grows; a root's is itself
     foot: Int32[np.ndarray, " V"]  # last voxel on the way here within FOOT_VOXELS of the stem's start
+    first: Int32[np.ndarray, " V"]  # first voxel of the voxel's stem
 
 
 def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
@@ -39,10 +40,10 @@ def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
     parent = np.where(parent < 0, own, parent).astype(np.int32)
     tip, beyond = distance.copy(), np.ones(len(grid))
     start, length, level = np.zeros((3, len(grid)))
-    base, foot = own.copy(), own.copy()
+    base, foot, first = own.copy(), own.copy(), own.copy()
     order = np.argsort(distance, kind="stable")
     _follow_stems(
-        order, parent, distance, FOOT_VOXELS * grid.voxel_size_m, tip, beyond, start, length, level, base, foot
+        order, parent, distance, FOOT_VOXELS * grid.voxel_size_m, tip, beyond, start, length, level, base, foot, first
     )
     return Skeleton(
         parent=parent,
@@ -54,6 +55,7 @@ def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
         level=level.astype(np.float32),
         base=base,
         foot=foot,
+        first=first,
     )
 
 
@@ -96,7 +98,7 @@ def section_radius(
 
 @compiled
 @no_type_check  # numba compiles no checked function
-def _follow_stems(order, parent, distance, foot_m, tip, beyond, start, length, level, base, foot):
+def _follow_stems(order, parent, distance, foot_m, tip, beyond, start, length, level, base, foot, first):
     heir = np.full(len(order), -1)
     for row in order[::-1]:
         up = parent[row]
@@ -109,7 +111,8 @@ def _follow_stems(order, parent, distance, foot_m, tip, beyond, start, length, l
         if up == row:
             length[row] = tip[row]
         elif heir[up] == row:
-            start[row], length[row], level[row], base[row] = start[up], length[up], level[up], base[up]
+            start[row], length[row], level[row] = start[up], length[up], level[up]
+            base[row], first[row] = base[up], first[up]
         else:
             start[row], length[row], level[row] = distance[up], tip[row] - distance[up], level[up] + 1
             base[row] = up

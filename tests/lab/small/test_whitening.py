@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.models import load_model
-from dynamictree.models.small.correlated_noise import NUM_SCALES, noise_basis
-from dynamictree.models.small.features import coarsen_features
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.spread import at_speed
@@ -16,8 +13,8 @@ from dynamictree.rig.rig import rig_of
 from lab.dataset.sample import make_sample
 from lab.dataset.shards import StoredTree, stored_tree
 from lab.small.examples import Example, example_of, gust_pair, voxels_of
-from lab.small.spread import coherence, distant_leaf_pairs, measure_field, measure_spread
-from lab.small.whitening import fit_shares
+from lab.small.spread import measure_field, measure_spread
+from lab.small.whitening import measure, whiten
 
 
 @pytest.fixture(scope="module")
@@ -53,18 +50,6 @@ def test_a_crown_that_a_lull_stills_as_a_whole_is_no_spread(
     np.testing.assert_allclose(at_speed(network.spread, torch.tensor(example.wind.speed_m_s).log()), spread, rtol=0.15)
 
 
-def test_what_leaves_have_for_themselves_makes_them_move_apart(stored: StoredTree) -> None:
-    """Of the shipped network, in the upper bins: half of what leaves 5 to 6 voxels apart were too much alike goes."""
-    model, drawn = load_model("small"), []
-    voxels = voxels_of(stored)
-    pairs = distant_leaf_pairs(model.prepare(voxels, stored.wind))
-    for share in (model.network.leaf_share.clone(), 0 * model.network.leaf_share):
-        model.network.leaf_share.copy_(share)
-        drawn.append(coherence(model.generate(voxels, wind=stored.wind, seed=0).coefficients, pairs)[7:].mean())
-    true = coherence(stored.spectrum().coefficients, pairs)[7:].mean()
-    assert true < drawn[0] < true + 0.5 * (drawn[1] - true)
-
-
 def test_each_speed_has_its_own_gain(tiny_network: SmallNetwork, example: Example) -> None:
     gains = []
     calm, storm = (replace(example, wind=replace(example.wind, speed_m_s=speed)) for speed in (1.0, 25.0))
@@ -74,13 +59,11 @@ def test_each_speed_has_its_own_gain(tiny_network: SmallNetwork, example: Exampl
     np.testing.assert_allclose(gains[1] - gains[0], [0, np.log(3)], atol=0.05)
 
 
-def test_fitted_shares_are_those_that_made_the_field(example: Example) -> None:
-    nodes = coarsen_features(example.tree, 2)
-    true = torch.zeros(2, NUM_SCALES)
-    true[0, 0], true[0, -1] = 0.25, 0.75  # white, and one for the whole tree
-    true[1, 0], true[1, 4] = 0.5, 0.5  # white, and along the stems
-    generator = torch.Generator().manual_seed(0)
-    drawn = noise_basis(nodes.grids, nodes.links).draw(true, generator, channels=1000).numpy()
-    spectrum = ((drawn[..., :500] + 1j * drawn[..., 500:]) / np.sqrt(2)).astype(np.complex64)
-    shares = fit_shares([spectrum], [nodes], np.random.default_rng(0))
-    np.testing.assert_allclose(shares, true.numpy(), atol=0.08)
+def test_the_common_share_is_that_of_the_crowns_mean(tiny_network: SmallNetwork, example: Example) -> None:
+    generator, shape = torch.Generator().manual_seed(0), example.spectrum.shape
+    own = torch.randn(*shape, dtype=torch.complex64, generator=generator)
+    network, (_, log_amplitude) = tiny_network, whiten(tiny_network, example)
+    sizes = torch.cat([torch.ones_like(log_amplitude[:, :1]), log_amplitude.exp()], dim=1)
+    for whole, share in ((torch.zeros(1, *shape[1:]), 0.0), (10 * own[:1], 1.0)):
+        measure(network, [replace(example, spectrum=(own + whole) * sizes)])
+        np.testing.assert_allclose(network.common_share, share, atol=0.1)

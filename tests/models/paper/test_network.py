@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, nearest_voxels
 from dynamictree.diffusion.sampler import linear_schedule
 from dynamictree.models.paper.encoder import POSITION_FEATURES, fourier_features
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, PaperPreset
@@ -13,6 +12,7 @@ from dynamictree.sparse.level import pyramid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from lab.paper.examples import PaperExample, batch_of
 from lab.paper.train import clean_channels, paper_loss
+from lab.training.loss import LocalSmoothness, local_smoothness, nearest_voxels
 
 SMALL = PaperPreset(
     encoder_base=8,

@@ -62,8 +62,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: Sma
 
 def test_the_gusts_of_a_seed_change_with_the_speed_and_little_with_little() -> None:
     def gusts(speed_m_s: float, seed: int = 3) -> torch.Tensor:
-        (drawn,) = noise_at(speed_m_s, seed, lambda generator: (torch.randn(20_000, generator=generator),))
-        return drawn
+        return noise_at(speed_m_s, seed, lambda generator: torch.randn(20_000, generator=generator))
 
     def alike(one: torch.Tensor, other: torch.Tensor) -> float:
         return float(torch.corrcoef(torch.stack([one, other]))[0, 1])
@@ -138,7 +137,8 @@ def test_the_sampler_keeps_to_its_device(model: SmallModel, voxels: SurfaceVoxel
     """Tensors without values stand in for a GPU's: as those, they refuse to mix with others."""
     monkeypatch.setattr(torch.Tensor, "cpu", lambda tensor: torch.zeros(tensor.shape))
     small, prepared = SmallModel(tiny_network(), name="tiny", device=torch.device("meta")), model.prepare(voxels, WIND)
-    noise, _ = model._draw(prepared, torch.Generator())
+    forces = prepared.noise.draw(small.network.common_share, torch.Generator())
+    noise = prepared.noise.pool.apply(prepared.noise.field(forces))
     sampling = Sampling(seed=0, num_steps=2, lowest_bin=4, on_step=None)
     assert small._denoise(prepared, noise, sampling).shape == noise.shape
 

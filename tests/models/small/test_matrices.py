@@ -1,10 +1,9 @@
-"""Sparse operators, noise, and the layer that mixes scales."""
+"""Sparse operators, and the layer that mixes scales."""
 
 import numpy as np
 import torch
 from scipy.sparse import csr_array
 
-from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, noise_basis
 from dynamictree.models.small.features import TreeFeatures, coarsen_features, turn_features
 from dynamictree.models.small.mixer import MixerBlock, batch_neighbourhoods, neighbourhood
 from dynamictree.sparse.matrices import pool_matrix, sparse_rows, upsample_matrix
@@ -29,16 +28,6 @@ def test_pool_matrix_is_pooling_and_raising_keeps_constants(tree: TreeFeatures) 
     np.testing.assert_allclose(raised @ np.ones(raised.shape[1]), 1, rtol=1e-5)
     nearest = upsample_matrix(tree.grids, 1, 0, steps=0) @ pooled
     torch.testing.assert_close(torch.from_numpy(nearest), upsample(torch.from_numpy(pooled), tree.grids.parents[0]))
-
-
-def test_noise_has_unit_variance_at_every_node(tree: TreeFeatures) -> None:
-    nodes = coarsen_features(tree, 2)
-    for field in field_matrices(nodes.grids, nodes.links):
-        np.testing.assert_allclose(np.asarray(field.multiply(field).sum(axis=1)).ravel(), 1, rtol=1e-5)
-    shares = torch.rand(4, NUM_SCALES)
-    shares = shares / shares.sum(dim=1, keepdim=True)
-    drawn = noise_basis(nodes.grids, nodes.links).draw(shares, torch.Generator().manual_seed(0), channels=20_000)
-    torch.testing.assert_close(drawn.square().mean(dim=2), torch.ones(len(nodes.scalars), 4), atol=0.06, rtol=0)
 
 
 def test_a_layer_does_not_look_from_tree_to_tree(tree: TreeFeatures) -> None:
