@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "lines in dynamictree": 31_752,
+    "lines in dynamictree": 31_753,
     "lines in lab": 6_067,
     "lines in service, jobs and worker": 13_356,
     "lines in tests": 35_640,

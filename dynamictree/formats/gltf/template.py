@@ -15,8 +15,9 @@ from dynamictree.up_axis import up_rotation
 
 
 def open_document(mesh: TriangleMesh) -> GlbWriter:
-    """Return the document of the mesh's source, which it must have, upright and in metres."""
-    assert mesh.gltf is not None
+    """Return the document of the mesh's source, upright and in metres; without one, `plain_document`."""
+    if mesh.gltf is None:
+        return plain_document(mesh)
     chunks = list(mesh.gltf.binary)
     writer = GlbWriter(root=json.loads(mesh.gltf.document), chunks=chunks, num_bytes=sum(map(len, chunks)))
     if mesh.source.up_axis != "+Y" or mesh.source.scale != 1.0:
