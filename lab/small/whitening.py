@@ -18,7 +18,7 @@ from lab.small.examples import Example
 MEASURED = ("common_share", "log_gain", "spread")
 NUM_MEASURED = 24
 """Number of trees for measuring scales and shares."""
-UPRIGHT = 2  # axis that branches on both sides of a crown move along in opposite senses
+HORIZONTAL = slice(0, 2)  # axes; upright, branches on both sides of a crown move in opposite senses
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example]) -> Float32[Tenso
     nodes = [pool_to(whiten(network, one)[0], one.tree.grids, top) for one in examples]
     power = torch.stack([one.abs().square().mean(dim=0) for one in nodes])  # [T, J, 3]
     mean = torch.stack([one.mean(dim=0).abs().square() for one in nodes])
-    network.common_share.copy_((mean / power)[..., :UPRIGHT].mean(dim=(0, 2)))
+    network.common_share.copy_((mean / power)[..., HORIZONTAL].mean(dim=(0, 2)))
     return (power / 2).sqrt().median(dim=0).values
 
 
